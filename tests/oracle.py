@@ -17,10 +17,8 @@ from app.avoidance.mobile_acceleration import ActingPointFinder
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.contours import Foot
-from app.border.dbb import construct_dbb
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface
 from app.config import Config, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
@@ -81,17 +79,17 @@ class PlainState(RobotState):
 class PlainSurface:
     """The nearest point of the border around one shape, by trying every edge of its contour."""
 
-    def __init__(self, surface: BorderSurface, offset: OffsetContours) -> None:
-        self._table, self._reached = offset.table, surface.table.reached
+    def __init__(self, offset: OffsetContours) -> None:
+        self._table = offset.table
 
     def nearest(self, p: Array) -> Foot | None:
         heights = self._table.heights
         z = float(np.clip(p[2], heights[0], heights[-1]))
         k = min(int(np.searchsorted(heights, z, side="right")) - 1, len(heights) - 2)
         share = (z - heights[k]) / (heights[k + 1] - heights[k])
-        corners, tangents, reached = (
+        corners, tangents = (
             (1 - share) * rows[k] + share * rows[k + 1]
-            for rows in (self._table.vertices, self._table.tangents, self._reached)
+            for rows in (self._table.vertices, self._table.tangents)
         )
         to_p = complex(p[0], p[1]) - corners
         ahead = (to_p * tangents.conj()).real
@@ -107,12 +105,7 @@ class PlainSurface:
             roots = np.roots([a, b, c])
             inside = [s.real for s in roots if abs(s.imag) < 1e-9 and -1e-9 <= s.real <= 1 + 1e-9]
             s = float(np.clip(inside[0], 0.0, 1.0)) if inside else 0.0
-            if (1 - s) * reached[i] + s * reached[i + 1] >= 0.0:
-                found.append((abs(to_p[i] - s * edge), i, s))
-        for i in np.flatnonzero((reached[:-1] >= 0.0) != (reached[1:] >= 0.0)):  # a gap's ends
-            s = reached[i] / (reached[i] - reached[i + 1])
-            chord = 1e-4  # [m] by which an end counts as farther than it is
-            found.append((abs(to_p[i] - s * (corners[i + 1] - corners[i])) + chord, i, s))
+            found.append((abs(to_p[i] - s * edge), i, s))
         _, i, s = min(found)
         xy = corners[i] + s * (corners[i + 1] - corners[i])
         t = tangents[i] + s * (tangents[i + 1] - tangents[i])
@@ -290,10 +283,8 @@ def plain_controller(
     monkeypatch.setattr(controller_module, "RobotState", PlainState)
     monkeypatch.setattr(controller_module, "TaskQP", PlainQP)
     plain = Controller(model, data, config)
-    offset = OffsetContours(model, config.border.d_b)
+    surface = PlainSurface(OffsetContours(model, config.border.d_b))
     for pair in data.pairs.mobile:
-        border = construct_dbb(data.clouds[pair.name], config.border.d_b, config.border.eps)
-        surface = PlainSurface(BorderSurface(border, offset), offset)
         field = PlainField(**vars(ScoreField.of(model, pair.b)))
         plain._avoidance._finders[pair.name] = ActingPointFinder(surface, field)
     return plain

@@ -7,9 +7,9 @@ import pytest
 
 from app.avoidance.mobile_acceleration import ActingPointFinder, step_size, tangential_step
 from app.border.dbb import Border
+from app.border.nearest import BorderPoints
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
-from app.border.surface import BorderPoints, BorderSurface
 from app.config import ForceConfig
 from app.robot.model import RobotModel
 
@@ -39,11 +39,14 @@ def dense_border(offset: OffsetContours, step: float = 0.002) -> Border:
     return Border("lm-lEE", D_B, 0.01, array, array[:, 2].copy())
 
 
-@pytest.fixture(scope="module", params=[BorderPoints, BorderSurface])
+@pytest.fixture(scope="module", params=["points", "surface"])
 def finder(
     request: pytest.FixtureRequest, offset: OffsetContours, field: ScoreField
 ) -> ActingPointFinder:
-    return ActingPointFinder(request.param(dense_border(offset), offset), field)
+    points = request.param == "points"
+    return ActingPointFinder(
+        BorderPoints(dense_border(offset), offset) if points else offset, field
+    )
 
 
 def on_side(x: float, side: float, d: float, z: float = 0.2) -> np.ndarray:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from app.border.cache import load_border_data
-from app.border.dbb import Border, make_cloud
+from app.border.dbb import make_cloud
 from app.border.mobile import MobileBody
 from app.border.offset import RAYS, OffsetContours
-from app.border.surface import BorderSurface
 from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Hull
@@ -56,11 +55,6 @@ def offset(towered: RobotModel) -> OffsetContours:
     return OffsetContours(towered, D_B)
 
 
-@pytest.fixture(scope="module")
-def surface(offset: OffsetContours) -> BorderSurface:
-    return BorderSurface(Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)), np.zeros(0)), offset)
-
-
 def dense_border(z: float) -> np.ndarray:
     """(N, 2) [m] where the distance crosses D_B on the lines of a 4 mm grid at a height."""
     x, y = np.arange(-0.9, 0.9, 0.004), np.arange(-0.7, 0.7, 0.004)
@@ -78,26 +72,26 @@ def dense_border(z: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("z", [0.05, 0.2, 0.41, 0.5, 0.525, 0.56, 0.9, 1.06, 1.13, 1.2])
-def test_the_nearest_point_is_as_near_as_a_dense_search_finds(surface: BorderSurface, z: float):
+def test_the_nearest_point_is_as_near_as_a_dense_search_finds(offset: OffsetContours, z: float):
     """At heights of one contour, of two islands, and of the tower alone."""
     border = dense_border(z)
     for p in np.random.default_rng(0).uniform([-0.8, -0.6], [0.8, 0.6], (150, 2)):
-        foot = surface.nearest(np.array([*p, z]))
+        foot = offset.nearest(np.array([*p, z]))
         away = np.linalg.norm(foot.p[:2] - p)
         assert away == pytest.approx(np.linalg.norm(border - p, axis=1).min(), abs=0.002)
 
 
-def test_all_points_lie_on_the_exact_offset(surface: BorderSurface, offset: OffsetContours):
+def test_all_points_lie_on_the_exact_offset(offset: OffsetContours):
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
-    feet = np.array([surface.nearest(p).p for p in points])
+    feet = np.array([offset.nearest(p).p for p in points])
     feet[:, 2] = [offset.within(z) for z in points[:, 2]]
     assert np.abs(distance(feet) - D_B).max() < 0.001
 
 
-def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(surface: BorderSurface):
+def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(offset: OffsetContours):
     for p in np.random.default_rng(2).uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.2], (500, 3)):
-        foot = surface.nearest(p)
+        foot = offset.nearest(p)
         assert np.linalg.norm(foot.t) == pytest.approx(1.0)
         assert (p - foot.p) @ foot.t == pytest.approx(0.0, abs=1e-8)
         left = foot.p + 1e-3 * np.array([-foot.t[1], foot.t[0], 0.0])
@@ -105,7 +99,7 @@ def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(surface: Bor
             assert distance(left) < D_B + 2e-4
 
 
-def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(surface: BorderSurface):
+def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(offset: OffsetContours):
     """The law of a nearest point: its place may jump on the medial axis, its distance may not.
 
     But where a lower shape's offset ends: it has a horizontal piece there.
@@ -115,14 +109,14 @@ def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(surface:
         z = rng.choice([0.1, 0.3, 0.45, 0.52, 0.6, 1.1]) + rng.uniform(-0.004, 0.004)
         begin, end = rng.uniform([-0.7, -0.5], [0.7, 0.5], (2, 2))
         path = begin + np.linspace(0.0, 1.0, 1500)[:, None] * (end - begin)
-        feet = np.array([surface.nearest(np.array([*p, z])).p[:2] for p in path])
+        feet = np.array([offset.nearest(np.array([*p, z])).p[:2] for p in path])
         ways = np.linalg.norm(feet - path, axis=1)
         step = np.linalg.norm(end - begin) / 1499
         assert np.abs(np.diff(ways)).max() < 1.05 * step + 2e-6
 
 
 @pytest.mark.parametrize("z", [0.2, 0.45, 0.8])
-def test_foot_and_tangent_walk_through_a_corner_without_a_jump(surface: BorderSurface, z: float):
+def test_foot_and_tangent_walk_through_a_corner_without_a_jump(offset: OffsetContours, z: float):
     """Past the place where two shapes' offsets meet, inside of the border."""
     depth = 0.05
     outline = {0.2: None, 0.45: (0.495, 0.0), 0.8: (-0.37, 0.02)}[z]
@@ -130,7 +124,7 @@ def test_foot_and_tangent_walk_through_a_corner_without_a_jump(surface: BorderSu
     centre = np.array(outline) if outline is not None else np.zeros(2)
     reach = (0.06 if z == 0.45 else 0.12) if outline is not None else 0.25
     path = centre + reach * np.column_stack([np.cos(turn), np.sin(turn)])
-    feet = [surface.nearest(np.array([*p, z])) for p in path]
+    feet = [offset.nearest(np.array([*p, z])) for p in path]
     p = np.array([f.p[:2] for f in feet])
     t = np.array([f.t[:2] for f in feet])
     ways = np.linalg.norm(p - path, axis=1)
@@ -187,42 +181,6 @@ def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
     feet = [offset.nearest(p) for p in points]
     lifted = np.array([foot.p for foot in feet])
     assert np.abs(body.distance(lifted) - D_B).max() < 0.002
-
-
-def test_where_the_arm_never_is_the_contours_are_open(offset: OffsetContours):
-    """Points around the tower's front only: behind it there is nothing to be nearest to."""
-    z = np.repeat(np.arange(0.6, 1.0, 0.004), 120)
-    y = np.tile(np.linspace(-0.19, 0.23, 120), len(z) // 120)
-    points = np.column_stack([np.full(len(z), -0.27 + D_B), y, z])
-    surface = BorderSurface(Border("lm-lEE", D_B, 0.01, points, z), offset)
-    behind = surface.nearest(np.array([-0.6, 0.02, 0.8]))
-    assert behind.p[0] > -0.5
-    front = surface.nearest(np.array([-0.2, 0.02, 0.8]))
-    assert front.p[:2] == pytest.approx([-0.12, 0.02], abs=1e-3)
-
-
-def test_a_gap_that_begins_at_a_height_opens_no_faster_than_the_foot_may_move(
-    offset: OffsetContours,
-) -> None:
-    """All around the tower below 0.8 m, around its front only above."""
-    turn = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
-    circle = 0.5 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(400)])
-    feet = [offset.nearest(np.array([*TOWER[0][:2], 0.7]) + way) for way in circle]
-    around = np.array([foot.p[:2] for foot in feet])
-    layers = [
-        np.column_stack([xy, np.full(len(xy), z)])
-        for z in np.arange(0.6, 1.0, 0.004)
-        for xy in [around if z < 0.8 else around[around[:, 0] > TOWER[0][0]]]
-    ]
-    points = np.concatenate(layers)
-    surface = BorderSurface(Border("lm-lEE", D_B, 0.01, points, points[:, 2].copy()), offset)
-    climb = np.linspace(0.7, 0.9, 20001)
-    for beside in ([-0.52, 0.0], [-0.5, 0.15], [-0.49, -0.2]):
-        feet = np.array([surface.nearest(np.array([*beside, z])).p for z in climb])
-        assert feet[0, 0] < -0.55  # behind the tower, then at the gap's end
-        assert feet[-1, 0] > -0.45
-        steps = np.linalg.norm(np.diff(feet, axis=0), axis=1)
-        assert steps.max() < 40 * (climb[1] - climb[0])
 
 
 def test_pieces_are_what_of_the_rings_lies_on_the_offset(offset: OffsetContours):

@@ -22,7 +22,7 @@ def shell(robot, border_data):
 
     borders = Borders(robot, border_data.clouds)
     snapshot = ScriptedLoop(robot).latest()
-    surface = borders.surface("lm-lEE", snapshot.config.border)
+    surface = borders.surface(snapshot.config.border)
     corners, faces = shell_faces(surface, 0.1, borders.top)
     return borders, snapshot, trimesh.Trimesh(corners, faces, process=False)
 

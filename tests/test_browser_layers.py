@@ -96,7 +96,7 @@ def contour(served: Served) -> Array:
     snapshot = served.loop.latest()
     nearest = min((pair for pair in snapshot.pairs if pair.mobile), key=lambda pair: pair.d)
     borders = served.server.shared.borders
-    curves = borders.surface(nearest.name, snapshot.config.border).curves(float(nearest.p_b[2]))
+    curves = borders.surface(snapshot.config.border).curves(float(nearest.p_b[2]))
     return np.concatenate(curves)[::5]
 
 

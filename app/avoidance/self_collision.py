@@ -17,8 +17,8 @@ from app.avoidance.mobile_acceleration import (
 )
 from app.avoidance.task import TaskRows
 from app.border.dbb import Cloud
+from app.border.nearest import border_of
 from app.border.score import ScoreField
-from app.border.surface import border_of
 from app.config import Config
 from app.robot.link_pairs import LinkPairs
 from app.robot.state import RobotState

@@ -15,7 +15,6 @@ from app.compiled import compiled
 from app.strict import Array
 
 _SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
-_CHORD = 1e-4  # [m] by which a gap's end, on a chord of the true curve, may seem nearer than it is
 _TOUCHING = 1e-9  # [m] nearer to a corner than that a way to it has no direction
 
 BLOCK = 24  # [-] edges that are looked at or left out together; the rings have a multiple of them
@@ -56,18 +55,15 @@ class Table(NamedTuple):
     """(N, R + 1) unit tangents at the vertices, as x + iy."""
     shown: Array
     """(N, R + 1) [m] by how much the vertices lie outside of the other shapes."""
-    reached: Array
-    """(N, R + 1) negative where the contours are open."""
     spans: Array
     """(N, R / BLOCK) [m] from the middle vertex of a block of edges to its others, at most."""
 
 
 class Contours:
-    """Horizontal contours around a union of convex shapes, open where that is known of them."""
+    """Horizontal contours around a union of convex shapes."""
 
     def __init__(self, table: Table) -> None:
         self.table = table
-        self._closed = table._replace(reached=np.ones_like(table.shown))
 
     def within(self, z: float) -> float:
         """[m] the height nearest to z that there is."""
@@ -77,19 +73,16 @@ class Contours:
         """The point of the contours nearest to p, (3,) [m] in the base's frame, at its height.
 
         It moves continuously with p, but where p has two nearest points (the medial axis). Heights
-        beyond the contours are taken as their lowest or highest. In a gap it is the end of a
-        contour; where all of a height is open, it is as if nothing were. None only if there is no
-        ring at all.
+        beyond the contours are taken as their lowest or highest. None only if there is no ring at
+        all.
         """
         if not len(self.table.heights):
             return None
-        d, foot = nearest_point(*self.table, p)
-        if d == math.inf:
-            _, foot = nearest_point(*self._closed, p)
+        foot = nearest_point(*self.table, p)
         return Foot(foot[0], foot[1])
 
     def contours(self, z: float) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height z [m], or the open pieces of each ring.
+        """(K, 2) [m] each, the polygons at a height z [m], or the pieces of each ring that show.
 
         There is none beyond the lowest and the highest ring.
         """
@@ -101,8 +94,7 @@ class Contours:
             k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
             share = (z - heights[k]) / (heights[k + 1] - heights[k])
             rows, weights = first + k + np.arange(2), (1.0 - share, share)
-            open_ = np.minimum(weights @ table.shown[rows], weights @ table.reached[rows])
-            found += _pieces(weights @ table.vertices[rows], open_)
+            found += _pieces(weights @ table.vertices[rows], weights @ table.shown[rows])
         return found
 
     def curves(self, z: float) -> list[Array]:
@@ -112,16 +104,16 @@ class Contours:
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
 
 
-def _pieces(ring: Array, open_: Array) -> list[Array]:
-    """(K, 2) [m] each, where a closed ring (R + 1,) as x + iy has a value of zero or more."""
-    if (open_ >= 0.0).all():
+def _pieces(ring: Array, shown: Array) -> list[Array]:
+    """(K, 2) [m] each, where a closed ring (R + 1,) as x + iy shows: by zero or more."""
+    if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(open_[:-1]))  # begin where it is cut
-    ring, open_ = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, open_))
+    turned = int(np.argmin(shown[:-1]))  # begin where it is cut
+    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
     found: list[Array] = []
     piece: list[complex] = []
     for i in range(len(ring) - 1):
-        a, b = open_[i], open_[i + 1]
+        a, b = shown[i], shown[i + 1]
         if (a < 0.0) != (b < 0.0):
             piece.append(complex(ring[i] + a / (a - b) * (ring[i + 1] - ring[i])))
         if b >= 0.0:
@@ -167,7 +159,6 @@ def _search_edges(
     ring: Array,
     tangents: Array,
     shown: Array,
-    reached: Array,
     p: complex,
     best: Best,
     corners: list[Corner],
@@ -177,20 +168,15 @@ def _search_edges(
     for i in range(BLOCK):
         edge, turn = ring[i + 1] - ring[i], tangents[i + 1] - tangents[i]
         next_ahead = _dot(p - ring[i + 1], tangents[i + 1]) >= 0.0
-        first, last = _clip(0.0, 1.0, shown[i], shown[i + 1])
-        low, high = _clip(first, last, reached[i], reached[i + 1])
-        if low <= high and ahead and not next_ahead:
+        first, last = _shown(shown[i], shown[i + 1])
+        if first <= last and ahead and not next_ahead:
             along = _foot(p - ring[i], edge, tangents[i], tangents[i + 1])
-            if low <= along <= high:
-                best = _nearer(best, p, ring[i] + along * edge, tangents[i] + along * turn, 0.0)
-        for along, cut, begins in ((low, first, True), (high, last, False)):
-            if low > high or along == (0.0 if begins else 1.0):
-                continue
-            at, t = ring[i] + along * edge, tangents[i] + along * turn
-            if along == cut:
+            if first <= along <= last:
+                best = _nearer(best, p, ring[i] + along * edge, tangents[i] + along * turn)
+        for along, end, begins in ((first, 0.0, True), (last, 1.0, False)):
+            if first <= last and along != end:
+                at, t = ring[i] + along * edge, tangents[i] + along * turn
                 corners.append((at, t / abs(t), begins))
-            else:  # the reach ends there
-                best = _nearer(best, p, at, t, _CHORD)
         ahead = next_ahead
     return best
 
@@ -216,17 +202,17 @@ def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
             if apart > 0.0:
                 at += min(max(_dot(p - at, way) / (apart * apart), 0.0), 1.0) * way
             t = both if abs(both) > _TOUCHING else t
-        best = _nearer(best, p, at, _square(p, at, t), 0.0)
+        best = _nearer(best, p, at, _square(p, at, t))
     for c, (at, t, begins) in enumerate(corners):
         if begins and not met[c]:  # no ring leads to it: its shape is farther away
-            best = _nearer(best, p, at, _square(p, at, t), 0.0)
+            best = _nearer(best, p, at, _square(p, at, t))
     return best
 
 
 @compiled()
-def _nearer(best: Best, p: complex, at: complex, tangent: complex, further: float) -> Best:
-    """The nearer of two points; the second counts as `further` [m] away than it is."""
-    away = abs(p - at) + further
+def _nearer(best: Best, p: complex, at: complex, tangent: complex) -> Best:
+    """The nearer of two points."""
+    away = abs(p - at)
     return (away, at, tangent / abs(tangent)) if away < best[0] else best
 
 
@@ -251,15 +237,12 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 
 @compiled()
-def _clip(low: float, high: float, start: float, end: float) -> tuple[float, float]:
-    """The part of [low, high] where a value that goes from start to end is not negative."""
+def _shown(start: float, end: float) -> tuple[float, float]:
+    """The part of an edge, within [0, 1], where a value that goes so is not negative."""
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
-    if start < 0.0:
-        return max(low, start / (start - end)), high
-    if end < 0.0:
-        return low, min(high, start / (start - end))
-    return low, high
+    cut = start / (start - end) if (start < 0.0) != (end < 0.0) else 0.0
+    return (cut, 1.0) if start < 0.0 else (0.0, cut if end < 0.0 else 1.0)
 
 
 @compiled()
@@ -273,26 +256,23 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
     return t if _dot(t, along) >= 0.0 else -t
 
 
-@compiled(
-    "Tuple((f8, f8[:,::1]))(i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])",
-)
+@compiled("f8[:,::1](i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], f8[:])")
 def nearest_point(
     firsts: Array,
     heights: Array,
     vertices: Array,
     tangents: Array,
     shown: Array,
-    reached: Array,
     spans: Array,
     at: Array,
-) -> tuple[float, Array]:
+) -> Array:
     """The point of a `Table` that is nearest to a point, at the height nearest to its own.
 
     Blocks of edges are searched from near to far, until the next one is farther than what was
     found: so the cost hardly grows with the number of shapes.
 
     Returns:
-        Distance [m], infinite if nothing was found; and (2, 3) of a `Foot`.
+        (2, 3) of a `Foot`.
     """
     z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
     shapes, blocks = len(firsts) - 1, spans.shape[1]
@@ -318,11 +298,9 @@ def nearest_point(
             _blend(vertices[k], vertices[up], share, i),
             _blend(tangents[k], tangents[up], share, i),
             _blend(shown[k], shown[up], share, i),
-            _blend(reached[k], reached[up], share, i),
             p,
             best,
             corners,
         )
-    d, point, tangent = _search_corners(p, best, corners)
-    foot = np.array([[point.real, point.imag, at[2]], [tangent.real, tangent.imag, 0.0]])
-    return d, foot
+    _, point, tangent = _search_corners(p, best, corners)
+    return np.array([[point.real, point.imag, at[2]], [tangent.real, tangent.imag, 0.0]])

@@ -1,7 +1,7 @@
 """The exact offset of the mobile robot, {p : distance to l_m = d_b}, as horizontal contours.
 
-It stands in wherever the border's cloud has no point at a height: never an empty slice, never a
-zero force.
+It is the border as a continuous surface, and stands in wherever its points have none at a height:
+never an empty slice, never a zero force.
 """
 
 from __future__ import annotations
@@ -52,12 +52,6 @@ def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
     return OffsetContours(model, d_b)
 
 
-def ray_from(points_xy: Array, centre: Array) -> Array:
-    """(N,) on which ray from a centre (2,) [m] points (N, 2) [m] lie, from 0 to `RAYS`."""
-    out = points_xy - centre
-    return np.arctan2(out[:, 1], out[:, 0]) % (2 * np.pi) * (RAYS / (2 * np.pi))
-
-
 def _outermost(
     traced: list[tuple[ConvexPart, Rings]], d_b: float
 ) -> list[tuple[ConvexPart, Rings, Array]]:
@@ -98,7 +92,6 @@ def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
         vertices,
         np.concatenate([none.astype(complex), *(r.tangents for r in rings)]),
         np.concatenate([none, *shown]),
-        np.ones((len(vertices), RAYS + 1)),
         np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2, initial=0.0),
     )
 
@@ -108,8 +101,6 @@ class Rings(NamedTuple):
 
     heights: Array
     """(H,) [m], ascending."""
-    centres: Array
-    """(H, 2) [m] from which the rays of each height start, in the base's frame."""
     vertices: Array
     """(H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first repeated."""
     tangents: Array
@@ -131,7 +122,7 @@ def trace_rings(part: ConvexPart, d_b: float) -> Rings:
     rings = centres[:, None] + ends[:, :, None] * _RAYS[:, :2]
     vertices = np.concatenate([rings, rings[:, :1]], axis=1)
     tangents = _vertex_tangents(np.diff(vertices[..., 0] + 1j * vertices[..., 1], axis=1))
-    return Rings(kept, centres, vertices, tangents)
+    return Rings(kept, vertices, tangents)
 
 
 class _Tracer:

@@ -19,9 +19,8 @@ from app.avoidance.mobile_acceleration import (
 )
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.offset import offset_contours
+from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface
 from app.config import BorderConfig
 from app.dashboard.scene.canvas import ROOT, Canvas
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
@@ -86,15 +85,9 @@ class Borders:
             lambda: self._colour(pair, quantity, border, whole=whole),
         )
 
-    def surface(self, pair: str, border: BorderConfig) -> BorderSurface:
-        """The border as contours."""
-        return self._keep(
-            (pair, border.d_b, border.eps),
-            lambda: BorderSurface(
-                construct_dbb(self._clouds[pair], border.d_b, border.eps),
-                offset_contours(self._model, border.d_b),
-            ),
-        )
+    def surface(self, border: BorderConfig) -> OffsetContours:
+        """The border as contours, which is that of every pair."""
+        return offset_contours(self._model, border.d_b)
 
     def values(self, pair: str, quantity: str, points: Array) -> Array:
         """(N,) a quantity, one of `QUANTITIES`, at points (N, 3) [m] in the base's frame."""
@@ -208,7 +201,7 @@ class DrawnBorders:
         if view.shell:
             heights = coloured.points[:, 2]
             faces = shell_faces(
-                self._borders.surface(pair, config), float(heights.min()), float(heights.max())
+                self._borders.surface(config), float(heights.min()), float(heights.max())
             )
             body = body_of(self._borders, faces, quantity, legend)
             return _Drawn(wanted, legend, self._send(pair, body), body)
@@ -292,9 +285,9 @@ class BorderSlice:
             return
         nearest, border = min(mobile, key=lambda pair: pair.d), snapshot.config.border
         z = float(nearest.p_b[2])
-        key = (nearest.name, round(z / _GRAIN), border.d_b, border.eps)
+        key = (nearest.name, round(z / _GRAIN), border.d_b)
         if key != self._key:
-            curves = self._borders.surface(nearest.name, border).curves(z)
+            curves = self._borders.surface(border).curves(z)
             self._key = key
             self._curves = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
         if self._curves:
@@ -302,7 +295,7 @@ class BorderSlice:
             canvas.lines(node, self._curves, _ON_DARK if dark else _ON_LIGHT, 2.5)
 
 
-def shell_faces(surface: BorderSurface, low: float, high: float) -> tuple[Array, Array]:
+def shell_faces(surface: OffsetContours, low: float, high: float) -> tuple[Array, Array]:
     """(N, 3) [m] corners in the base's frame, and (M, 3) triangles, their fronts outwards.
 
     They are those of a border between two heights [m].
@@ -312,7 +305,7 @@ def shell_faces(surface: BorderSurface, low: float, high: float) -> tuple[Array,
         rows = np.unique([*range(first, end, _HEIGHTS), end - 1])
         rows = rows[(low <= table.heights[rows]) & (table.heights[rows] <= high)]
         at = table.vertices[rows, ::_RAYS]
-        there = np.minimum(table.shown, table.reached)[rows, ::_RAYS] >= 0.0
+        there = table.shown[rows, ::_RAYS] >= 0.0
         H, W = at.shape
         heights = np.repeat(table.heights[rows], W)
         index = sum(map(len, corners)) + np.arange(H * W).reshape(H, W)
@@ -373,7 +366,7 @@ def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array, n: Array
     d_b = config.border.d_b
     d = _INSIDE * d_b
     p_b = p - (d_b - d) * n
-    finder = ActingPointFinder(borders.surface(pair, config.border), field)
+    finder = ActingPointFinder(borders.surface(config.border), field)
     found = finder.find_acting_point(p_b, d, config.force)
     assert found is not None, "a border that is drawn has contours"
     f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)

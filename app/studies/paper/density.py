@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, generate_mob_acc
 from app.border.dbb import Border, Cloud
-from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import ClosestPoints
 from app.simulation.run import run_planned
 from app.simulation.session import DT
@@ -30,7 +29,6 @@ _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as 
 _LEAST = 1e-9  # [m] where the logarithmic axis ends; smaller steps are drawn there
 _ZOOM = 0.03  # [m] around what is drawn in plan
 
-_SHAPES = {"points": BorderPoints, "surface": BorderSurface}  # how a border is searched
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
@@ -47,7 +45,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
         (jump, "jump_max_m", "largest jump in a control step [m]"),
         (cost, "find_p50_us", "median time of a search [µs]"),
     ):
-        values = {kind: table[column][table["border"] == kind] for kind in _SHAPES}
+        values = {kind: table[column][table["border"] == kind] for kind in _NAMES}
         counts = table["points"][table["border"] == "points"]
         ax.plot(
             counts, values["points"], "o-", label="border of points, searched as printed", **look
@@ -85,11 +83,9 @@ def trade_off(sources: Sources) -> drawing.Table:
     """For each number of points, and for the surface: the jumps of p_act, the time of a search."""
     path, whole = hand_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
-    rows = []
-    for kind, shape in _SHAPES.items():
-        for count in [whole] if kind == "surface" else counts:
-            finder = sources.finder(shape, thinned(sources.border, count))
-            rows.append((kind, count, *jump_and_cost(sources, finder, path)))
+    finders = [("points", n, sources.points(thinned(sources.border, n))) for n in counts]
+    finders.append(("surface", whole, sources.surface))
+    rows = [(kind, n, *jump_and_cost(sources, finder, path)) for kind, n, finder in finders]
     return drawing.table_of(("border", "points", *_MEASURED), rows)
 
 
@@ -154,7 +150,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
     finders = {
-        "points": sources.finder(BorderPoints, points),
+        "points": sources.points(points),
         "surface": sources.surface,
     }
     coarse, fine = (hand_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))

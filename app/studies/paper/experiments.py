@@ -10,11 +10,10 @@ from typing_extensions import Self
 
 from app.avoidance.mobile_acceleration import ActingPoint, ActingPointFinder, avoidance_force
 from app.border.cache import BorderData, load_border_data
-from app.border.contours import NearestBorder
 from app.border.dbb import Border, construct_dbb
+from app.border.nearest import BorderPoints
 from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface
 from app.config import Config, ForceConfig
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
@@ -128,13 +127,11 @@ class Sources:
     @cached_property
     def surface(self) -> ActingPointFinder:
         """Algorithm 3 on DBB_1 as a continuous surface, as the controller has it."""
-        return self.finder(BorderSurface, self.border)
+        return ActingPointFinder(self.offset, self.field)
 
-    def finder(
-        self, shape: Callable[[Border, OffsetContours], NearestBorder], border: Border
-    ) -> ActingPointFinder:
-        """Algorithm 3 on a border of that pair, as points or as a surface."""
-        return ActingPointFinder(shape(border, self.offset), self.field)
+    def points(self, border: Border) -> ActingPointFinder:
+        """Algorithm 3 on a border of that pair as points, as printed."""
+        return ActingPointFinder(BorderPoints(border, self.offset), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
