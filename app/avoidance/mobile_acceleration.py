@@ -115,10 +115,10 @@ def avoidance_force(
 ) -> Array:
     """f_m,i: from the acting point towards the closest point, stronger the nearer they are.
 
-    f = f_max (1 - d/d_b) (1 - n_z²) (p_b - p_act) / ‖p_b - p_act‖. The magnitude is kept in
-    [0, f_max]. The factor 1 - n_z² is our extension: over the base's flat top no horizontal force
-    helps, and there it vanishes; from the side it is 1. At p_b = p_act the direction is that of -n
-    in the plane.
+    f = f_max (1 - d/d_b) ‖n_xy‖ (p_b - p_act) / ‖p_b - p_act‖. The magnitude is kept in [0, f_max].
+    The factor ‖n_xy‖ is our extension: of a force along n the horizontal part; over the base's flat
+    top, where no horizontal force helps, it vanishes, and from the side it is 1. At p_b = p_act the
+    direction is that of -n in the plane.
 
     Paper: Eq. (14).
 
@@ -133,7 +133,7 @@ def avoidance_force(
     Returns:
         (3,) [N], horizontal.
     """
-    magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * max(1.0 - n[2] ** 2, 0.0)
+    magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * math.sqrt(n[0] ** 2 + n[1] ** 2)
     direction = p_b - p_act
     length = math.sqrt((direction**2).sum())
     if length < 1e-6:  # [m]

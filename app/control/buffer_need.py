@@ -7,7 +7,7 @@ it get? Three things hold the base back:
   and reaches the drive later by the delay; the drive's lag of first order delays by another τ.
 - The law asks the more the deeper the hand is. At the distance d it accelerates the base along -n,
   in each of its channels k (v and ω of a differential one), by
-  a_k = β(d) f_max (1 - d/d_b) (1 - n_z²) J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
+  a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
   hand's place (x, y) and m_k = m, I. The force comes from the acting point, which stands aside by
   α_min while the hand is d_b - d inside the border: u lies between the normal and the tangent with
   tan = α_min / (d_b - d), on the worse side.
@@ -54,14 +54,13 @@ def _gain(v: float, a: float, T: float) -> float:
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
 
-@compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8, f8)")
+@compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
 def _least_distance(
     d_b: Array,
     channels: Array,
     v: float,
     late: float,
     kept: float,
-    flat: float,
     f_max: float,
     alpha_min: float,
     d_full: float,
@@ -74,7 +73,6 @@ def _least_distance(
         v: [m/s] of the approach.
         late: [s] t_0.
         kept: [-] of a speed that does not slip.
-        flat: [-] horizontal part of n.
         f_max: [N]
         alpha_min: [m]
         d_full: [m] distance of full activation.
@@ -87,7 +85,7 @@ def _least_distance(
             below = d_b[i] * depth
             aside = math.hypot(below, alpha_min)
             rise = min(max(below / (d_b[i] - d_full), 0.0), 1.0)
-            f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b[i] * flat
+            f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b[i]
             least = np.inf
             a_worse[:], w_worse[:] = 0.0, 0.0
             for side in (1.0, -1.0):
@@ -152,8 +150,7 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
 
     It is minus infinity where the base does not reach the speed at all.
     """
-    flat = float(np.hypot(approach.n[0], approach.n[1]))
-    if flat < 1e-6:
+    if math.hypot(approach.n[0], approach.n[1]) < 1e-6:
         return np.full(len(d_b), -np.inf)
     lead, force = dead_time(base, config), config.force
     ways = [
@@ -163,7 +160,6 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
             approach.v,
             lead + max(channel.delay for channel in way),
             1.0 - config.disturbance.slip,
-            flat,
             force.f_max,
             force.alpha_min,
             config.activation.d_full,
