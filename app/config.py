@@ -104,7 +104,7 @@ class TaskConfig(Strict):
     """[1/s] damping of the arm in its posture task."""
     base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
-    base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=4.0, ge=1.0, le=100.0)
+    base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=5.0, ge=1.0, le=100.0)
     """[-] how much slower the base corrects errors and nears limits than the arm; it has 10 Hz."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, in the posture task."""

@@ -13,7 +13,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.run import run_planned
-from app.studies.sweep.plan import Approach, SweepPlan, Trial
+from app.studies.sweep.plan import Approach, Kind, SweepPlan, Trial
 from app.studies.sweep.starts import Start, StartFinder
 from app.studies.sweep.sweep import arrival, passes, sweep
 from benchmarks.robots import GUIDED_LIMIT
@@ -117,19 +117,28 @@ def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
     assert (displacement > 0.008) == moves
 
 
-@pytest.mark.parametrize("direction_deg", [60.0, 270.0])
+@pytest.mark.parametrize(
+    ("kind", "direction_deg", "speed", "hold"),
+    [("side", 60.0, 0.4, 2.0), ("side", 270.0, 0.4, 2.0), ("wheel_axis", 270.0, 0.1, 3.0)],
+)
 def test_a_fast_target_close_above_the_deck_is_reached_in_time(
-    robot: RobotModel, border_data: BorderData, direction_deg: float
+    robot: RobotModel,
+    border_data: BorderData,
+    kind: Kind,
+    direction_deg: float,
+    speed: float,
+    hold: float,
 ) -> None:
     """There links near their own buffers, or the arm the distance that it keeps from the base.
 
-    Both stand above the hand, which is left behind until the base makes room for them.
+    Both stand above the hand, which is left behind until the base makes room for them. On the wheel
+    axis it comes over the base's edge, where the force is what of the normal is horizontal.
     """
-    plan = replace(QUICK, length=0.2, hold=2.0)
+    plan = replace(QUICK, length=0.2, hold=hold)
     start = StartFinder(robot, border_data, plan.config.border.d_b).find(
-        Approach("side", 0.45, direction_deg), plan.distance
+        Approach(kind, 0.45, direction_deg), plan.distance
     )
-    found = run_planned(plan.planned(Trial(start, "dbb", 0.4)), robot, border_data).figures
+    found = run_planned(plan.planned(Trial(start, "dbb", speed)), robot, border_data).figures
     assert found["ee_error_final_m"] < 1e-4
 
 
