@@ -17,7 +17,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
-from app.onboarding.fit.grouping import MOST_UNSEEN, UNSEEN_POSES, unseen_collisions
+from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
@@ -223,7 +223,7 @@ def arm_row(model: RobotModel) -> Row:
         "unseen_share": found.share,
     }
     text = (
-        f"of {found.poses} poses, of {UNSEEN_POSES:,} random ones, in which links collide, bodies "
+        f"of {found.poses} poses, of {found.looked_at:,} random ones, in which links collide, bodies "
         f"of a pair meet in all but {found.unseen}"
     )
     if found.unseen:

@@ -117,7 +117,7 @@ GIVES_WAY = 0.05
 CLEARANCE = 0.03
 """[m] least distance to the base that the arm should keep."""
 _MOST_RUNS = 3  # [-] of lines that are tried
-_OTHER = 0.1  # [m] from where a line starts to where another one does
+_OTHER = 0.1  # [m] from where a line ends to where another one does
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
@@ -128,7 +128,7 @@ _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
 _TRIES = 6  # [-] of the nearest of those postures
-_FEW = 2  # [-] tries of a search: to find none by all of them would take long
+_FEW = 2  # [-] tries of a search: there are hundreds of places to look at
 _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
@@ -269,8 +269,13 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
 
 
 def _apart(a: Place, b: Place) -> float:
-    """[m] between where two lines start."""
-    return float(np.linalg.norm(np.subtract(a.start, b.start)))
+    """[m] between where two lines end: one from farther out may be the same line."""
+    return float(np.linalg.norm(np.subtract(_end(a), _end(b))))
+
+
+def _end(line: Place) -> Array:
+    """(3,) [m] where the hand is led to."""
+    return np.add(line.start, line.move)
 
 
 class _Guide:
@@ -295,7 +300,7 @@ class _Guide:
         """Those from one place, if the arm can start there; each goes on where the last one ends.
 
         The arm is first pulled there from postures nearby, however its hand points: that is quick,
-        and where it does not come there the search of all postures need not begin.
+        and where it does not come there the search of postures need not begin.
         """
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
@@ -303,8 +308,7 @@ class _Guide:
         if not self._may_start(np.array(p)):
             return
         try:
-            self._solver.solve(p, tries=_FEW)
-            q_m = self._solver.solve(p)
+            q_m = self._solver.solve(p, tries=_FEW)
         except UnreachableError:
             return
         led, least = 0.0, np.inf
