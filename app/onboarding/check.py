@@ -223,8 +223,8 @@ def arm_row(model: RobotModel) -> Row:
         "unseen_share": found.share,
     }
     text = (
-        f"of {found.poses} poses, of {found.looked_at:,} random ones, in which links collide, bodies "
-        f"of a pair meet in all but {found.unseen}"
+        f"of {found.poses} poses, of {found.looked_at:,} random ones, in which links collide, "
+        f"bodies of a pair meet in all but {found.unseen}"
     )
     if found.unseen:
         text += f", mostly {found.worst}"

@@ -356,8 +356,10 @@ def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int,
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """`close` and `apart` of `Meetings`, and the columns of pairs whose contact makes a pose
-    impossible: those of `close` that are not nested."""
+    """`close` and `apart` of `Meetings`, and the columns of the pairs that make a pose impossible.
+
+    Those are the close ones that are not nested.
+    """
     close = _close_pairs(distances, pairs, d_b)
     nested = (distances <= 0.0).mean(axis=0) >= _BUILT_IN
     deep = (distances.min(axis=0) < -_OVERLAP) & ~nested

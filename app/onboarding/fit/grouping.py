@@ -276,7 +276,9 @@ def unseen_collisions(
     if blame.any():
         a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
         worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
-    return Unseen(len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst)
+    return Unseen(
+        len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
+    )
 
 
 def _body_distances(

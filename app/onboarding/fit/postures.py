@@ -12,6 +12,7 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
+from app.control.tasks import carried as carried_by
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
@@ -19,7 +20,7 @@ from app.simulation.case import Planned
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
-from app.simulation.scenarios.start import StartSolver
+from app.simulation.scenarios.start import find_start
 
 Array = np.ndarray
 
@@ -128,7 +129,6 @@ _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
 _TRIES = 6  # [-] of the nearest of those postures
-_FEW = 2  # [-] tries of a search: there are hundreds of places to look at
 _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
@@ -197,36 +197,22 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line on which the bodies would meet that shows it, else the deepest that does.
+    """The first line that leads into the inner part of d_b [m] and shows it.
 
-    Where there is none, why.
-
-    None is asked for after the last one that is tried, which are a few; where none of those shows
-    it, the first is taken `anyway` or not. Only lines into the inner part of d_b [m] count.
+    Where there is none, why. None is asked for after the last one that is tried, which are a few;
+    where none of those shows it, the first is taken `anyway` or not.
     """
-    deep: dict[Point, Place] = {}
     nearest = lowest = np.inf
     tried: list[Place] = []
-
-    def shown(line: Place) -> bool:
-        """Whether a line shows it; one beside a line that does not is no other, and is not run."""
-        if len(tried) == _MOST_RUNS or any(_apart(line, each) < _OTHER for each in tried):
-            return False
-        tried.append(line)
-        return shows(line)
-
     for line in lines:
         nearest, lowest = min(nearest, line.nearest), min(lowest, line.start[2])
-        if line.nearest > 0.0:
-            if line.nearest < INNER * d_b:
-                deep[line.start] = line
-        elif shown(line):
+        if line.nearest >= INNER * d_b:
+            continue
+        if shows(line):
             return line
+        tried.append(line)
         if len(tried) == _MOST_RUNS:
             break
-    for line in sorted(deep.values(), key=lambda each: each.nearest):
-        if shown(line):
-            return line
     if tried and anyway:
         return tried[0]
     if tried:
@@ -268,14 +254,35 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     return moved >= GIVES_WAY
 
 
-def _apart(a: Place, b: Place) -> float:
-    """[m] between where two lines end: one from farther out may be the same line."""
-    return float(np.linalg.norm(np.subtract(_end(a), _end(b))))
+class _Candidate(NamedTuple):
+    """A line as an arm that may start there is led along it, however its hand points."""
 
+    start: Point
+    inwards: Array
+    """(3,) unit vector."""
+    length: float
+    """[m]"""
+    left: float
+    """[m] from its end to the base's side."""
+    nearest: float
+    """[m] least distance of the arm to a base that stands still."""
+    carried: float
+    """[-] share of the base's motion of the hand that the arm leaves over within the buffers."""
 
-def _end(line: Place) -> Array:
-    """(3,) [m] where the hand is led to."""
-    return np.add(line.start, line.move)
+    @property
+    def move(self) -> Point:
+        """[m] from its start to its end."""
+        return _point(np.round(self.length * self.inwards, 3))
+
+    def is_as(self, other: _Candidate) -> bool:
+        """Whether the two end beside one another: one from farther out may be the same line."""
+        ends = (np.add(each.start, each.move) for each in (self, other))
+        return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Contact before none, then where the arm holds its hand, to a tenth; else the deepest."""
+        return self.nearest > 0.0, max(self.nearest, 0.0), round(self.carried, 1)
 
 
 class _Guide:
@@ -283,7 +290,7 @@ class _Guide:
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         self.body = MobileBody(model)
-        self._solver = StartSolver(model, pairs, d_b)
+        self._model, self._pairs, self._d_b = model, pairs, d_b
         self._search = PostureSearch(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
         self._free, self._hands = _free_postures(self._search)
@@ -291,36 +298,66 @@ class _Guide:
     def lines(
         self, tried: list[tuple[_Start, float]], shares: Array, tell: Callable[[float], None]
     ) -> Iterator[Place]:
-        """Those from starts at heights [m]; of each start, `tell` is called with its share."""
+        """Those from starts at heights [m], the most promising first; `tell` is called with shares.
+
+        All are looked at with the arm pulled to their start from a posture nearby, which is quick.
+        What is told of a line is of the posture with which a run begins, which is searched only for
+        those that are asked for; none of them is beside another.
+        """
+        found: list[_Candidate] = []
         for (start, z), share in zip(tried, shares.tolist(), strict=True):
             tell(share)
-            yield from self._from(start, z)
+            if (candidate := self._look(start, z)) is not None:
+                found.append(candidate)
+        asked: list[_Candidate] = []
+        for line in sorted(found, key=lambda each: each.rank):  # else as they come
+            if any(map(line.is_as, asked)):
+                continue
+            asked.append(line)
+            p, move = line.start, line.move
+            try:
+                q_m = find_start(self._model, self._pairs, self._d_b, p, seed=0, move=None)
+            except UnreachableError:
+                continue
+            nearest = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)[1]
+            yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
-    def _from(self, start: _Start, z: float) -> Iterator[Place]:
-        """Those from one place, if the arm can start there; each goes on where the last one ends.
-
-        The arm is first pulled there from postures nearby, however its hand points: that is quick,
-        and where it does not come there the search of postures need not begin.
-        """
+    def _look(self, start: _Start, z: float) -> _Candidate | None:
+        """The line from one place, if the arm can start there: to contact, or as far as it goes."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
-        if not self._may_start(np.array(p)):
-            return
-        try:
-            q_m = self._solver.solve(p, tries=_FEW)
-        except UnreachableError:
-            return
-        led, least = 0.0, np.inf
+        q_m = self._free_at(np.array(p))
+        if q_m is None:
+            return None
+        led, least, shares = 0.0, np.inf, []
         for left in _LEFT_OVER:
-            steps = np.arange(led, at[2] - left, _STEP) + _STEP
-            for led in np.minimum(steps, at[2] - left):
-                q_m = self._pulled(q_m, p + led * inwards)
-                least = min(least, *self._search.distances()[: self._mobile])
-            move = _point(np.round((at[2] - left) * inwards, 3))
-            yield Place(p, move, float(least), _LED.format(left, least))
+            length = at[2] - left
+            q_m, nearest, carried = self._led(q_m, np.array(p), inwards, led, length)
+            led, least, shares = length, min(least, nearest), [*shares, *carried]
             if least <= 0.0:
-                return
+                break
+        return _Candidate(p, inwards, led, left, least, float(np.mean(shares or [0.0])))
+
+    def _led(
+        self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
+    ) -> tuple[Array, float, list[float]]:
+        """The arm (n_m,) led from a posture along a line from p (3,), from a length [m] to another.
+
+        With it the least distance [m] to the base, and what it leaves over of the base's motion of
+        the hand [-], step by step within the buffers.
+        """
+        search, least, carried = self._search, np.inf, []
+        n_b, speed = self._model.n_b, self._model.description.config.holding.speed
+        for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
+            q_m = self._pulled(q_m, p + led * inwards)
+            nearest = min(search.distances()[: self._mobile])
+            least = min(least, nearest)
+            if nearest < self._d_b:
+                moved = search.state.J_ee[:3, :n_b] @ self._model.J_m_inv
+                lost = carried_by(search.state, speed)
+                carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
+        return q_m, float(least), carried
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
@@ -337,19 +374,19 @@ class _Guide:
         search.place(q_m)
         return q_m
 
-    def _may_start(self, p: Array) -> bool:
-        """Whether a posture near one of the free ones has its hand at a place (3,) and is free."""
+    def _free_at(self, p: Array) -> Array | None:
+        """(n_m,) a posture near one of the free ones with its hand at a place (3,) that is free."""
         away = np.linalg.norm(self._hands - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
-            return False
+            return None
         for k in np.argsort(away)[:_TRIES]:
             q_m = self._free[k]
             for share in _SHARES:
                 q_m = self._pulled(q_m, self._hands[k] + share * (p - self._hands[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
             if off < _THERE and _is_free(self._search):
-                return True
-        return False
+                return q_m
+        return None
 
 
 def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
@@ -369,8 +406,9 @@ def _is_free(search: PostureSearch) -> bool:
 
 
 _LED = (
-    "chosen: the first place, from far to near, where the arm can start clear of the buffers; it "
-    "leads the hand to {:g} m beside the base and without avoidance the arm to {:.3f} m"
+    "chosen: of places where the arm can start clear of the buffers the first, from far to near, "
+    "on whose line it holds its hand best; it leads the hand to {:g} m beside the base and without "
+    "avoidance the arm to {:.3f} m"
 )
 
 
