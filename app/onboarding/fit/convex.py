@@ -53,7 +53,7 @@ def lean_corners(points: Array) -> Array:
     """(M, 3) corners of the convex hull or, where they are very many, of a polytope around it.
 
     That one touches the hull in 642 evenly spread directions. Of something round of 1 m it stands
-    out by 3 mm at most.
+    out by 4 mm at most.
     """
     corners, D = hull_corners(points), directions(3)
     if len(corners) <= 2 * len(D):  # what such a polytope has at most
