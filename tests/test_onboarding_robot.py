@@ -29,6 +29,7 @@ from app.onboarding import new_robot
 from app.onboarding.check import (
     arm_row,
     base_row,
+    border_row,
     dynamics_row,
     limits_row,
     run_row,
@@ -301,6 +302,27 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
         pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
     ):
         new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("it is refused before"))
+
+
+def test_a_pair_that_hardly_ever_meets_may_have_no_border(
+    finished: tuple[NewRobot, BorderData],
+) -> None:
+    """There the exact offset stands in; a Stretch whose tube may graze its base was failed."""
+    robot, data = finished
+    model, (first, *others) = written(robot), data.clouds
+
+    def without(*names: str) -> str:
+        clouds = {name: data.clouds[name] for name in names}
+        bare = {
+            k: replace(c, distances=np.full_like(c.distances, 60_000)) for k, c in clouds.items()
+        }
+        row = border_row(model, replace(data, clouds={**data.clouds, **bare}))
+        assert row.numbers.items() >= {f"points_{name}": 0.0 for name in names}.items()
+        return row.outcome
+
+    assert others
+    assert without(first) == without() != "failed"
+    assert without(first, *others) == "failed"
 
 
 def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: NewRobot) -> None:
