@@ -20,7 +20,7 @@ from app.simulation.case import Planned
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
-from app.simulation.scenarios.start import find_start
+from app.simulation.scenarios.start import StartSolver, find_start
 
 Array = np.ndarray
 
@@ -129,6 +129,7 @@ _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
 _TRIES = 6  # [-] of the nearest of those postures
+_FEW = 2  # [-] tries of a search: to find none by all of them would take long
 _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
@@ -292,6 +293,7 @@ class _Guide:
         self.body = MobileBody(model)
         self._model, self._pairs, self._d_b = model, pairs, d_b
         self._search = PostureSearch(model, pairs, d_b)
+        self._solver = StartSolver(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
         self._free, self._hands = _free_postures(self._search)
 
@@ -313,12 +315,13 @@ class _Guide:
         for line in sorted(found, key=lambda each: each.rank):  # else as they come
             if any(map(line.is_as, asked)):
                 continue
-            asked.append(line)
             p, move = line.start, line.move
             try:
+                self._solver.solve(p, tries=_FEW)
                 q_m = find_start(self._model, self._pairs, self._d_b, p, seed=0, move=None)
             except UnreachableError:
                 continue
+            asked.append(line)
             nearest = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)[1]
             yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
