@@ -34,7 +34,7 @@ from app.onboarding.check import (
     limits_row,
     run_row,
 )
-from app.onboarding.fit import grouping
+from app.onboarding.fit import grouping, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     Meetings,
@@ -541,7 +541,9 @@ def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path
         compiled(description(request, parsed, found.bodies, unwatched={"lm-l9": "test"}), path)
 
 
-def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(tmp_path: Path) -> None:
+def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On a low column it is always near the base, and would lie on it beyond a right angle."""
     low = robot([*cart(), *arm()]).replace('length="0.2"', 'length="0.06"')
     low = low.replace("0 0 0.24", "0 0 0.08").replace(
@@ -562,6 +564,9 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(tmp_pat
     assert -2.2 < limits.lower[k] < -1.4
     assert 1.4 < limits.upper[k] < 2.2
     assert "lift to where upper comes to base" in limits.source["position_upper"]
+    monkeypatch.setattr(stops, "MARGIN", 1.0)  # as of a UR's upper arm, 12 mm beside its foot
+    beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
+    assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]
     bodies = [fit_base(units), *ArmFitter(bare, meetings).bodies([[1, 2, 3], [4], [5, 6, 7]])]
     free, stopped = (
         compiled(description(request, each, bodies), path)
