@@ -79,7 +79,10 @@ def test_only_a_few_lines_are_tried_by_a_run() -> None:
 
 
 def looked_at(
-    monkeypatch: pytest.MonkeyPatch, *, carried: Callable[[Any], float] = lambda _: 0.0
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    carried: Callable[[Any], float] = lambda _: 0.0,
+    d_b: float = D_B,
 ) -> dict[str, list[Place]]:
     """Lines of the paper's robot that are asked for if none shows anything, by their scenario.
 
@@ -93,8 +96,9 @@ def looked_at(
         return found and found._replace(carried=carried(start[0]))
 
     monkeypatch.setattr(postures._Guide, "_look", looked)
-    pairs = find_link_pairs(husky_panda(), samples=2000)
-    find_places(husky_panda(), pairs, shows=lambda name, line: bool(tried[name].append(line)))
+    model = with_buffer(d_b)
+    pairs = find_link_pairs(model, samples=2000)
+    find_places(model, pairs, shows=lambda name, line: bool(tried[name].append(line)))
     return tried
 
 
@@ -107,6 +111,14 @@ def test_a_line_that_ends_beside_one_that_shows_nothing_is_not_run(
         ends = [np.add(line.start, line.move) for line in lines]
         for a, b in combinations(ends, 2):
             assert np.linalg.norm(a - b) >= 0.1
+
+
+def test_a_short_arm_starts_just_outside_of_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines began 0.25 m beside the base at least, whatever the buffer."""
+    monkeypatch.setattr(postures, "_FARTHEST", 0.22)
+    lines = looked_at(monkeypatch, d_b=0.06)["guiding-lateral"]
+    assert lines
+    assert all(0.0 < np.abs(line.move).max() < 0.22 for line in lines)
 
 
 def test_lines_go_first_on_which_the_arm_holds_its_hand(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,10 +136,11 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
-    monkeypatch.setattr(postures, "_OUT", (0.35,))
+    monkeypatch.setattr(postures, "_FARTHEST", 0.35)
+    monkeypatch.setattr(postures, "_OUTSIDE", 0.2)
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
     monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
-    monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
+    monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
     shares: list[float] = []
     model = with_buffer(0.14)
     pairs = find_link_pairs(model, samples=2000)
@@ -193,7 +206,7 @@ def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A base on a wide plate: beside the plate its trunk is out of the arm's reach."""
-    monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
+    monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
     trunk = husky_panda().description.mobile_body.shapes[0]
     plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
     model = with_mobile_shapes((trunk, plate))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from itertools import product
@@ -119,7 +119,8 @@ CLEARANCE = 0.03
 """[m] least distance to the base that the arm should keep."""
 _MOST_RUNS = 3  # [-] of lines that are tried
 _OTHER = 0.1  # [m] from where a line ends to where another one does
-_OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
+_FARTHEST, _NEARER = 0.425, 0.025  # [m] from the base's side where a line starts, and by steps
+_OUTSIDE = 0.05  # [m] beyond the buffer it starts at least
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
 _OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
@@ -159,10 +160,12 @@ def find_places(
 ) -> dict[str, Place | str]:
     """Lines towards the base from its side and its front, or why there is none, by the scenario.
 
-    From 0.43 m beside what there is of l_m at the line's height (0.25 m where the arm is short) to
-    0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8 of a part of l_m at
-    which the arm can start. Without avoidance the arm would come to the base itself there, or well
-    into the inner half of the buffer. A side on which the arm does not reach so far has none.
+    From 0.43 m beside what there is of l_m at the line's height (just outside of the buffer where
+    the arm is short) to 0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8
+    of a part of l_m at which the arm can start. Without avoidance the arm would come to the base
+    itself there, or well into the inner half of the buffer. Where the arm cannot hold its hand
+    while the base moves, lines go first on which it holds it better. A side on which the arm does
+    not reach so far has none.
 
     A line is one on which `shows` is true of its scenario's name and itself, as
     `gives_way`; where none is, one is taken `anyway` or not. For the pairs that avoidance watches.
@@ -175,7 +178,11 @@ def find_places(
     tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
     heights = [round(h, 3) for h in _heights(tops)]
     last = [round(top + _JUST_OVER, 3) for top in tops]
-    ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
+    outs = np.arange(_FARTHEST, d_b + _OUTSIDE, -_NEARER).round(3).tolist()
+    ways = {
+        "guiding-lateral": _lateral(body, mount, outs),
+        "guiding-front": _front(body, mount, outs),
+    }
     found: dict[str, Place | str] = {}
     for k, (name, starts) in enumerate(ways.items()):
         starts = list(starts)
@@ -336,6 +343,8 @@ class _Guide:
         led, least, shares = 0.0, np.inf, []
         for left in _LEFT_OVER:
             length = at[2] - left
+            if length <= 0.0:
+                continue
             q_m, nearest, carried = self._led(q_m, np.array(p), inwards, led, length)
             led, least, shares = length, min(least, nearest), [*shares, *carried]
             if least <= 0.0:
@@ -438,7 +447,9 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
     return float(steps[met.argmax()]) if met.any() else 0.0
 
 
-def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
+def _lateral(
+    body: MobileBody, mount: Array, outs: Sequence[float]
+) -> Iterator[tuple[Array, Array]]:
     """Starts x, y and how far out they are [m], and the way inwards, left before right.
 
     Beside the mount or near either end: where its axle is a base without sideways motion gives way
@@ -446,17 +457,17 @@ def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
-        for out in _OUT:
+        for out in outs:
             for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
                 yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
-def _front(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
+def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[tuple[Array, Array]]:
     """The same, ahead of the mount or at either edge."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05):
-        for out in _OUT:
+        for out in outs:
             yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
 
 
