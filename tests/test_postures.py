@@ -121,6 +121,15 @@ def test_a_short_arm_starts_just_outside_of_the_buffer(monkeypatch: pytest.Monke
     assert all(0.0 < np.abs(line.move).max() < 0.22 for line in lines)
 
 
+def test_an_arm_that_moves_in_a_plane_has_a_line_ahead_of_its_mount() -> None:
+    """As a gantry's: all lines from the front began beside it."""
+    model = husky_panda()
+    mount = model.p_base()
+    ways = list(postures._front(MobileBody(model), mount, (0.3,)))
+    assert any(start[1] == mount[1] for start, _ in ways)
+    assert all((inwards == (-1.0, 0.0, 0.0)).all() for _, inwards in ways)
+
+
 def test_lines_go_first_on_which_the_arm_holds_its_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """A Kinova's slow joints do not at most heights, and the first three lines showed nothing."""
     first = {name: lines[0] for name, lines in looked_at(monkeypatch).items()}

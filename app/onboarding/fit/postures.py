@@ -311,7 +311,8 @@ class _Guide:
 
         All are looked at with the arm pulled to their start from a posture nearby, which is quick.
         What is told of a line is of the posture with which a run begins, which is searched only for
-        those that are asked for; none of them is beside another.
+        those that are asked for; none of them is beside another, and of those that do not lead into
+        the inner part of the buffer there is one at most, where there is no other.
         """
         found: list[_Candidate] = []
         for (start, z), share in zip(tried, shares.tolist(), strict=True):
@@ -320,6 +321,8 @@ class _Guide:
                 found.append(candidate)
         asked: list[_Candidate] = []
         for line in sorted(found, key=lambda each: each.rank):  # else as they come
+            if asked and line.nearest >= INNER * self._d_b:
+                return
             if any(map(line.is_as, asked)):
                 continue
             p, move = line.start, line.move
@@ -463,10 +466,10 @@ def _lateral(
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[tuple[Array, Array]]:
-    """The same, ahead of the mount or at either edge."""
+    """The same, ahead of the mount, at either edge, or where an arm that only moves in plane is."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
-    for y in (min(beside, high), low + 0.05, high - 0.05):
+    for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):
         for out in outs:
             yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
 
