@@ -244,7 +244,7 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     """Whether the base gives way within d_b, the arm keeping away, when the hand is guided.
 
     The base does not where other parts of the arm meet first, which holds the hand, or where it
-    would take the hand along.
+    would take the hand along. It may come back while the hand is held: its place at the end counts.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = Planned(model.description.name, line, model.description.config, physics="kinematic")
@@ -255,8 +255,6 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
-                if moved >= GIVES_WAY and step.t >= line.duration * line.moving:
-                    break  # the hand is held from now on: nothing comes nearer any more
     except UnreachableError:
         return False
     return moved >= GIVES_WAY
