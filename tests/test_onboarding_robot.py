@@ -29,11 +29,12 @@ from app.onboarding import new_robot
 from app.onboarding.check import (
     arm_row,
     base_row,
+    border_row,
     dynamics_row,
     limits_row,
     run_row,
 )
-from app.onboarding.fit import grouping
+from app.onboarding.fit import grouping, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     Meetings,
@@ -226,7 +227,10 @@ def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: Ne
 def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of a pair that is not watched too, unless another one meets; without pairs all of them."""
+    """Of a pair that is not watched too, unless another one meets; without pairs all of them.
+
+    In a few of all only the hulls of the links meet.
+    """
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 1000)
     pairs = [pair.name for pair in candidate_pairs(written(made))]
     rows = [
@@ -235,9 +239,24 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
     ]
     none, *one, every = [row.numbers["unseen_share"] for row in rows]
     assert none <= min(one)
-    assert none < max(one) < every == 1.0
+    assert none < max(one) < every
+    assert every > 0.99
     assert rows[-1].outcome == "warned"
     assert rows[-1].numbers["missed"] == 0
+
+
+def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewRobot) -> None:
+    """Of 6,000 poses of a Stretch 114 had a collision: too few to tell what share goes unseen."""
+    units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
+    model = written(made)
+    few = sample_meetings(model, units, samples=300, **options)
+    hits = (few.collides.any(axis=1) & few.random.possible).sum()
+    more = sample_meetings(model, units, samples=300, enough=int(hits) + 1, **options)
+    assert len(few.random.q_m) == 300 < len(more.random.q_m)
+    np.testing.assert_array_equal(more.random.q_m[:300], few.random.q_m)
+    assert (more.collides.any(axis=1) & more.random.possible).sum() > hits
+    same = sample_meetings(model, units, samples=300, enough=int(hits), **options)
+    assert len(same.random.q_m) == 300
 
 
 def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewRobot) -> None:
@@ -283,6 +302,27 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
         pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
     ):
         new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("it is refused before"))
+
+
+def test_a_pair_that_hardly_ever_meets_may_have_no_border(
+    finished: tuple[NewRobot, BorderData],
+) -> None:
+    """There the exact offset stands in; a Stretch whose tube may graze its base was failed."""
+    robot, data = finished
+    model, (first, *others) = written(robot), data.clouds
+
+    def without(*names: str) -> str:
+        clouds = {name: data.clouds[name] for name in names}
+        bare = {
+            k: replace(c, distances=np.full_like(c.distances, 60_000)) for k, c in clouds.items()
+        }
+        row = border_row(model, replace(data, clouds={**data.clouds, **bare}))
+        assert row.numbers.items() >= {f"points_{name}": 0.0 for name in names}.items()
+        return row.outcome
+
+    assert others
+    assert without(first) == without() != "failed"
+    assert without(first, *others) == "failed"
 
 
 def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: NewRobot) -> None:
@@ -501,7 +541,9 @@ def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path
         compiled(description(request, parsed, found.bodies, unwatched={"lm-l9": "test"}), path)
 
 
-def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(tmp_path: Path) -> None:
+def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On a low column it is always near the base, and would lie on it beyond a right angle."""
     low = robot([*cart(), *arm()]).replace('length="0.2"', 'length="0.06"')
     low = low.replace("0 0 0.24", "0 0 0.08").replace(
@@ -522,6 +564,9 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(tmp_pat
     assert -2.2 < limits.lower[k] < -1.4
     assert 1.4 < limits.upper[k] < 2.2
     assert "lift to where upper comes to base" in limits.source["position_upper"]
+    monkeypatch.setattr(stops, "MARGIN", 1.0)  # as of a UR's upper arm, 12 mm beside its foot
+    beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
+    assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]
     bodies = [fit_base(units), *ArmFitter(bare, meetings).bodies([[1, 2, 3], [4], [5, 6, 7]])]
     free, stopped = (
         compiled(description(request, each, bodies), path)

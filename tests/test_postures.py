@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -40,12 +41,11 @@ def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
     [
         ([], "cannot start there clear of its buffers of"),
         ([0.3, INNER], "comes no nearer than"),  # none into the inner part
-        ([0.3, 0.9 * INNER, 0.8 * INNER, 0.85 * INNER], 2),  # no contact: the deepest
-        ([0.9 * INNER, -0.001, -0.02], 1),  # the first contact, not the deepest
+        ([0.3, 0.9 * INNER, -0.02], 1),
         ([-0.02, 0.0], 0),
     ],
 )
-def test_the_first_line_to_contact_is_taken_else_the_deepest(
+def test_the_first_line_into_the_inner_part_of_the_buffer_is_taken(
     nearest: list[float], taken: int | str
 ) -> None:
     lines = places(nearest)
@@ -53,7 +53,7 @@ def test_the_first_line_to_contact_is_taken_else_the_deepest(
     assert (taken in found) if isinstance(found, str) else (found is lines[taken])
 
 
-def test_nothing_is_searched_after_a_line_to_contact() -> None:
+def test_nothing_is_searched_after_the_line_that_is_taken() -> None:
     lines = places([0.3, -0.001])
 
     def searched() -> Iterator[Place]:
@@ -63,13 +63,11 @@ def test_nothing_is_searched_after_a_line_to_contact() -> None:
     assert chosen(searched(), D_B) == lines[1]
 
 
-def test_of_lines_to_contact_the_first_is_taken_on_which_the_base_gives_way() -> None:
+def test_the_first_line_is_taken_on_which_the_base_gives_way() -> None:
     lines = places([0.3, -0.01, -0.03, -0.02])
     assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
     assert "the base gives way by less than" in chosen(lines, D_B, shows=lambda _: False)
     assert chosen(lines, D_B, shows=lambda _: False, anyway=True) == lines[1]
-    short = places([0.3, 0.9 * INNER, 0.7 * INNER, 0.8 * INNER])
-    assert chosen(short, D_B, shows=lambda line: line is not short[2]) == short[3]
 
 
 def test_only_a_few_lines_are_tried_by_a_run() -> None:
@@ -80,11 +78,63 @@ def test_only_a_few_lines_are_tried_by_a_run() -> None:
         assert 1 < len(tried) < 6
 
 
-def test_a_line_beside_one_that_shows_nothing_is_not_run() -> None:
-    tried: list[Place] = []
-    lines = places([-0.01] * 10, apart=0.04)
-    chosen(lines, D_B, shows=lambda line: bool(tried.append(line)))
-    assert tried == [lines[0], lines[3], lines[6]]
+def looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    carried: Callable[[Any], float] = lambda _: 0.0,
+    d_b: float = D_B,
+) -> dict[str, list[Place]]:
+    """Lines of the paper's robot that are asked for if none shows anything, by their scenario.
+
+    `carried` says of a line's start (x, y, its way to the base [m]) what the arm does not hold [-].
+    """
+    tried: dict[str, list[Place]] = {"guiding-lateral": [], "guiding-front": []}
+    look = postures._Guide._look
+
+    def looked(guide: Any, start: Any, z: float) -> Any:
+        found = look(guide, start, z)
+        return found and found._replace(carried=carried(start[0]))
+
+    monkeypatch.setattr(postures._Guide, "_look", looked)
+    model = with_buffer(d_b)
+    pairs = find_link_pairs(model, samples=2000)
+    find_places(model, pairs, shows=lambda name, line: bool(tried[name].append(line)))
+    return tried
+
+
+def test_a_line_that_ends_beside_one_that_shows_nothing_is_not_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """From farther out it may be the same line."""
+    for lines in looked_at(monkeypatch).values():
+        assert len(lines) > 1
+        ends = [np.add(line.start, line.move) for line in lines]
+        for a, b in combinations(ends, 2):
+            assert np.linalg.norm(a - b) >= 0.1
+
+
+def test_a_short_arm_starts_just_outside_of_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines began 0.25 m beside the base at least, whatever the buffer."""
+    monkeypatch.setattr(postures, "_FARTHEST", 0.22)
+    lines = looked_at(monkeypatch, d_b=0.06)["guiding-lateral"]
+    assert lines
+    assert all(0.0 < np.abs(line.move).max() < 0.22 for line in lines)
+
+
+def test_an_arm_that_moves_in_a_plane_has_a_line_ahead_of_its_mount() -> None:
+    """As a gantry's: all lines from the front began beside it."""
+    model = husky_panda()
+    mount = model.p_base()
+    ways = list(postures._front(MobileBody(model), mount, (0.3,)))
+    assert any(start[1] == mount[1] for start, _ in ways)
+    assert all((inwards == (-1.0, 0.0, 0.0)).all() for _, inwards in ways)
+
+
+def test_lines_go_first_on_which_the_arm_holds_its_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Kinova's slow joints do not at most heights, and the first three lines showed nothing."""
+    first = {name: lines[0] for name, lines in looked_at(monkeypatch).items()}
+    left = looked_at(monkeypatch, carried=lambda at: float(at[1] > 0.0))
+    assert first["guiding-lateral"].start[1] > 0.0 > left["guiding-lateral"][0].start[1]
 
 
 def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:
@@ -95,17 +145,19 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
-    monkeypatch.setattr(postures, "_OUT", (0.35,))
+    monkeypatch.setattr(postures, "_FARTHEST", 0.35)
+    monkeypatch.setattr(postures, "_OUTSIDE", 0.2)
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
     monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
-    monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
+    monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
     shares: list[float] = []
     model = with_buffer(0.14)
     pairs = find_link_pairs(model, samples=2000)
     found = find_places(model, pairs, on_progress=shares.append)
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert "cannot start there" in found["guiding-front"]
-    assert shares == [0.0]
+    assert shares[0] == 0.0
+    assert max(shares) < 1.0
 
 
 @pytest.mark.parametrize(
@@ -132,21 +184,22 @@ def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
     assert good == (move < -0.02 and least == 0.03 and d_b == D_B)
 
 
-def test_a_run_ends_once_the_base_gave_way_and_the_hand_is_held(
+def test_a_base_that_comes_back_while_the_hand_is_held_has_not_given_way(
     border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    times: list[float] = []
+    """A Stretch's had moved by 0.051 m when its hand came to rest, and by 0.012 m at the end."""
+    place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
 
-    def watched(*args: Any) -> Iterator[Any]:
+    def back(*args: Any) -> Iterator[Any]:
         for session, step in steps_of(*args):
-            times.append(step.t)
+            if step.t > 7.9:
+                truth = step.truth._replace(base_pose=np.zeros(3))
+                step = step._replace(truth=truth)
             yield session, step
 
-    monkeypatch.setattr(postures, "steps_of", watched)
-    line = LINES["guiding-lateral"]
-    place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
     assert gives_way(husky_panda(), border_data, "guiding-lateral", place)
-    assert times[-1] == pytest.approx(line.duration * line.moving, abs=0.002)
+    monkeypatch.setattr(postures, "steps_of", back)
+    assert not gives_way(husky_panda(), border_data, "guiding-lateral", place)
 
 
 def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
@@ -163,7 +216,7 @@ def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A base on a wide plate: beside the plate its trunk is out of the arm's reach."""
-    monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
+    monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
     trunk = husky_panda().description.mobile_body.shapes[0]
     plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
     model = with_mobile_shapes((trunk, plate))

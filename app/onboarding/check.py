@@ -17,7 +17,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
-from app.onboarding.fit.grouping import MOST_UNSEEN, UNSEEN_POSES, unseen_collisions
+from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
@@ -223,8 +223,8 @@ def arm_row(model: RobotModel) -> Row:
         "unseen_share": found.share,
     }
     text = (
-        f"of {found.poses} poses, of {UNSEEN_POSES:,} random ones, in which links collide, bodies "
-        f"of a pair meet in all but {found.unseen}"
+        f"of {found.poses} poses, of {found.looked_at:,} random ones, in which links collide, "
+        f"bodies of a pair meet in all but {found.unseen}"
     )
     if found.unseen:
         text += f", mostly {found.worst}"
@@ -309,10 +309,11 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """Each pair of L_m has a border, without a gap between the heights that it has.
+    """The borders of the pairs of L_m have no gap between the heights that they have.
 
-    At the lowest and highest heights that the arm reaches it may not get as far out as the border:
-    there the exact offset of l_m stands in, which is told.
+    At the lowest and highest heights that the arm reaches it may not get as far out as the border,
+    and a pair that hardly ever meets may have none: there the exact offset of l_m stands in, which
+    is told.
     """
     if not data.clouds:
         return Row("border", "warned", "no part of the arm can meet the base: there is none", {})
@@ -322,7 +323,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
         made = construct_dbb(cloud, border.d_b, border.eps)
         numbers[f"points_{name}"] = float(len(made))
         if not len(made):
-            return Row("border", "failed", f"no points of {name} at all", numbers)
+            ends.append(f"{name} everywhere")
+            continue
         inside = cloud.points_m[cloud.d_m < border.d_b - border.eps][:, 2]
         lowest, highest = float(made.heights[0]), float(made.heights[-1])
         for z in np.arange(_LAYER / 2, top, _LAYER).round(3).tolist():
@@ -330,12 +332,16 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
             if reached and len(made.same_height(z, _LAYER / 2)) < _FEW:
                 between = lowest < z - _LAYER and z + _LAYER < highest
                 (empty if between else ends).append(f"{name} at z = {z:.2f} m")
+    if not any(numbers.values()):
+        return Row("border", "failed", "no pair has any points", numbers)
     if empty:
         return Row("border", "warned", f"no points of {'; '.join(empty)}", numbers)
     text = "at every height that the arm reaches beside the base: "
     text += ", ".join(f"{n.removeprefix('points_')} {c:,.0f} points" for n, c in numbers.items())
     if ends:
-        text += f"; at the end of its reach the exact offset stands in: {', '.join(ends)}"
+        text += (
+            f"; where it does not reach out as far the exact offset stands in: {', '.join(ends)}"
+        )
     return Row("border", "passed", text, numbers)
 
 

@@ -18,7 +18,7 @@ from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
 from app.errors import DbbError, RobotFileError
 from app.onboarding.fit.bodies import FittedBody
-from app.onboarding.fit.collision_sampling import Meetings, make_units, sample_meetings
+from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, make_units, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
@@ -75,7 +75,7 @@ from app.system import write_whole
 _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
-"""[-] random poses in which the links' hulls are compared."""
+"""[-] random poses in which the links' hulls are compared, or more where collisions are rare."""
 _OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
 _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 PREFIX = "arm_"
@@ -261,9 +261,11 @@ def _fitted(
 ) -> tuple[Meetings, Grouping]:
     """Which links meet, and the bodies around groups of them."""
     d_b = request.d_b
-    tell(f"looking at {MEETING_SAMPLES:,} random poses")
-    units = make_units(bare, parsed.arm, parsed.geometry)
-    meetings = sample_meetings(bare, units, samples=MEETING_SAMPLES, seed=request.seed, d_b=d_b)
+    tell("looking at random poses")
+    units, samples = make_units(bare, parsed.arm, parsed.geometry), MEETING_SAMPLES
+    meetings = sample_meetings(
+        bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH
+    )
     tell("fitting bodies")
     count = request.bodies
     return meetings, find_grouping(bare, meetings, d_b=d_b, count=count, on_progress=on_progress)

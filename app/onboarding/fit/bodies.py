@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError
 from app.onboarding.fit.collision_sampling import Meetings, Unit, moved
-from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume
+from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume, lean_corners
 from app.robot.model import RobotModel, kept_per_model
 
 Array = np.ndarray
@@ -194,7 +194,7 @@ def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array
         else:
             motion.translation = axis * position
         clouds.append(moved(corners, placement * motion if outwards else motion.inverse()))
-    return hull_corners(np.vstack(clouds))
+    return lean_corners(np.vstack(clouds))
 
 
 def _grown(points: Array, axis: Array) -> Array:

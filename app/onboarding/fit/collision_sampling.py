@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -34,6 +34,9 @@ _FEWEST = 50  # [-] poses without a collision that say what is near
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
 _OVERLAP = 0.02  # [m] by which meshes of links may overlap that are built side by side
 _RARE = 30  # [-] random poses in which a pair meets, below which others are searched for
+ENOUGH = 600
+"""[-] poses with a collision that tell what share of them is seen, to half a percent."""
+_MORE, _MOST = 1000, 40_000  # [-] poses looked at for them at a time, and altogether
 _EXACT = 0.5  # [m] up to which distances are computed where there are many shapes
 _MANY = 150  # [-] pairs of shapes, from which on it is faster to look at their spheres first
 _FAR = 0.3  # [m] between two units at the nearest, beyond which none are
@@ -311,21 +314,52 @@ def sample_meetings(
     samples: int,
     seed: int,
     d_b: float,
+    enough: int = 0,
     points: bool = True,
     stopped: bool = False,
 ) -> Meetings:
     """Distances between the hulls of all units that are no neighbours, in random poses.
 
-    With `points`, those that met are looked at, too. `stopped` means that the limits have to keep
-    apart what they can: no such pair is close then. d_b [m] is the buffer distance.
+    These are `samples`, and more until `enough` of them have a collision: an arm that seldom meets
+    anything is judged by as many as another. With `points`, those that met are looked at, too.
+    `stopped` means that the limits have to keep apart what they can: no such pair is close then.
+    d_b [m] is the buffer distance.
     """
-    q_m = sample_joints(model, samples, np.random.default_rng(seed))
-    pairs = tuple(
-        (a.index, b.index)
-        for a, b in combinations(units, 2)
-        if a.parts and b.parts and not neighbours(model, a, b)
+    rng, pairs = np.random.default_rng(seed), _distant_pairs(model, units)
+    q_m, distances = np.zeros((0, model.n_m)), np.zeros((0, len(pairs)))
+    while True:
+        more = sample_joints(model, _MORE if len(q_m) else samples, rng)
+        q_m = np.vstack([q_m, more])
+        distances = np.vstack([distances, hull_distances(model, units, pairs, more)])
+        close, apart, barred = _built_near(units, pairs, distances, d_b, stopped)
+        random = Poses(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
+        found = Meetings(units, pairs, close, apart, random, random)
+        hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
+        if hits >= enough or len(q_m) >= _MOST:
+            break
+    rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
+    gaps = hull_distances(model, units, pairs, rare_q)
+    found = replace(found, rare=Poses(rare_q, gaps, np.all(gaps[:, barred] > 0.0, axis=1)))
+    if points:
+        _meet(found, model)
+    return found
+
+
+def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int, int], ...]:
+    """Those of units with a shape that are no neighbours, by their indices."""
+    shaped = [unit for unit in units if unit.parts]
+    return tuple(
+        (a.index, b.index) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)
     )
-    distances = hull_distances(model, units, pairs, q_m)
+
+
+def _built_near(
+    units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
+) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
+    """`close` and `apart` of `Meetings`, and the columns of the pairs that make a pose impossible.
+
+    Those are the close ones that are not nested.
+    """
     close = _close_pairs(distances, pairs, d_b)
     nested = (distances <= 0.0).mean(axis=0) >= _BUILT_IN
     deep = (distances.min(axis=0) < -_OVERLAP) & ~nested
@@ -334,16 +368,7 @@ def sample_meetings(
     )
     if stopped:
         close -= apart
-    rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
-    columns = [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
-    random, rare = (
-        Poses(q, d, np.asarray((d[:, columns] > 0.0).all(axis=1)))
-        for q, d in ((q_m, distances), (rare_q, hull_distances(model, units, pairs, rare_q)))
-    )
-    found = Meetings(units, pairs, close, apart, random, rare)
-    if points:
-        _meet(found, model)
-    return found
+    return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:

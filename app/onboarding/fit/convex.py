@@ -49,6 +49,20 @@ def hull_corners(points: Array) -> Array:
     return hull(points)[0]
 
 
+def lean_corners(points: Array) -> Array:
+    """(M, 3) corners of the convex hull or, where they are very many, of a polytope around it.
+
+    That one touches the hull in 642 evenly spread directions. Of something round of 1 m it stands
+    out by 4 mm at most.
+    """
+    corners, D = hull_corners(points), directions(3)
+    if len(corners) <= 2 * len(D):  # what such a polytope has at most
+        return corners
+    middle = corners.mean(axis=0)
+    reach = ((corners - middle) @ D.T).max(axis=0) + _UNIT
+    return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections + middle
+
+
 def fit_capsule(points: Array) -> Capsule:
     """The capsule of least volume, as far as a search from the best main axis finds it."""
     some = _outermost(points)

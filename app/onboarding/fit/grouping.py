@@ -18,6 +18,7 @@ from app.errors import RobotFileError
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     ALWAYS,
+    ENOUGH,
     Meetings,
     meshes_meet,
     sample_meetings,
@@ -33,11 +34,10 @@ Array = np.ndarray
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
 _MOST = 5  # [-] bodies
 _MOST_JUDGED = 60  # [-] groupings that are fitted, those that are expected to cost least
-_JUDGED = 600  # [-] poses with a collision, and without, in which a fitted grouping is judged
 MOST_UNSEEN = 0.01
 """[-] share of the poses with a collision of links that no pair may see."""
 UNSEEN_POSES = 4000
-"""[-] in which the bodies are tried that were chosen."""
+"""[-] in which the bodies are tried that were chosen, or more where collisions are rare."""
 _UNSEEN_SEED = 2**31  # [-] of them; the fit has others
 _MISSED = 0.5 * MOST_UNSEEN  # [-] that a good grouping may miss
 _BODY_COST = 0.03  # [-] of one body more
@@ -164,7 +164,7 @@ def judge(
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
     parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
-    chosen = np.concatenate([np.flatnonzero(part)[:_JUDGED] for part in parts])
+    chosen = np.concatenate([np.flatnonzero(part)[:ENOUGH] for part in parts])
     q_m, hits, real = meetings.random.q_m[chosen], collides[chosen], real[chosen]
     free = real if real.all() else ~real
     names, distances = _body_distances(model, bodies, q_m)
@@ -201,8 +201,10 @@ class Unseen(NamedTuple):
     A pose is seen if the bodies of any pair meet: who keeps all pairs apart never comes there.
     """
 
+    looked_at: int
+    """Poses."""
     poses: int
-    """How many have a collision of links, by their hulls."""
+    """How many of them have a collision of links, by their hulls."""
     unseen: int
     """In how many of those no pair of bodies meets, but the links' own meshes do."""
     watched: int
@@ -239,6 +241,7 @@ def unseen_collisions(
         samples=UNSEEN_POSES,
         seed=_UNSEEN_SEED,
         d_b=d_b,
+        enough=ENOUGH,
         points=False,
         stopped=True,
     )
@@ -269,11 +272,13 @@ def unseen_collisions(
         deepest = max(deepest, float(gap[:count][late[:count]].max(initial=0.0)))
         if late.sum() > 0.5 * there.sum():
             blind.append(pair.name)
-    worst, blame = "none", hits[unseen].sum(axis=0) / UNSEEN_POSES
+    worst, blame = "none", hits[unseen].sum(axis=0) / len(random)
     if blame.any():
         a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
         worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
-    return Unseen(count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst)
+    return Unseen(
+        len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
+    )
 
 
 def _body_distances(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from itertools import product
@@ -12,6 +12,7 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
+from app.control.tasks import carried as carried_by
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
@@ -19,7 +20,7 @@ from app.simulation.case import Planned
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
-from app.simulation.scenarios.start import StartSolver
+from app.simulation.scenarios.start import StartSolver, find_start
 
 Array = np.ndarray
 
@@ -117,8 +118,9 @@ GIVES_WAY = 0.05
 CLEARANCE = 0.03
 """[m] least distance to the base that the arm should keep."""
 _MOST_RUNS = 3  # [-] of lines that are tried
-_OTHER = 0.1  # [m] from where a line starts to where another one does
-_OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
+_OTHER = 0.1  # [m] from where a line ends to where another one does
+_FARTHEST, _NEARER = 0.425, 0.025  # [m] from the base's side where a line starts, and by steps
+_OUTSIDE = 0.05  # [m] beyond the buffer it starts at least
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
 _OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
@@ -158,10 +160,12 @@ def find_places(
 ) -> dict[str, Place | str]:
     """Lines towards the base from its side and its front, or why there is none, by the scenario.
 
-    From 0.43 m beside what there is of l_m at the line's height (0.25 m where the arm is short) to
-    0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8 of a part of l_m at
-    which the arm can start. Without avoidance the arm would come to the base itself there, or well
-    into the inner half of the buffer. A side on which the arm does not reach so far has none.
+    From 0.43 m beside what there is of l_m at the line's height (just outside of the buffer where
+    the arm is short) to 0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8
+    of a part of l_m at which the arm can start. Without avoidance the arm would come to the base
+    itself there, or well into the inner half of the buffer. Where the arm cannot hold its hand
+    while the base moves, lines go first on which it holds it better. A side on which the arm does
+    not reach so far has none.
 
     A line is one on which `shows` is true of its scenario's name and itself, as
     `gives_way`; where none is, one is taken `anyway` or not. For the pairs that avoidance watches.
@@ -174,7 +178,11 @@ def find_places(
     tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
     heights = [round(h, 3) for h in _heights(tops)]
     last = [round(top + _JUST_OVER, 3) for top in tops]
-    ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
+    outs = np.arange(_FARTHEST, d_b + _OUTSIDE, -_NEARER).round(3).tolist()
+    ways = {
+        "guiding-lateral": _lateral(body, mount, outs),
+        "guiding-front": _front(body, mount, outs),
+    }
     found: dict[str, Place | str] = {}
     for k, (name, starts) in enumerate(ways.items()):
         starts = list(starts)
@@ -197,36 +205,22 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line on which the bodies would meet that shows it, else the deepest that does.
+    """The first line that leads into the inner part of d_b [m] and shows it.
 
-    Where there is none, why.
-
-    None is asked for after the last one that is tried, which are a few; where none of those shows
-    it, the first is taken `anyway` or not. Only lines into the inner part of d_b [m] count.
+    Where there is none, why. None is asked for after the last one that is tried, which are a few;
+    where none of those shows it, the first is taken `anyway` or not.
     """
-    deep: dict[Point, Place] = {}
     nearest = lowest = np.inf
     tried: list[Place] = []
-
-    def shown(line: Place) -> bool:
-        """Whether a line shows it; one beside a line that does not is no other, and is not run."""
-        if len(tried) == _MOST_RUNS or any(_apart(line, each) < _OTHER for each in tried):
-            return False
-        tried.append(line)
-        return shows(line)
-
     for line in lines:
         nearest, lowest = min(nearest, line.nearest), min(lowest, line.start[2])
-        if line.nearest > 0.0:
-            if line.nearest < INNER * d_b:
-                deep[line.start] = line
-        elif shown(line):
+        if line.nearest >= INNER * d_b:
+            continue
+        if shows(line):
             return line
+        tried.append(line)
         if len(tried) == _MOST_RUNS:
             break
-    for line in sorted(deep.values(), key=lambda each: each.nearest):
-        if shown(line):
-            return line
     if tried and anyway:
         return tried[0]
     if tried:
@@ -250,7 +244,7 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     """Whether the base gives way within d_b, the arm keeping away, when the hand is guided.
 
     The base does not where other parts of the arm meet first, which holds the hand, or where it
-    would take the hand along.
+    would take the hand along. It may come back while the hand is held: its place at the end counts.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = Planned(model.description.name, line, model.description.config, physics="kinematic")
@@ -261,16 +255,40 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
-                if moved >= GIVES_WAY and step.t >= line.duration * line.moving:
-                    break  # the hand is held from now on: nothing comes nearer any more
     except UnreachableError:
         return False
     return moved >= GIVES_WAY
 
 
-def _apart(a: Place, b: Place) -> float:
-    """[m] between where two lines start."""
-    return float(np.linalg.norm(np.subtract(a.start, b.start)))
+class _Candidate(NamedTuple):
+    """A line as an arm that may start there is led along it, however its hand points."""
+
+    start: Point
+    inwards: Array
+    """(3,) unit vector."""
+    length: float
+    """[m]"""
+    left: float
+    """[m] from its end to the base's side."""
+    nearest: float
+    """[m] least distance of the arm to a base that stands still."""
+    carried: float
+    """[-] share of the base's motion of the hand that the arm leaves over within the buffers."""
+
+    @property
+    def move(self) -> Point:
+        """[m] from its start to its end."""
+        return _point(np.round(self.length * self.inwards, 3))
+
+    def is_as(self, other: _Candidate) -> bool:
+        """Whether the two end beside one another: one from farther out may be the same line."""
+        ends = (np.add(each.start, each.move) for each in (self, other))
+        return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Contact before none, then where the arm holds its hand, to a tenth; else the deepest."""
+        return self.nearest > 0.0, max(self.nearest, 0.0), round(self.carried, 1)
 
 
 class _Guide:
@@ -278,45 +296,81 @@ class _Guide:
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         self.body = MobileBody(model)
-        self._solver = StartSolver(model, pairs, d_b)
+        self._model, self._pairs, self._d_b = model, pairs, d_b
         self._search = PostureSearch(model, pairs, d_b)
+        self._solver = StartSolver(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
         self._free, self._hands = _free_postures(self._search)
 
     def lines(
         self, tried: list[tuple[_Start, float]], shares: Array, tell: Callable[[float], None]
     ) -> Iterator[Place]:
-        """Those from starts at heights [m]; of each start, `tell` is called with its share."""
+        """Those from starts at heights [m], the most promising first; `tell` is called with shares.
+
+        All are looked at with the arm pulled to their start from a posture nearby, which is quick.
+        What is told of a line is of the posture with which a run begins, which is searched only for
+        those that are asked for; none of them is beside another, and of those that do not lead into
+        the inner part of the buffer there is one at most, where there is no other.
+        """
+        found: list[_Candidate] = []
         for (start, z), share in zip(tried, shares.tolist(), strict=True):
             tell(share)
-            yield from self._from(start, z)
+            if (candidate := self._look(start, z)) is not None:
+                found.append(candidate)
+        asked: list[_Candidate] = []
+        for line in sorted(found, key=lambda each: each.rank):  # else as they come
+            if asked and line.nearest >= INNER * self._d_b:
+                return
+            if any(map(line.is_as, asked)):
+                continue
+            p, move = line.start, line.move
+            try:
+                self._solver.solve(p, tries=_FEW)
+                q_m = find_start(self._model, self._pairs, self._d_b, p, seed=0, move=None)
+            except UnreachableError:
+                continue
+            asked.append(line)
+            nearest = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)[1]
+            yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
-    def _from(self, start: _Start, z: float) -> Iterator[Place]:
-        """Those from one place, if the arm can start there; each goes on where the last one ends.
-
-        The arm is first pulled there from postures nearby, however its hand points: that is quick,
-        and where it does not come there the search of all postures need not begin.
-        """
+    def _look(self, start: _Start, z: float) -> _Candidate | None:
+        """The line from one place, if the arm can start there: to contact, or as far as it goes."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
-        if not self._may_start(np.array(p)):
-            return
-        try:
-            self._solver.solve(p, tries=_FEW)
-            q_m = self._solver.solve(p)
-        except UnreachableError:
-            return
-        led, least = 0.0, np.inf
+        q_m = self._free_at(np.array(p))
+        if q_m is None:
+            return None
+        led, least, shares = 0.0, np.inf, []
         for left in _LEFT_OVER:
-            steps = np.arange(led, at[2] - left, _STEP) + _STEP
-            for led in np.minimum(steps, at[2] - left):
-                q_m = self._pulled(q_m, p + led * inwards)
-                least = min(least, *self._search.distances()[: self._mobile])
-            move = _point(np.round((at[2] - left) * inwards, 3))
-            yield Place(p, move, float(least), _LED.format(left, least))
+            length = at[2] - left
+            if length <= 0.0:
+                continue
+            q_m, nearest, carried = self._led(q_m, np.array(p), inwards, led, length)
+            led, least, shares = length, min(least, nearest), [*shares, *carried]
             if least <= 0.0:
-                return
+                break
+        return _Candidate(p, inwards, led, left, least, float(np.mean(shares or [0.0])))
+
+    def _led(
+        self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
+    ) -> tuple[Array, float, list[float]]:
+        """The arm (n_m,) led from a posture along a line from p (3,), from a length [m] to another.
+
+        With it the least distance [m] to the base, and what it leaves over of the base's motion of
+        the hand [-], step by step within the buffers.
+        """
+        search, least, carried = self._search, np.inf, []
+        n_b, speed = self._model.n_b, self._model.description.config.holding.speed
+        for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
+            q_m = self._pulled(q_m, p + led * inwards)
+            nearest = min(search.distances()[: self._mobile])
+            least = min(least, nearest)
+            if nearest < self._d_b:
+                moved = search.state.J_ee[:3, :n_b] @ self._model.J_m_inv
+                lost = carried_by(search.state, speed)
+                carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
+        return q_m, float(least), carried
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
@@ -333,19 +387,19 @@ class _Guide:
         search.place(q_m)
         return q_m
 
-    def _may_start(self, p: Array) -> bool:
-        """Whether a posture near one of the free ones has its hand at a place (3,) and is free."""
+    def _free_at(self, p: Array) -> Array | None:
+        """(n_m,) a posture near one of the free ones with its hand at a place (3,) that is free."""
         away = np.linalg.norm(self._hands - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
-            return False
+            return None
         for k in np.argsort(away)[:_TRIES]:
             q_m = self._free[k]
             for share in _SHARES:
                 q_m = self._pulled(q_m, self._hands[k] + share * (p - self._hands[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
             if off < _THERE and _is_free(self._search):
-                return True
-        return False
+                return q_m
+        return None
 
 
 def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
@@ -365,8 +419,9 @@ def _is_free(search: PostureSearch) -> bool:
 
 
 _LED = (
-    "chosen: the first place, from far to near, where the arm can start clear of the buffers; it "
-    "leads the hand to {:g} m beside the base and without avoidance the arm to {:.3f} m"
+    "chosen: of places where the arm can start clear of the buffers the first, from far to near, "
+    "on whose line it holds its hand best; it leads the hand to {:g} m beside the base and without "
+    "avoidance the arm to {:.3f} m"
 )
 
 
@@ -393,7 +448,9 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
     return float(steps[met.argmax()]) if met.any() else 0.0
 
 
-def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
+def _lateral(
+    body: MobileBody, mount: Array, outs: Sequence[float]
+) -> Iterator[tuple[Array, Array]]:
     """Starts x, y and how far out they are [m], and the way inwards, left before right.
 
     Beside the mount or near either end: where its axle is a base without sideways motion gives way
@@ -401,17 +458,17 @@ def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
-        for out in _OUT:
+        for out in outs:
             for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
                 yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
-def _front(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
-    """The same, ahead of the mount or at either edge."""
+def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[tuple[Array, Array]]:
+    """The same, ahead of the mount, at either edge, or where an arm that only moves in plane is."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
-    for y in (min(beside, high), low + 0.05, high - 0.05):
-        for out in _OUT:
+    for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):
+        for out in outs:
             yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
 
 

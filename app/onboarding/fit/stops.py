@@ -57,7 +57,8 @@ def with_stops(
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
-            for first, last in _runs(nearest > MARGIN):
+            # Links built side by side never are as far apart: then half of what they are.
+            for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:
                     share = round((high - low) / (upper - lower)[joint] / _ALIKE)
