@@ -208,8 +208,15 @@ def plain_limits(
     both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
     lower, upper = np.sort(both, axis=0)
     extra, inverse = np.zeros(model.n_m), np.linalg.inv(M[2:, 2:])
-    if arm is not None:  # no joint asks for more than its own torque gives
+    if arm is not None:  # no joint asks for more than its own torque gives, or takes back in time
         extra, own = arm.pushed, np.diag(inverse) * (high - low) / 2
+        room = np.maximum((model.qd_limits - m.qd_m) * np.array([[-1.0], [1.0]]), 0.0)
+        slower, faster = np.sqrt(2.0 * np.diag(inverse) * limit.torque_rate * room)
+        both = (
+            np.maximum(lower, np.minimum(-slower, upper)),
+            np.minimum(upper, np.maximum(faster, lower)),
+        )
+        lower, upper = both
         there = inverse @ ((low + high) / 2 - M[2:, :2] @ arm.qdd_b - h_a) + extra
         lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
     n = model.n_m

@@ -101,6 +101,18 @@ def test_the_need_is_where_the_least_distance_is_the_reserve(base):
         assert near[0] < RESERVE <= near[1] < RESERVE + 0.01
 
 
+def test_an_oblique_hand_is_met_by_what_of_the_force_is_horizontal(base):
+    """Once for the force, and once for what of the base's motion changes the distance."""
+    n, p = FRONT
+    d_b, across = np.linspace(0.1, 0.4, 7), 0.8
+    weak = [changed(force__f_max=f) for f in (40.0, 40.0 * across**2)]  # limits are not met
+    oblique = Approach(0.03, across * n + [0.0, 0.0, 0.6], p)
+    found = least_distance(d_b, oblique, base, weak[0])
+    assert found[-1] > 0.0
+    level = least_distance(d_b, Approach(0.03, n, p), base, weak[1])
+    np.testing.assert_allclose(found, level, atol=1e-12)
+
+
 def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
     """[m] least distance of a hand that comes from straight ahead at v, step by step.
 

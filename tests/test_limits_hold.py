@@ -12,7 +12,8 @@ from app.robot.model import RobotModel
 from app.simulation.session import DT, Session
 from benchmarks.law.curves import Curve
 from benchmarks.law.options import Options
-from benchmarks.law.paths import follow
+from benchmarks.law.paths import Tracking, follow
+from benchmarks.law.paths import play as play_path
 from benchmarks.law.pulls import cases, play
 
 pytestmark = pytest.mark.slow
@@ -57,6 +58,16 @@ def test_a_wrist_that_comes_to_its_limit_while_the_base_makes_room_keeps_to_its_
     row = follow(Options(), Curve("arc", begin, end, (0.0, 0.0), 4.368467), q_m)
     assert row["error_max_mm"] < 1.0  # 8.7 if the base looks at its rows alone
     assert row["least_distance_m"] > 0.05
+    assert row["contact_steps"] == row["failures"] == 0
+
+
+def test_a_joint_that_a_tracking_arm_throws_aside_stops_gaining_speed_in_time() -> None:
+    """A fast curve onto the deck's edge (`python -m benchmarks.law paths --first 290 --count 1`).
+
+    Its shoulder gains speed by torques that change at their rate, and cannot lose it any faster.
+    """
+    row = play_path(Tracking(Options(), 290))
+    assert 0.98 < row["joint_speed_share"] <= 1.01  # 1.10 by bounds that know no rate
     assert row["contact_steps"] == row["failures"] == 0
 
 

@@ -41,6 +41,13 @@ def test_where_the_points_coincide_the_base_is_pushed_away_from_the_arm() -> Non
     np.testing.assert_allclose(f, [0.0, -150.0, 0.0])
 
 
+@pytest.mark.parametrize(("across", "up"), [(0.8, 0.6), (0.28, -0.96)])
+def test_of_an_oblique_normal_the_horizontal_part_counts(across: float, up: float) -> None:
+    n = across * np.array([0.6, 0.8, 0.0]) + [0.0, 0.0, up]
+    f = force([0.3, 0.4, 0.2], [0.3, 0.5, 0.2], 0.05, n=n)
+    np.testing.assert_allclose(f, [0.0, -across * 200.0, 0.0])
+
+
 def test_straight_from_above_there_is_no_force_not_even_a_direction() -> None:
     up = [0.0, 0.0, 1.0]
     np.testing.assert_array_equal(force([0.1, 0.1, 0.4], [0.1, 0.1, 0.4], 0.02, n=up), np.zeros(3))

@@ -115,6 +115,8 @@ def test_something_round_keeps_few_corners_that_hold_it_and_little_else() -> Non
     assert 1.0 < hull_volume(lean) / hull_volume(points) < 1.02
     out = (lean @ D[:500].T).max(axis=0) - (points @ D[:500].T).max(axis=0)
     assert out.max() < 4e-3
+    thin = lean_corners(D * [1.0, 0.02, 0.02])  # a rod of 2 m
+    assert np.ptp(thin, axis=0) == pytest.approx([2.0, 0.04, 0.04], rel=0.02)
     few = cloud(6)
     np.testing.assert_array_equal(lean_corners(few), hull_corners(few))
 

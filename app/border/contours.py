@@ -168,7 +168,7 @@ def _search_edges(
     for i in range(BLOCK):
         edge, turn = ring[i + 1] - ring[i], tangents[i + 1] - tangents[i]
         next_ahead = _dot(p - ring[i + 1], tangents[i + 1]) >= 0.0
-        first, last = _shown(shown[i], shown[i + 1])
+        first, last = _shown_part(shown[i], shown[i + 1])
         if first <= last and ahead and not next_ahead:
             along = _foot(p - ring[i], edge, tangents[i], tangents[i + 1])
             if first <= along <= last:
@@ -237,7 +237,7 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 
 @compiled()
-def _shown(start: float, end: float) -> tuple[float, float]:
+def _shown_part(start: float, end: float) -> tuple[float, float]:
     """The part of an edge, within [0, 1], where a value that goes so is not negative."""
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
@@ -268,7 +268,8 @@ def nearest_point(
 ) -> Array:
     """The point of a `Table` that is nearest to a point, at the height nearest to its own.
 
-    Blocks of edges are searched from near to far, until the next one is farther than what was
+    At each of the table's heights some ring shows: what hides one is nearer to the outside. Blocks
+    of edges are searched from near to far, until the next one is farther than what was
     found: so the cost hardly grows with the number of shapes.
 
     Returns:

@@ -69,7 +69,8 @@ def _least_distance(
 
     Args:
         d_b: (k,) [m]
-        channels: (c, 6) J · n, J · t, m_k [kg], a_k and w_k at most, along n, and T_k [s].
+        channels: (c, 6) J · n and J · t, with the horizontal part of n and t at right angles to it
+            no longer, m_k [kg], a_k and w_k at most, along n, and T_k [s].
         v: [m/s] of the approach.
         late: [s] t_0.
         kept: [-] of a speed that does not slip.
@@ -150,8 +151,6 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
 
     It is minus infinity where the base does not reach the speed at all.
     """
-    if math.hypot(approach.n[0], approach.n[1]) < 1e-6:
-        return np.full(len(d_b), -np.inf)
     lead, force = dead_time(base, config), config.force
     ways = [
         _least_distance(

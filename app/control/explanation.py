@@ -3,6 +3,7 @@
 Vectors are in the base's frame: "forward" and "left" mean the same wherever it stands.
 """
 
+import math
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -62,7 +63,8 @@ class NearPair(NamedTuple):
     n: tuple[float, float, float]
     """Unit normal from `a` to `b`, in the base's frame."""
     above: float
-    """[-] how far the pair meets from above, where no motion of the base helps; 0 to 1."""
+    """[-] what of the force falls away as the pair meets from above, where no motion of the base
+    helps; 0 to 1."""
     arm_beta: float
     """[-] activation of the arm's own rows against the base, 0 if there are none."""
     held: bool
@@ -233,7 +235,6 @@ def _near_pair(
     """What there is to say of a pair, or None if nothing acts on it."""
     closest, state = pair.closest, controller.state
     mobile = closest.pair.a == state.model.body_names[0]
-    n_z = float(closest.n[2])
     arm_beta = pair.beta if mobile and output.inserted.rows_arm else 0.0
     if pair.beta == 0.0 and arm_beta == 0.0 and not held:
         return None
@@ -243,7 +244,7 @@ def _near_pair(
         float(closest.d),
         pair.beta,
         n=tuple((state.R_world_base.T @ closest.n).tolist()),
-        above=n_z**2 if mobile else 0.0,
+        above=1.0 - math.hypot(*closest.n[:2].tolist()) if mobile else 0.0,
         arm_beta=arm_beta,
         held=held,
         force=_force_split(controller, output, pair),

@@ -44,9 +44,19 @@ def joint_bounds(
 
 @compiled()
 def _bring_in_reach(
-    M: Array, h: Array, torque: Array, bounds: Array, qdd_b: Array, pushed: Array
+    M: Array,
+    h: Array,
+    torque: Array,
+    rate: float,
+    bounds: Array,
+    room: Array,
+    qdd_b: Array,
+    pushed: Array,
 ) -> None:
     """The bounds (2, n_m) on q̈_m are brought in reach of each joint's own torque.
+
+    No joint gains speed faster than it could stop gaining: at the rate r of its torque q̈_i changes
+    by (M⁻¹)_ii r, so that it may be √(2 (M⁻¹)_ii r v) with v left to the velocity limit.
 
     No joint asks for more than its own torque gives in this step while the others' are in the
     middle of what they may be. If it asked for all at once, the torques of all others would swing
@@ -58,20 +68,27 @@ def _bring_in_reach(
     for i in range(n_m):
         unit = np.zeros(n_m)
         unit[i] = 1.0
-        own = 0.5 * (forward(L, unit) ** 2).sum() * (high[i] - low[i])
-        bounds[0, i] = min(bounds[0, i], qdd[i] + own)
-        bounds[1, i] = max(bounds[1, i], qdd[i] - own)
+        moved = (forward(L, unit) ** 2).sum()
+        own = 0.5 * moved * (high[i] - low[i])
+        slower = math.sqrt(2.0 * moved * rate * max(-room[0, i], 0.0))
+        faster = math.sqrt(2.0 * moved * rate * max(room[1, i], 0.0))
+        lower = max(bounds[0, i], min(-slower, bounds[1, i]))
+        upper = min(bounds[1, i], max(faster, bounds[0, i]))
+        bounds[0, i] = min(lower, qdd[i] + own)
+        bounds[1, i] = max(upper, qdd[i] - own)
 
 
 @compiled(
     "Tuple((f8[:,::1], f8[::1], f8[::1]))"
-    "(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:])"
+    "(f8[:,:], f8[:], f8[:,:], f8, f8[:,:], f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:])"
 )
 def limit_rows(
     M: Array,
     h: Array,
     torque: Array,
+    rate: float,
     bounds: Array,
+    room: Array,
     unit: Array,
     qdd_b: Array,
     pushed: Array,
@@ -84,7 +101,9 @@ def limit_rows(
         M: (n, n) of (26).
         h: (n,) of (26).
         torque: (2, n_m) the least and the largest ones.
+        rate: [N m/s] at which they may change.
         bounds: (2, n_m) on q̈_m.
+        room: (2, n_m) of q̇_m to its lower and its upper limit.
         unit: (n_m,) in which they are counted.
         qdd_b: (n_b,) of the base, or (0,) where it is open.
         pushed: (n_m,) of q̈_m, by those who push.
@@ -94,7 +113,7 @@ def limit_rows(
     n, n_m, k = len(M), len(unit), len(least)
     n_b, m, bounds = n - n_m, 2 * n_m + k, bounds.copy()
     if len(qdd_b) > 0:
-        _bring_in_reach(M, h, torque, bounds, qdd_b, pushed)
+        _bring_in_reach(M, h, torque, rate, bounds, room, qdd_b, pushed)
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
     for i in range(n_m):
         joint, row = n_b + i, n_m + i

@@ -109,7 +109,8 @@ def robot_limits(
     With ε = `task.softness` of a row of T_sca each kind gives way to the next: tasks to rows, rows
     (ε) to joints' limits and distances (ε²), and these to torques. Where torques do not suffice for
     both, joints and distances share what is missed: neither is bought by throwing the other away.
-    The arm's part asks of no joint what its own torque does not give.
+    The arm's part asks of no joint what its own torque does not give, in this step, or in time to
+    end below its velocity limit.
 
     Args:
         state: The robot's state.
@@ -123,10 +124,11 @@ def robot_limits(
     if barriers is not None:
         J, least = barriers.J, barriers.least(config.barrier)
     qdd_b, torque, pushed = arm or (np.zeros(0), model.tau_limits, np.zeros(model.n_m))
-    bounds = joint_bounds(state, config.limit)
+    bounds, room = joint_bounds(state, config.limit), model.qd_limits - state.measurement.qd_m
+    rate = config.limit.torque_rate
     return Limits(
         *kernels.limit_rows(
-            state.M, state.h, torque, bounds, model.qd_max, qdd_b, pushed, J, least
+            state.M, state.h, torque, rate, bounds, room, model.qd_max, qdd_b, pushed, J, least
         ),
         _softness(model.n_m, len(least), config.task.softness),
     )

@@ -17,7 +17,7 @@ COLOURS: dict[State, Rgb] = {
     "contact": CONTACT,
 }
 """By state, from the calmest to the worst; "near" is inside a buffer while nothing acts on it."""
-_NO_BASE_HELPS = 0.9  # [-] n_z² from which on hardly any motion of the base helps: 18° off vertical
+_NO_BASE_HELPS = 0.9  # [-] of the force that falls away: at 6° off vertical hardly any motion helps
 
 
 class Verdict(NamedTuple):

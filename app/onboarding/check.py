@@ -334,15 +334,15 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
                 (empty if between else ends).append(f"{name} at z = {z:.2f} m")
     if not any(numbers.values()):
         return Row("border", "failed", "no pair has any points", numbers)
+    counts = ", ".join(f"{n.removeprefix('points_')} {c:,.0f} points" for n, c in numbers.items())
+    text = f"at every height that the arm reaches beside the base: {counts}"
     if empty:
-        return Row("border", "warned", f"no points of {'; '.join(empty)}", numbers)
-    text = "at every height that the arm reaches beside the base: "
-    text += ", ".join(f"{n.removeprefix('points_')} {c:,.0f} points" for n, c in numbers.items())
+        text = f"no points of {', '.join(empty)}"
     if ends:
         text += (
             f"; where it does not reach out as far the exact offset stands in: {', '.join(ends)}"
         )
-    return Row("border", "passed", text, numbers)
+    return Row("border", "warned" if empty else "passed", text, numbers)
 
 
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:

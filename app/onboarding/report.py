@@ -166,7 +166,8 @@ def bodies_png(robot: NewRobot) -> bytes:
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
     """The border of each pair of L_m at half the base's height and above its top; None if none."""
-    model, d_b, eps = robot.model, robot.request.d_b, 0.01
+    model, d_b = robot.model, robot.request.d_b
+    eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
     if not clouds:
         return None

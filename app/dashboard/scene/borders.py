@@ -35,7 +35,7 @@ from app.strict import Array
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""
 LIGHT_POINTS = 4000  # the same where a page draws in software
-_KEPT = 32  # clouds and surfaces that are kept for other viewers
+_KEPT = 32  # clouds that are kept for other viewers
 POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
 LIGHT_SIZE = 0.006  # [m] of one of few points
 _GRAIN = 0.002  # [m] of height by which the slice has to change to be sent anew
@@ -285,7 +285,7 @@ class BorderSlice:
             return
         nearest, border = min(mobile, key=lambda pair: pair.d), snapshot.config.border
         z = float(nearest.p_b[2])
-        key = (nearest.name, round(z / _GRAIN), border.d_b)
+        key = (round(z / _GRAIN), border.d_b)
         if key != self._key:
             curves = self._borders.surface(border).curves(z)
             self._key = key

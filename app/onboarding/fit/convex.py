@@ -52,13 +52,16 @@ def hull_corners(points: Array) -> Array:
 def lean_corners(points: Array) -> Array:
     """(M, 3) corners of the convex hull or, where they are very many, of a polytope around it.
 
-    That one touches the hull in 642 evenly spread directions. Of something round of 1 m it stands
-    out by 4 mm at most.
+    That one touches the hull in 642 directions, spread evenly for a cloud that is as wide along all
+    of its main axes. It stands out by some half a percent of the cloud's size along each of them.
     """
     corners, D = hull_corners(points), directions(3)
     if len(corners) <= 2 * len(D):  # what such a polytope has at most
         return corners
     middle = corners.mean(axis=0)
+    _, spread, axes = np.linalg.svd(corners - middle, full_matrices=False)
+    D = D / np.maximum(spread / np.sqrt(len(corners)), _THINNEST) @ axes
+    D /= np.linalg.norm(D, axis=1)[:, None]
     reach = ((corners - middle) @ D.T).max(axis=0) + _UNIT
     return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections + middle
 

@@ -118,6 +118,7 @@ GIVES_WAY = 0.05
 CLEARANCE = 0.03
 """[m] least distance to the base that the arm should keep."""
 _MOST_RUNS = 3  # [-] of lines that are tried
+_MOST_STARTS = 40  # [-] of which a posture is searched: a search that finds none takes 0.1 to 0.2 s
 _OTHER = 0.1  # [m] from where a line ends to where another one does
 _FARTHEST, _NEARER = 0.425, 0.025  # [m] from the base's side where a line starts, and by steps
 _OUTSIDE = 0.05  # [m] beyond the buffer it starts at least
@@ -161,11 +162,11 @@ def find_places(
     """Lines towards the base from its side and its front, or why there is none, by the scenario.
 
     From 0.43 m beside what there is of l_m at the line's height (just outside of the buffer where
-    the arm is short) to 0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8
-    of a part of l_m at which the arm can start. Without avoidance the arm would come to the base
-    itself there, or well into the inner half of the buffer. Where the arm cannot hold its hand
-    while the base moves, lines go first on which it holds it better. A side on which the arm does
-    not reach so far has none.
+    the arm is short) to 0.125 m, as with the paper's robot, or nearer. Without avoidance the arm
+    would come to the base itself there, or well into the inner half of the buffer. Lines to contact
+    go first, of these the ones on which the arm holds its hand best while the base moves, then from
+    far to near, each at the height nearest to 0.8 of a part of l_m; after them the deepest. A side
+    on which the arm does not reach so far has none.
 
     A line is one on which `shows` is true of its scenario's name and itself, as
     `gives_way`; where none is, one is taken `anyway` or not. For the pairs that avoidance watches.
@@ -210,11 +211,11 @@ def chosen(
     Where there is none, why. None is asked for after the last one that is tried, which are a few;
     where none of those shows it, the first is taken `anyway` or not.
     """
-    nearest = lowest = np.inf
+    shallow: list[Place] = []
     tried: list[Place] = []
     for line in lines:
-        nearest, lowest = min(nearest, line.nearest), min(lowest, line.start[2])
         if line.nearest >= INNER * d_b:
+            shallow.append(line)
             continue
         if shows(line):
             return line
@@ -229,10 +230,11 @@ def chosen(
             f"arm comes nearer than {CLEARANCE:g} m: other parts of it meet first, or it cannot "
             "hold its hand"
         )
-    if nearest < np.inf:
+    if shallow:
+        deepest = min(shallow, key=lambda line: line.nearest)
         return (
-            f"the arm comes no nearer than {nearest:.3f} m to the base on the lines where it can "
-            f"start clear of its buffers, the lowest at z = {lowest:g} m"
+            f"the arm comes no nearer than {deepest.nearest:.3f} m to the base on the deepest line "
+            f"on which it can start clear of its buffers, at z = {deepest.start[2]:g} m"
         )
     return (
         f"the arm cannot start there clear of its buffers of {d_b:g} m: it is too short for them "
@@ -318,11 +320,13 @@ class _Guide:
             if (candidate := self._look(start, z)) is not None:
                 found.append(candidate)
         asked: list[_Candidate] = []
+        searched = 0
         for line in sorted(found, key=lambda each: each.rank):  # else as they come
-            if asked and line.nearest >= INNER * self._d_b:
+            if searched == _MOST_STARTS or (asked and line.nearest >= INNER * self._d_b):
                 return
             if any(map(line.is_as, asked)):
                 continue
+            searched += 1
             p, move = line.start, line.move
             try:
                 self._solver.solve(p, tries=_FEW)
@@ -419,9 +423,9 @@ def _is_free(search: PostureSearch) -> bool:
 
 
 _LED = (
-    "chosen: of places where the arm can start clear of the buffers the first, from far to near, "
-    "on whose line it holds its hand best; it leads the hand to {:g} m beside the base and without "
-    "avoidance the arm to {:.3f} m"
+    "chosen: of lines on which the arm can start clear of the buffers, one to contact on which it "
+    "holds its hand best, else the deepest; it leads the hand to {:g} m beside the base and "
+    "without avoidance the arm to {:.3f} m"
 )
 
 

@@ -38,7 +38,7 @@ class Experiment(Planned):
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
         """The run of a scenario by its name.
 
-        With `points` the border is the paper's points and not the surface through them; `start` and
+        With `points` the border is the paper's points and not the exact offset; `start` and
         `move` [m] of the hand may be others than the scenario's.
         """
         config = Config().replace("border.kind", "points") if points else Config()
