@@ -212,11 +212,10 @@ def plain_limits(
         extra, own = arm.pushed, np.diag(inverse) * (high - low) / 2
         room = np.maximum((model.qd_limits - m.qd_m) * np.array([[-1.0], [1.0]]), 0.0)
         slower, faster = np.sqrt(2.0 * np.diag(inverse) * limit.torque_rate * room)
-        both = (
+        lower, upper = (
             np.maximum(lower, np.minimum(-slower, upper)),
             np.minimum(upper, np.maximum(faster, lower)),
         )
-        lower, upper = both
         there = inverse @ ((low + high) / 2 - M[2:, :2] @ arm.qdd_b - h_a) + extra
         lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
     n = model.n_m

@@ -241,8 +241,9 @@ def _shown_part(start: float, end: float) -> tuple[float, float]:
     """The part of an edge, within [0, 1], where a value that goes so is not negative."""
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
-    cut = start / (start - end) if (start < 0.0) != (end < 0.0) else 0.0
-    return (cut, 1.0) if start < 0.0 else (0.0, cut if end < 0.0 else 1.0)
+    first = start / (start - end) if start < 0.0 else 0.0
+    last = start / (start - end) if end < 0.0 else 1.0
+    return first, last
 
 
 @compiled()
@@ -269,8 +270,8 @@ def nearest_point(
     """The point of a `Table` that is nearest to a point, at the height nearest to its own.
 
     At each of the table's heights some ring shows: what hides one is nearer to the outside. Blocks
-    of edges are searched from near to far, until the next one is farther than what was
-    found: so the cost hardly grows with the number of shapes.
+    of edges are searched from near to far, until the next one is farther than what was found: so
+    the cost hardly grows with the number of shapes.
 
     Returns:
         (2, 3) of a `Foot`.

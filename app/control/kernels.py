@@ -42,8 +42,8 @@ def joint_bounds(
     return found
 
 
-@compiled()
-def _bring_in_reach(
+@compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8, f8[:,:], f8[:,:], f8[:], f8[:])")
+def in_reach(
     M: Array,
     h: Array,
     torque: Array,
@@ -52,16 +52,26 @@ def _bring_in_reach(
     room: Array,
     qdd_b: Array,
     pushed: Array,
-) -> None:
-    """The bounds (2, n_m) on q̈_m are brought in reach of each joint's own torque.
-
-    No joint gains speed faster than it could stop gaining: at the rate r of its torque q̈_i changes
-    by (M⁻¹)_ii r, so that it may be √(2 (M⁻¹)_ii r v) with v left to the velocity limit.
+) -> Array:
+    """The bounds (2, n_m) on q̈_m, brought in reach of each joint's own torque.
 
     No joint asks for more than its own torque gives in this step while the others' are in the
     middle of what they may be. If it asked for all at once, the torques of all others would swing
-    from end to end for it, each too late, and throw an arm that is overpowered about.
+    from end to end for it, each too late, and throw an arm that is overpowered about. Nor does a
+    joint gain speed faster than it could stop gaining: at the rate r of its torque q̈_i changes by
+    (M⁻¹)_ii r, so that it may be √(2 (M⁻¹)_ii r v) with v left to the velocity limit.
+
+    Args:
+        M: (n, n) of (26).
+        h: (n,) of (26).
+        torque: (2, n_m) the least and the largest ones of this step.
+        rate: [N m/s] at which they change.
+        bounds: (2, n_m) on q̈_m.
+        room: (2, n_m) of q̇_m to its lower and its upper limit.
+        qdd_b: (n_b,) of the base.
+        pushed: (n_m,) of q̈_m, by those who push.
     """
+    found = np.empty_like(bounds)
     n_b, n_m, (low, high) = len(qdd_b), len(pushed), (torque[0], torque[1])
     L, acting = cholesky(M[n_b:, n_b:]), 0.5 * (low + high) - h[n_b:]
     qdd = pushed + backward(L, forward(L, acting - times(M[n_b:, :n_b], qdd_b)))
@@ -74,23 +84,20 @@ def _bring_in_reach(
         faster = math.sqrt(2.0 * moved * rate * max(room[1, i], 0.0))
         lower = max(bounds[0, i], min(-slower, bounds[1, i]))
         upper = min(bounds[1, i], max(faster, bounds[0, i]))
-        bounds[0, i] = min(lower, qdd[i] + own)
-        bounds[1, i] = max(upper, qdd[i] - own)
+        found[0, i], found[1, i] = min(lower, qdd[i] + own), max(upper, qdd[i] - own)
+    return found
 
 
 @compiled(
     "Tuple((f8[:,::1], f8[::1], f8[::1]))"
-    "(f8[:,:], f8[:], f8[:,:], f8, f8[:,:], f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:])"
+    "(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:,:], f8[:])"
 )
 def limit_rows(
     M: Array,
     h: Array,
     torque: Array,
-    rate: float,
     bounds: Array,
-    room: Array,
     unit: Array,
-    qdd_b: Array,
     pushed: Array,
     J: Array,
     least: Array,
@@ -101,19 +108,14 @@ def limit_rows(
         M: (n, n) of (26).
         h: (n,) of (26).
         torque: (2, n_m) the least and the largest ones.
-        rate: [N m/s] at which they may change.
         bounds: (2, n_m) on q̈_m.
-        room: (2, n_m) of q̇_m to its lower and its upper limit.
         unit: (n_m,) in which they are counted.
-        qdd_b: (n_b,) of the base, or (0,) where it is open.
         pushed: (n_m,) of q̈_m, by those who push.
         J: (k, n) of the distances.
         least: (k,) of J q̈.
     """
     n, n_m, k = len(M), len(unit), len(least)
-    n_b, m, bounds = n - n_m, 2 * n_m + k, bounds.copy()
-    if len(qdd_b) > 0:
-        _bring_in_reach(M, h, torque, rate, bounds, room, qdd_b, pushed)
+    n_b, m = n - n_m, 2 * n_m + k
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
     for i in range(n_m):
         joint, row = n_b + i, n_m + i

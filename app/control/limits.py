@@ -119,17 +119,21 @@ def robot_limits(
         arm: For the arm's part; else any torque up to the joints' own may act in this step, and
             nobody pushes.
     """
-    model = state.model
+    model, M, h = state.model, state.M, state.h
     J, least = np.zeros((0, model.n)), np.zeros(0)
     if barriers is not None:
         J, least = barriers.J, barriers.least(config.barrier)
-    qdd_b, torque, pushed = arm or (np.zeros(0), model.tau_limits, np.zeros(model.n_m))
-    bounds, room = joint_bounds(state, config.limit), model.qd_limits - state.measurement.qd_m
-    rate = config.limit.torque_rate
+    torque, pushed, bounds = (
+        model.tau_limits,
+        np.zeros(model.n_m),
+        joint_bounds(state, config.limit),
+    )
+    if arm is not None:
+        qdd_b, torque, pushed = arm
+        room, rate = model.qd_limits - state.measurement.qd_m, config.limit.torque_rate
+        bounds = kernels.in_reach(M, h, torque, rate, bounds, room, qdd_b, pushed)
     return Limits(
-        *kernels.limit_rows(
-            state.M, state.h, torque, rate, bounds, room, model.qd_max, qdd_b, pushed, J, least
-        ),
+        *kernels.limit_rows(M, h, torque, bounds, model.qd_max, pushed, J, least),
         _softness(model.n_m, len(least), config.task.softness),
     )
 

@@ -283,16 +283,15 @@ class BorderSlice:
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.pairs]
         if not mobile:
             return
-        nearest, border = min(mobile, key=lambda pair: pair.d), snapshot.config.border
-        z = float(nearest.p_b[2])
+        border = snapshot.config.border
+        z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
         key = (round(z / _GRAIN), border.d_b)
         if key != self._key:
             curves = self._borders.surface(border).curves(z)
             self._key = key
             self._curves = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
         if self._curves:
-            node = f"{ROOT}/slice_{nearest.name}"
-            canvas.lines(node, self._curves, _ON_DARK if dark else _ON_LIGHT, 2.5)
+            canvas.lines(f"{ROOT}/slice", self._curves, _ON_DARK if dark else _ON_LIGHT, 2.5)
 
 
 def shell_faces(surface: OffsetContours, low: float, high: float) -> tuple[Array, Array]:

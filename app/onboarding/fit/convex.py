@@ -63,7 +63,12 @@ def lean_corners(points: Array) -> Array:
     D = D / np.maximum(spread / np.sqrt(len(corners)), _THINNEST) @ axes
     D /= np.linalg.norm(D, axis=1)[:, None]
     reach = ((corners - middle) @ D.T).max(axis=0) + _UNIT
-    return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections + middle
+    return _polytope(D, reach) + middle
+
+
+def _polytope(D: Array, reach: Array) -> Array:
+    """(M, 3) [m] corners of what reaches as far from the origin, (K,) [m], along D (K, 3)."""
+    return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections
 
 
 def fit_capsule(points: Array) -> Capsule:
@@ -133,7 +138,7 @@ def fit_hull(points: Array) -> Hull | Box:
     D = directions(1)
     reach = np.maximum((own @ D.T).max(axis=0), _THINNEST / 2) + _UNIT
     try:
-        corners = HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections
+        corners = _polytope(D, reach)
     except QhullError:
         return fit_box(points)
     corners = _distinct(corners)

@@ -288,9 +288,9 @@ class _Candidate(NamedTuple):
         return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
 
     @property
-    def rank(self) -> tuple[bool, float, float]:
+    def rank(self) -> tuple[float, float]:
         """Contact before none, then where the arm holds its hand, to a tenth; else the deepest."""
-        return self.nearest > 0.0, max(self.nearest, 0.0), round(self.carried, 1)
+        return max(self.nearest, 0.0), round(self.carried, 1)
 
 
 class _Guide:
