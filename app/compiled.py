@@ -7,12 +7,15 @@ which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 
 import sys
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
+from pathlib import Path
+from types import FunctionType
 from typing import TypeVar, cast
 
 import numba
 from numba import types
 from numba.core import config, sigutils
+from numba.core.dispatcher import Dispatcher
 from numba.core.typing.templates import Signature
 
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -21,29 +24,48 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str) -> Callable[[Function], Function]:
     """Compile a function for the given types, when its module is imported for the first time.
 
-    So a control loop never waits for a compiler, and an array of another dtype is refused. A kernel
-    may call kernels of its own module only: what numba keeps for it is compiled anew when its own
-    file changes, not when another one does (so still with numba 0.68). Where nothing can be kept,
-    neither beside the source nor in the user's cache, each process compiles what it imports.
+    So a control loop never waits for a compiler, and an array of another dtype is refused. Where
+    nothing can be kept, neither beside the source nor in the user's cache, each process compiles
+    what it imports.
 
     Args:
         signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``. Without any it is a part
-            of the kernels of its module that call it, and not to be called from elsewhere.
+            of the kernels that call it, and nothing of its own is kept.
     """
 
     def compile_(function: Function) -> Function:
-        known = [_any_array(signature) for signature in signatures]
-        compile_now = partial(numba.njit, known or None, error_model="numpy")
+        kernel = numba.njit(error_model="numpy")(function)
+        if config.DISABLE_JIT or not signatures:
+            return cast("Function", kernel)
         try:
-            kernel = compile_now(cache=bool(known))(function)
+            kernel.enable_caching()
         except RuntimeError:  # numba has found no folder that it can write to
-            _tell_once("each time: set NUMBA_CACHE_DIR to a folder that can be written")
-            return cast("Function", compile_now()(function))
-        if signatures and not config.DISABLE_JIT and kernel.stats.cache_misses:
-            _tell_once("once on this machine")
+            how_often = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
+        else:  # for numba (so still 0.68) a kernel is its own file only
+            kernel._cache._cache_file._source_stamp = _stamp(kernel)
+            how_often = "once on this machine"
+        for signature in signatures:
+            kernel.compile(_any_array(signature))
+        kernel.disable_compile()
+        if kernel.stats.cache_misses:
+            _tell_once(how_often)
         return cast("Function", kernel)
 
     return compile_
+
+
+def _stamp(kernel: Dispatcher) -> tuple[tuple[str, float, int], ...]:
+    """What a kernel is made of: name, time and size of its file, and of each that it calls into."""
+    files, known, called = set[Path](), set[FunctionType](), [kernel.py_func]
+    while called:
+        function = called.pop()
+        files.add(Path(function.__code__.co_filename))
+        known.add(function)
+        named = (function.__globals__.get(name) for name in function.__code__.co_names)
+        parts = {each.py_func for each in named if isinstance(each, Dispatcher)}
+        called += parts - known
+    kept = sorted((file, file.stat()) for file in files)
+    return tuple((file.name, stat.st_mtime, stat.st_size) for file, stat in kept)
 
 
 def _any_array(signature: str) -> Signature:

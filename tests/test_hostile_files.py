@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import resource
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -127,33 +124,6 @@ def test_several_commands_may_try_the_same_folder_at_once(tmp_path):
     with ThreadPoolExecutor(8) as threads:
         assert list(threads.map(make_folder, [tmp_path / "out"] * 400)) == [None] * 400
     assert list((tmp_path / "out").iterdir()) == []
-
-
-KERNEL = """
-from numba.core import caching
-caching.CacheImpl._locator_classes = []  # as where neither program nor home can be written
-from app.compiled import compiled
-
-@compiled("f8(f8)")
-def twice(x):
-    return 2.0 * x
-
-print(twice(2.0), len(twice.signatures))
-"""
-
-
-def test_where_no_kernel_can_be_kept_it_is_compiled_all_the_same(tmp_path):
-    script = tmp_path / "kernel.py"
-    script.write_text(KERNEL, encoding="utf-8")
-    path = os.pathsep.join([str(PROJECT), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, str(script)],
-        env={**os.environ, "PYTHONPATH": path, "NUMBA_DISABLE_JIT": "0"},
-        capture_output=True,
-        text=True,
-    )
-    assert (done.stdout, done.returncode) == ("4.0 1\n", 0), done.stderr
-    assert "each time: set NUMBA_CACHE_DIR" in done.stderr
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatch):
