@@ -24,6 +24,7 @@ from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
 from app.dashboard import job
 from app.errors import AssetError, RobotFileError, UnreachableError
+from app.jobs.pool import ALONE, Workers
 from app.onboarding import check as checks
 from app.onboarding import new_robot
 from app.onboarding.check import (
@@ -46,6 +47,7 @@ from app.onboarding.fit.collision_sampling import (
 )
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
+from app.onboarding.fit.postures import Side, line_from
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
@@ -256,6 +258,21 @@ def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewR
     assert len(same.random.q_m) == 300
 
 
+def test_processes_of_their_own_find_what_one_finds(
+    finished: tuple[NewRobot, BorderData],
+) -> None:
+    made, data = finished
+    options = {"samples": 300, "seed": 5, "d_b": 0.15}
+    here = sample_meetings(made.model, made.meetings.units, **options)
+    side = Side("guiding-lateral", made.model, data, anyway=False)
+    with Workers(tuple, 2) as workers:
+        there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
+        assert [*workers.map(line_from, [side])] == [line_from(None, side)]
+    for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
 def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewRobot) -> None:
     """The toy's shapes are their own hulls; of a base without its top and sides little is left."""
     model, geometry = written(made), made.parsed.geometry
@@ -298,7 +315,7 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
         few_samples(tmp_path),
         pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
     ):
-        new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("it is refused before"))
+        new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("too late"), ALONE)
 
 
 def test_a_pair_that_hardly_ever_meets_may_have_no_border(

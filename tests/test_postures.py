@@ -13,8 +13,8 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.config import Config
 from app.onboarding.fit import postures
-from app.onboarding.fit.postures import Place, chosen, find_places, gives_way
-from app.robot.link_pairs import LinkPairs, find_link_pairs
+from app.onboarding.fit.postures import SIDES, Place, chosen, find_place, gives_way
+from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import Box
 from app.simulation.run import run_scenario, steps_of
@@ -88,7 +88,7 @@ def looked_at(
 
     `carried` says of a line's start (x, y, its way to the base [m]) what the arm does not hold [-].
     """
-    tried: dict[str, list[Place]] = {"guiding-lateral": [], "guiding-front": []}
+    tried: dict[str, list[Place]] = {name: [] for name in SIDES}
     look = postures._Guide._look
 
     def looked(guide: Any, start: Any, z: float) -> Any:
@@ -98,7 +98,8 @@ def looked_at(
     monkeypatch.setattr(postures._Guide, "_look", looked)
     model = with_buffer(d_b)
     pairs = find_link_pairs(model, samples=2000)
-    find_places(model, pairs, shows=lambda name, line: bool(tried[name].append(line)))
+    for name, lines in tried.items():
+        find_place(model, pairs, name, shows=lambda line, lines=lines: bool(lines.append(line)))
     return tried
 
 
@@ -137,10 +138,6 @@ def test_lines_go_first_on_which_the_arm_holds_its_hand(monkeypatch: pytest.Monk
     assert first["guiding-lateral"].start[1] > 0.0 > left["guiding-lateral"][0].start[1]
 
 
-def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:
-    assert find_places(husky_panda(), LinkPairs((), (), (), {}, {}, 0, 0)) == {}
-
-
 def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -150,14 +147,11 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
     monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
     monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
-    shares: list[float] = []
     model = with_buffer(0.14)
     pairs = find_link_pairs(model, samples=2000)
-    found = find_places(model, pairs, on_progress=shares.append)
-    np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
-    assert "cannot start there" in found["guiding-front"]
-    assert shares[0] == 0.0
-    assert max(shares) < 1.0
+    found = find_place(model, pairs, "guiding-lateral")
+    np.testing.assert_allclose(found.move, (0.0, -0.325, 0.0), atol=1e-9)
+    assert "cannot start there" in find_place(model, pairs, "guiding-front")
 
 
 @pytest.mark.parametrize(
@@ -207,21 +201,18 @@ def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
 ) -> None:
     """As of an arm whose hand cannot start as low as its small base."""
     monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
-    found = find_places(husky_panda(), find_link_pairs(husky_panda(), samples=2000))
+    pairs = find_link_pairs(husky_panda(), samples=2000)
+    found = find_place(husky_panda(), pairs, "guiding-lateral")
     top = float(MobileBody(husky_panda()).upper[2])
-    assert found["guiding-lateral"].start[2] == pytest.approx(top + 0.025, abs=1e-3)
+    assert found.start[2] == pytest.approx(top + 0.025, abs=1e-3)
 
 
-def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_line_leads_to_what_there_is_of_the_base_at_its_height() -> None:
     """A base on a wide plate: beside the plate its trunk is out of the arm's reach."""
-    monkeypatch.setattr(postures, "_front", lambda *_: iter(()))
     trunk = husky_panda().description.mobile_body.shapes[0]
     plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
     model = with_mobile_shapes((trunk, plate))
-    found = find_places(model, find_link_pairs(model, samples=2000))
-    place = found["guiding-lateral"]
+    place = find_place(model, find_link_pairs(model, samples=2000), "guiding-lateral")
     assert place.nearest < INNER
     assert abs(place.start[1]) < 0.6 + 0.25  # [m] nearer than a line to the plate could begin
 
@@ -229,11 +220,9 @@ def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
 def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData) -> None:
     """The paper's robot, pulled slowly from the side and the front."""
     model, config = husky_panda(), Config()
-    found = find_places(model, border_data.pairs)
-    assert found.keys() == {"guiding-lateral", "guiding-front"}
-    without = {"controller": "none", "physics": "kinematic"}
-    for name, place in found.items():
+    for name in SIDES:
+        place = find_place(model, border_data.pairs, name)
         line = LINES[name].changed(start=place.start, move=place.move)
-        run = run_scenario(model, border_data, line, config, **without)
+        run = run_scenario(model, border_data, line, config, controller="none", physics="kinematic")
         assert place.nearest < INNER
         assert run.figures["min_clearance_m"] == pytest.approx(place.nearest, abs=0.005)

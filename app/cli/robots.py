@@ -138,7 +138,6 @@ def new_robot(
         robot, data = finish(
             asked,
             tell=tell,
-            processes=1 if quick else None,  # to start others takes longer
             sampling=QUICK if quick else None,
             on_progress=lambda part: share(part),
         )

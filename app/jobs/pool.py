@@ -10,6 +10,8 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
+from typing_extensions import Self
+
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome
 
@@ -21,7 +23,9 @@ _log = logging.getLogger(__name__)
 class Workers(AbstractContextManager["Workers"]):
     """Runs `function(context, job)` for many jobs, with a context that each process makes once.
 
-    Results come in the order of the jobs, so they do not depend on the number of processes.
+    Processes begin, and make it, when a `with` is entered: what is done before the first job does
+    not wait for them. Results come in the order of the jobs, so they do not depend on the number of
+    processes.
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
@@ -36,6 +40,15 @@ class Workers(AbstractContextManager["Workers"]):
         self._idle: SimpleQueue[Child] = SimpleQueue()
         self._own: Any = None  # the context within this process, once it is needed
 
+    def __enter__(self) -> Self:
+        try:
+            while len(self._children) < self._processes > 1:
+                self._children.append(Child(_work, self._make_context))
+                self._idle.put(self._children[-1])
+        except OSError:
+            self._go_on_alone()
+        return self
+
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is not None:
             self._end()
@@ -47,27 +60,21 @@ class Workers(AbstractContextManager["Workers"]):
         done = 0
         if self._processes > 1:
             try:
-                self._start()
                 for result in self._threads.map(partial(self._ask, function), jobs):
                     done += 1
                     yield result
             except _GoneError:
-                _log.warning("worker processes cannot run here; going on in one process")
-                self._processes = 1
-                self._end()
+                self._go_on_alone()
         if done < len(jobs):
             if self._own is None:
                 self._own = self._make_context()
             for job in jobs[done:]:
                 yield function(self._own, job)
 
-    def _start(self) -> None:
-        try:
-            while len(self._children) < self._processes:
-                self._children.append(Child(_work, self._make_context))
-                self._idle.put(self._children[-1])
-        except OSError:
-            raise _GoneError from None
+    def _go_on_alone(self) -> None:
+        _log.warning("worker processes cannot run here; going on in one process")
+        self._processes = 1
+        self._end()
 
     def _ask(self, function: Callable[[Any, Job], Result], job: Job) -> Result:
         """Have an idle process do a job; there is one for each thread that waits here."""
@@ -86,8 +93,12 @@ class Workers(AbstractContextManager["Workers"]):
             child.end(at_once=True)
 
 
+ALONE = Workers(tuple, 1)
+"""Does the jobs of others within this process."""
+
+
 class _GoneError(LoopError):
-    """A process has ended, or could not be begun."""
+    """A process has ended."""
 
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:

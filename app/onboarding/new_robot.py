@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -17,17 +18,19 @@ import numpy as np
 from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
 from app.errors import DbbError, RobotFileError
+from app.jobs.pool import Workers
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, make_units, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
+    SIDES,
     Place,
     Ready,
-    find_places,
+    Side,
     find_ready,
-    gives_way,
     judge_ready,
+    line_from,
 )
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.numbers import (
@@ -134,8 +137,9 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Make a robot and its border, and only then put its folder in its place.
 
-    The border is sampled by all cores, or `processes`. `tell` is called with what is being done,
-    `on_progress` with the share of a long step that is, 0 to 1: of bodies, border and places.
+    All cores work, or `processes`; a coarse border, with a `sampling` of its own, takes one less
+    long than to start others. `tell` is called with what is being done, `on_progress` with the
+    share of a long step that is, 0 to 1: of bodies, border and places.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.
@@ -151,7 +155,10 @@ def finish(
         doing = what
         tell(what)
 
-    with whole_folder(request.out) as folder, _one_message(lambda: doing):
+    begun = Workers(
+        partial(import_module, line_from.__module__), min(processes or len(SIDES), len(SIDES))
+    )
+    with whole_folder(request.out) as folder, _one_message(lambda: doing), begun as workers:
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
             path = open_package(Path(request.urdf), folder, request.file)
@@ -160,11 +167,13 @@ def finish(
         border = partial(
             load_border_data,
             sampling=sampling,
-            processes=processes,
+            processes=processes if sampling is None else 1,
             progress=False,
             on_progress=on_progress,
         )
-        robot, data = make_robot(request, folder, border, tell=say, on_progress=on_progress)
+        robot, data = make_robot(
+            request, folder, border, workers, tell=say, on_progress=on_progress
+        )
         say("writing the report")
         write_robot(robot, folder)
         page = report_html(robot, data)
@@ -196,13 +205,15 @@ def make_robot(
     request: Request,
     folder: Path,
     border: Callable[[RobotModel], BorderData],
+    workers: Workers,
     *,
     tell: Callable[[str], None] = lambda _: None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
     """Everything but the report, which `finish` adds; its arguments and errors.
 
-    The URDF is written into the folder, a temporary one; `border` gives pairs and clouds.
+    The URDF is written into the folder, a temporary one; `border` gives pairs and clouds, and
+    `workers` share random poses, bodies and places.
     """
     tell("reading the URDF")
     parsed = parse(request)
@@ -212,12 +223,12 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell, on_progress)
+    meetings, (bodies, verdict) = _fitted(request, parsed, bare, workers, tell, on_progress)
     limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
     parsed = replace(parsed, limits=limits)
     unwatched = dict.fromkeys(verdict.unwatched, _UNWATCHED)
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    unseen = unseen_collisions(model, parsed.geometry, request.d_b)
+    unseen = unseen_collisions(model, parsed.geometry, request.d_b, workers)
     if unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
@@ -234,14 +245,17 @@ def make_robot(
     moving = _moving(request, parsed, model, ready)
     content = description(request, parsed, bodies, moving, unwatched)
     tell("counting the reachability")
-    reach = find_reach(compiled(content, path), pairs)
+    reach = find_reach(compiled(content, path), pairs, workers)
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     tell("looking for places to guide the hand")
     model = compiled(content, path)
     held = holding_warning(carried_hand(model))
     # An arm that cannot hold its hand avoids by itself: there any line shows it.
-    shows, anyway = partial(gives_way, model, data), bool(held)
-    found = find_places(model, pairs, shows=shows, anyway=anyway, on_progress=on_progress)
+    sides = [Side(name, model, data, anyway=bool(held)) for name in SIDES if pairs.mobile]
+    found: dict[str, Place | str] = {}
+    for side, place in zip(sides, workers.map(line_from, sides), strict=True):
+        found[side.name] = place
+        on_progress(len(found) / len(sides))
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content["lines"] = {name: place.content() for name, place in places.items()}
@@ -256,6 +270,7 @@ def _fitted(
     request: Request,
     parsed: Parsed,
     bare: RobotModel,
+    workers: Workers,
     tell: Callable[[str], None],
     on_progress: Callable[[float], None],
 ) -> tuple[Meetings, Grouping]:
@@ -263,9 +278,8 @@ def _fitted(
     d_b = request.d_b
     tell("looking at random poses")
     units, samples = make_units(bare, parsed.arm, parsed.geometry), MEETING_SAMPLES
-    meetings = sample_meetings(
-        bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH
-    )
+    options = {"samples": samples, "seed": request.seed, "d_b": d_b, "enough": ENOUGH}
+    meetings = sample_meetings(bare, units, **options, workers=workers)
     tell("fitting bodies")
     count = request.bodies
     return meetings, find_grouping(bare, meetings, d_b=d_b, count=count, on_progress=on_progress)

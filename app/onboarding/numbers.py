@@ -15,6 +15,7 @@ import pinocchio as pin
 from app.border.reach import PEAK, ReachMap, reach_bodies, sample_reach_map
 from app.border.score import ReachFit, fit_reachability
 from app.errors import DescriptionError, RobotFileError
+from app.jobs.pool import ALONE, Workers
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Steering, Wheels
 from app.robot.link_pairs import LinkPairs, sample_joints
@@ -285,30 +286,31 @@ class Reach(NamedTuple):
         return with_source({}, {name: (value, self.source) for name, value in values.items()})
 
 
-def find_reach(model: RobotModel, pairs: LinkPairs) -> dict[str, Reach]:
-    """The coefficients of all bodies that can come near the base, by name.
+def find_reach(model: RobotModel, pairs: LinkPairs, workers: Workers = ALONE) -> dict[str, Reach]:
+    """The coefficients of all bodies that can come near the base, by name; `workers` share them.
 
     A body that fewer than three joints move, or whose map (9) does not fit, gets a parabola about
     the distances that it has in random poses: assumed, and said so.
     """
-    can = reach_bodies(model)
-    found = {}
-    for pair in pairs.mobile:
-        if pair.b not in can:
-            found[pair.b] = _assumed(model, pair.b, "fewer than three joints move it")
-            continue
-        try:
-            counted = sample_reach_map(model, pair.b, samples=COUNTED_POSES)
-            fit = fit_reachability(counted, SHARE)
-        except DescriptionError as error:
-            found[pair.b] = _assumed(model, pair.b, str(error))
-            continue
-        text = (
-            f"counted: by |det J| at {counted.samples:,} random joint positions; fitted above "
-            f"{SHARE:g} of the peak, R² {fit.r_squared:.2f}"
-        )
-        found[pair.b] = Reach(fit.A_per_m2, fit.B_m, fit.C, text, counted, fit)
-    return found
+    bodies = [pair.b for pair in pairs.mobile]
+    found = workers.map(_reach_of, [(model, body) for body in bodies])
+    return dict(zip(bodies, found, strict=True))
+
+
+def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
+    model, body = job
+    if body not in reach_bodies(model):
+        return _assumed(model, body, "fewer than three joints move it")
+    try:
+        counted = sample_reach_map(model, body, samples=COUNTED_POSES)
+        fit = fit_reachability(counted, SHARE)
+    except DescriptionError as error:
+        return _assumed(model, body, str(error))
+    text = (
+        f"counted: by |det J| at {counted.samples:,} random joint positions; fitted above "
+        f"{SHARE:g} of the peak, R² {fit.r_squared:.2f}"
+    )
+    return Reach(fit.A_per_m2, fit.B_m, fit.C, text, counted, fit)
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:

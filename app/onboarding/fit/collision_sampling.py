@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
+from app.jobs.pool import ALONE, Workers
 from app.onboarding.fit.convex import directions, hull_corners
 from app.onboarding.read.links import LinkGeometry
 from app.onboarding.read.tree import Arm
@@ -37,6 +38,7 @@ _RARE = 30  # [-] random poses in which a pair meets, below which others are sea
 ENOUGH = 600
 """[-] poses with a collision that tell what share of them is seen, to half a percent."""
 _MORE, _MOST = 1000, 40_000  # [-] poses looked at for them at a time, and altogether
+_PARTS = 4  # [-] of random poses, for each process to have its share
 _EXACT = 0.5  # [m] up to which distances are computed where there are many shapes
 _MANY = 150  # [-] pairs of shapes, from which on it is faster to look at their spheres first
 _FAR = 0.3  # [m] between two units at the nearest, beyond which none are
@@ -317,20 +319,22 @@ def sample_meetings(
     enough: int = 0,
     points: bool = True,
     stopped: bool = False,
+    workers: Workers = ALONE,
 ) -> Meetings:
     """Distances between the hulls of all units that are no neighbours, in random poses.
 
     These are `samples`, and more until `enough` of them have a collision: an arm that seldom meets
     anything is judged by as many as another. With `points`, those that met are looked at, too.
     `stopped` means that the limits have to keep apart what they can: no such pair is close then.
-    d_b [m] is the buffer distance.
+    d_b [m] is the buffer distance; `workers` share the random poses.
     """
     rng, pairs = np.random.default_rng(seed), _distant_pairs(model, units)
     q_m, distances = np.zeros((0, model.n_m)), np.zeros((0, len(pairs)))
     while True:
         more = sample_joints(model, _MORE if len(q_m) else samples, rng)
         q_m = np.vstack([q_m, more])
-        distances = np.vstack([distances, hull_distances(model, units, pairs, more)])
+        parts = [_Looked(model, units, pairs, part) for part in np.array_split(more, _PARTS)]
+        distances = np.vstack([distances, *workers.map(_look, parts)])
         close, apart, barred = _built_near(units, pairs, distances, d_b, stopped)
         random = Poses(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
         found = Meetings(units, pairs, close, apart, random, random)
@@ -369,6 +373,19 @@ def _built_near(
     if stopped:
         close -= apart
     return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
+
+
+class _Looked(NamedTuple):
+    """Arguments of `hull_distances`, as a process of its own takes them."""
+
+    model: RobotModel
+    units: Sequence[Unit]
+    pairs: Pairs
+    q_m: Array
+
+
+def _look(_: object, part: _Looked) -> Array:
+    return hull_distances(*part)
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
@@ -440,7 +457,8 @@ def _meet(found: Meetings, model: RobotModel) -> None:
             pin.forwardKinematics(model.pin, data, q)
             for (u, v), mask in masks.items():
                 T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])
-                mask |= _reached(moved(units[u].surface, T), units[v])
+                left = np.flatnonzero(~mask)
+                mask[left] = _reached(moved(units[u].surface[left], T), units[v])
         found.met.update(masks)
 
 

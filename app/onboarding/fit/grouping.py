@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.errors import RobotFileError
+from app.jobs.pool import ALONE, Workers
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     ALWAYS,
@@ -226,12 +227,15 @@ class Unseen(NamedTuple):
 
 
 def unseen_collisions(
-    model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float
+    model: RobotModel,
+    geometry: Mapping[str, LinkGeometry],
+    d_b: float,
+    workers: Workers = ALONE,
 ) -> Unseen:
     """What the bodies of a description do not see of its links' collisions.
 
     Links that may touch by design do not count, nor links of the arm that are within d_b [m] as
-    built; those that are so near to the base and can meet it do.
+    built; those that are so near to the base and can meet it do. `workers` share the poses.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -244,6 +248,7 @@ def unseen_collisions(
         enough=ENOUGH,
         points=False,
         stopped=True,
+        workers=workers,
     )
     owner = {unit.index: name for name, each in by_body.items() for unit in each}
     random = met.random.possible & met.collides.any(axis=1)

@@ -151,15 +151,19 @@ class Place(NamedTuple):
         return {"start_m": self.start, "move_m": self.move, "source": source}
 
 
-def find_places(
+SIDES = ("guiding-lateral", "guiding-front")
+"""Scenarios that lead the hand towards the base."""
+
+
+def find_place(
     model: RobotModel,
     pairs: LinkPairs,
+    name: str,
     *,
-    shows: Callable[[str, Place], bool] = lambda *_: True,
+    shows: Callable[[Place], bool] = lambda _: True,
     anyway: bool = False,
-    on_progress: Callable[[float], None] = lambda _: None,
-) -> dict[str, Place | str]:
-    """Lines towards the base from its side and its front, or why there is none, by the scenario.
+) -> Place | str:
+    """A line towards the base from its side or its front for a scenario, or why there is none.
 
     From 0.43 m beside what there is of l_m at the line's height (just outside of the buffer where
     the arm is short) to 0.125 m, as with the paper's robot, or nearer. Without avoidance the arm
@@ -168,11 +172,9 @@ def find_places(
     far to near, each at the height nearest to 0.8 of a part of l_m; after them the deepest. A side
     on which the arm does not reach so far has none.
 
-    A line is one on which `shows` is true of its scenario's name and itself, as
-    `gives_way`; where none is, one is taken `anyway` or not. For the pairs that avoidance watches.
+    The line is one of which `shows` is true, as `gives_way`; where none is, one is taken `anyway`
+    or not. For the pairs that avoidance watches, of which there has to be one with l_m.
     """
-    if not pairs.mobile:
-        return {}
     d_b = model.description.config.border.d_b
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
     body = guide.body
@@ -180,18 +182,9 @@ def find_places(
     heights = [round(h, 3) for h in _heights(tops)]
     last = [round(top + _JUST_OVER, 3) for top in tops]
     outs = np.arange(_FARTHEST, d_b + _OUTSIDE, -_NEARER).round(3).tolist()
-    ways = {
-        "guiding-lateral": _lateral(body, mount, outs),
-        "guiding-front": _front(body, mount, outs),
-    }
-    found: dict[str, Place | str] = {}
-    for k, (name, starts) in enumerate(ways.items()):
-        starts = list(starts)
-        tried = [*product(starts, heights), *product(starts, last)]
-        shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
-        lines = guide.lines(tried, shares, on_progress)
-        found[name] = chosen(lines, d_b, partial(shows, name), anyway=anyway)
-    return found
+    starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
+    tried = [*product(starts, heights), *product(starts, last)]
+    return chosen(guide.lines(tried), d_b, shows, anyway=anyway)
 
 
 _Start = tuple[Array, Array]
@@ -262,6 +255,24 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     return moved >= GIVES_WAY
 
 
+class Side(NamedTuple):
+    """From where a line is looked for, as a process of its own does."""
+
+    name: str
+    """Of the scenario, one of `SIDES`."""
+    model: RobotModel
+    data: BorderData
+    anyway: bool
+    """Whether one is taken on which the base does not give way."""
+
+
+def line_from(_: object, side: Side) -> Place | str:
+    """The line from a side as `find_place` finds it, on which the base gives way."""
+    name, model, data, anyway = side
+    shows = partial(gives_way, model, data, name)
+    return find_place(model, data.pairs, name, shows=shows, anyway=anyway)
+
+
 class _Candidate(NamedTuple):
     """A line as an arm that may start there is led along it, however its hand points."""
 
@@ -289,8 +300,10 @@ class _Candidate(NamedTuple):
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Contact before none, then where the arm holds its hand, to a tenth; else the deepest."""
-        return max(self.nearest, 0.0), round(self.carried, 1)
+        """Contact before none, then where the arm holds its hand, to a tenth; else the deepest, to
+        a millimetre: what differs by less is as it comes.
+        """
+        return round(max(self.nearest, 0.0), 3), round(self.carried, 1)
 
 
 class _Guide:
@@ -304,21 +317,15 @@ class _Guide:
         self._mobile = len(pairs.mobile)
         self._free, self._hands = _free_postures(self._search)
 
-    def lines(
-        self, tried: list[tuple[_Start, float]], shares: Array, tell: Callable[[float], None]
-    ) -> Iterator[Place]:
-        """Those from starts at heights [m], the most promising first; `tell` is called with shares.
+    def lines(self, tried: Iterable[tuple[_Start, float]]) -> Iterator[Place]:
+        """Those from starts at heights [m], the most promising first.
 
         All are looked at with the arm pulled to their start from a posture nearby, which is quick.
         What is told of a line is of the posture with which a run begins, which is searched only for
         those that are asked for; none of them is beside another, and of those that do not lead into
         the inner part of the buffer there is one at most, where there is no other.
         """
-        found: list[_Candidate] = []
-        for (start, z), share in zip(tried, shares.tolist(), strict=True):
-            tell(share)
-            if (candidate := self._look(start, z)) is not None:
-                found.append(candidate)
+        found = [line for start, z in tried if (line := self._look(start, z)) is not None]
         asked: list[_Candidate] = []
         searched = 0
         for line in sorted(found, key=lambda each: each.rank):  # else as they come
