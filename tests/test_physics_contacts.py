@@ -159,3 +159,12 @@ def test_pairs_of_links_are_those_of_their_bodies():
     assert links[FLOOR, "panda_hand"] == "arm_floor"
     near_base = [pair for pair, group in links.items() if group == "arm_base"]
     assert not any("panda_link2" in pair for pair in near_base)
+
+
+def test_links_that_are_built_into_one_another_are_no_pair_and_all_others_stay_one():
+    nested = DESCRIPTION.bodies[-1].model_copy(update={"nested": {"panda_hand": ("panda_link0",)}})
+    built = DESCRIPTION.model_copy(update={"bodies": (*DESCRIPTION.bodies[:-1], nested)})
+    links = link_contact_pairs(DESCRIPTION)
+    assert links.pop(("panda_link0", "panda_hand")) == "arm_arm"
+    assert link_contact_pairs(built) == links
+    assert body_contact_pairs(built) == body_contact_pairs(DESCRIPTION)

@@ -118,6 +118,14 @@ REFUSED = {
         lambda d: d["reachability"].update(hand=d["reachability"]["l3"]),
         ["reachability", "hand", "lEE"],
     ),
+    "nested with no link of another": (
+        lambda d: d["bodies"][3].update(nested={"panda_link5": ["panda_link0", "elbow"]}),
+        ["bodies.l3.nested: elbow", "that others cover"],
+    ),
+    "nested link of another": (
+        lambda d: d["bodies"][3].update(nested={"panda_link0": ["base_link"]}),
+        ["bodies.l3.nested: panda_link0", "that this body covers"],
+    ),
 }
 
 

@@ -110,7 +110,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     for pair, rate in zip(meetings.pairs, hits, strict=True):
         if pair in meetings.close and rate > 0:
             a, b = (meetings.units[unit].links[0] for unit in pair)
-            if rate >= 0.5:
+            if pair in meetings.nested:
                 yield f"{a} and {b} touch in {rate:.0%} of the poses: taken as nested"
                 continue
             yield (

@@ -373,12 +373,14 @@ def description(
 def _body(body: FittedBody) -> dict[str, Any]:
     over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
     out = max(fit.protrusion for fit in body.fits)
+    nested = "; nested: links that touch in most of the random poses" if body.nested else ""
     return {
         "name": body.name,
         "source": f"fitted around the hulls of the covered links where they can meet others: "
-        f"{over} times their volume, at most {out:.3f} m outside of them",
+        f"{over} times their volume, at most {out:.3f} m outside of them{nested}",
         "frame": body.frame,
         "covers": body.links,
+        **({"nested": dict(body.nested)} if body.nested else {}),
         "shapes": [shape_content(fit.shape) for fit in body.fits],
     }
 

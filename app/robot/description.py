@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Annotated, Union, get_args
 
@@ -84,6 +84,9 @@ class BodyDescription(Strict):
     covers: tuple[str, ...] = Field(min_length=1)
     """URDF links that this body stands for: its distances and contacts count as theirs. A part of a
     link that can meet no other body may stick out of it."""
+    nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    """By one of those links, links of other bodies with which it is built into one another: that
+    they touch is no contact."""
 
 
 class ReachabilityDescription(Sourced):
@@ -144,6 +147,14 @@ class RobotDescription(Strict):
                 f"reachability: no arm body is named {', '.join(sorted(unknown))}; "
                 f"bodies of the arm: {', '.join(names[1:])}"
             )
+        for body in self.bodies:
+            foreign = {link for other in self.bodies if other != body for link in other.covers}
+            unknown = body.nested.keys() - set(body.covers)
+            if unknown := unknown | set(chain(*body.nested.values())) - foreign:
+                raise ValueError(
+                    f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: it names links that "
+                    "this body covers, each with links that others cover"
+                )
         pairs = [f"{a}-{b}" for a, b in combinations(names, 2)]
         if unknown := self.unwatched.keys() - set(pairs):
             raise ValueError(
@@ -151,6 +162,16 @@ class RobotDescription(Strict):
                 f"pairs of bodies: {', '.join(pairs)}"
             )
         return self
+
+    @property
+    def nested(self) -> frozenset[frozenset[str]]:
+        """Pairs of links that are built into one another."""
+        return frozenset(
+            frozenset((own, link))
+            for body in self.bodies
+            for own, links in body.nested.items()
+            for link in links
+        )
 
     @property
     def mobile_body(self) -> BodyDescription:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,8 @@ class FittedBody(NamedTuple):
     """Its shapes, with what they over-cover."""
     points: Array
     """(N, 3) [m] what they had to hold, in the frame."""
+    nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    """By its link, those of bodies nearer to the base with which that is built into one another."""
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, product
+from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import coal
@@ -294,6 +294,12 @@ class Meetings:
     """By the pair (u, v): (points of u,) whether v came to that point of u's surface."""
 
     @property
+    def nested(self) -> frozenset[tuple[int, int]]:
+        """The close pairs that are built into one another, as a telescope is: no collisions."""
+        often = _touch_mostly(self.random.distances)
+        return self.close.intersection(compress(self.pairs, often))
+
+    @property
     def collides(self) -> Array:
         """(N, pairs) whether the hulls meet; never for the close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
@@ -365,7 +371,7 @@ def _built_near(
     Those are the close ones that are not nested.
     """
     close = _close_pairs(distances, pairs, d_b)
-    nested = (distances <= 0.0).mean(axis=0) >= _BUILT_IN
+    nested = _touch_mostly(distances)
     deep = (distances.min(axis=0) < -_OVERLAP) & ~nested
     apart = close.intersection(
         pair for pair, each in zip(pairs, deep, strict=True) if each and units[pair[0]].joint == 1
@@ -386,6 +392,34 @@ class _Looked(NamedTuple):
 
 def _look(_: object, part: _Looked) -> Array:
     return hull_distances(*part)
+
+
+def _touch_mostly(distances: Array) -> Array:
+    """(pairs,) whether hulls at distances (N, pairs) [m] touch in so many poses as nested ones."""
+    return (distances <= 0.0).mean(axis=0) >= _BUILT_IN
+
+
+def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
+    """Links of units u and v that are built into one another; none where the units are not.
+
+    Units are by what was found, or as neighbours that touch as often. Of their links it is those
+    that touch in most of the poses in which the units do: the others may still collide.
+    """
+    if (u, v) in found.pairs and (u, v) not in found.nested:
+        return []
+    shapes: dict[tuple[int, str], list[Placed]] = {}
+    for k in (u, v):
+        for part in found.units[k].parts:
+            placed = found.units[k].joint, pin.SE3.Identity(), convex_hull(part.corners)
+            shapes.setdefault((k, part.link), []).append(placed)
+    names = list(shapes)
+    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if names[i][0] != names[j][0]]
+    gaps = shape_distances(model, list(shapes.values()), pairs, found.random.q_m[:ENOUGH])
+    met = (gaps <= 0.0).any(axis=1)
+    if (u, v) not in found.nested and met.mean() < _BUILT_IN:
+        return []
+    often = _touch_mostly(gaps[met])
+    return [(names[i][1], names[j][1]) for i, j in compress(pairs, often)]
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:

@@ -9,7 +9,7 @@ is not watched, as neighbours are not.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations, compress, pairwise
+from itertools import combinations, compress, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,7 @@ from app.onboarding.fit.collision_sampling import (
     ENOUGH,
     Meetings,
     meshes_meet,
+    nested_links,
     sample_meetings,
     shape_distances,
     units_of_links,
@@ -99,6 +100,21 @@ def find_grouping(
     found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
     if fixed.links and not _sees(model, found, meetings, fixed.index):
         found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count, on_progress)
+    return found._replace(bodies=with_nested(model, meetings, found.bodies))
+
+
+def with_nested(
+    model: RobotModel, meetings: Meetings, bodies: Sequence[FittedBody]
+) -> list[FittedBody]:
+    """Bodies with those of their links that are nested with one of a body that is no neighbour."""
+    found = []
+    for k, body in enumerate(bodies):
+        inner = [unit for each in bodies[: max(0, k - 1)] for unit in each.units]
+        nested: dict[str, tuple[str, ...]] = {}
+        for u, v in product(inner, body.units):
+            for link, own in nested_links(model, meetings, u, v):
+                nested[own] = (*nested.get(own, ()), link)
+        found.append(body._replace(nested=nested))
     return found
 
 

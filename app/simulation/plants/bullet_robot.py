@@ -217,17 +217,24 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Make one link of those that are fixed to one another, if one body covers them.
+    """Make one link of those that are fixed to one another, if they may touch the same.
+
+    That is if one body covers them, and they are nested with the same.
 
     To pybullet each link is a joint: it steps all of them, and has room for the state of 128. A
     link keeps its own if it bears the end-effector, in whose frame the hand is pulled.
     """
-    body_of = {link: body.name for body in description.bodies for link in body.covers}
+    nested = description.nested
+    touched = {
+        link: (body.name, {pair - {link} for pair in nested if link in pair})
+        for body in description.bodies
+        for link in body.covers
+    }
     links = {str(link.get("name")): link for link in tree.iterfind("link")}
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
         parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
-        alike = body_of.get(parent) == body_of.get(child) or link.find("collision") is None
+        alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue
         T = _origin(joint)

@@ -67,10 +67,15 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """The same pairs for the URDF's links that the bodies stand for."""
+    """The same pairs for the URDF's links that the bodies stand for, but for nested ones."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
-    bodies = body_contact_pairs(description).items()
-    return {pair: group for (a, b), group in bodies for pair in product(covers[a], covers[b])}
+    nested = description.nested
+    return {
+        pair: group
+        for (a, b), group in body_contact_pairs(description).items()
+        for pair in product(covers[a], covers[b])
+        if frozenset(pair) not in nested
+    }
 
 
 @kept_per_model(1)

@@ -1,0 +1,110 @@
+"""Links that are built into one another, as a shoulder into a torso: their touching is no contact.
+
+As of Baxter, whose shoulder stands in its torso in 87 % of all poses, the ready one among them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from app.onboarding import new_robot
+from app.onboarding.fit import grouping
+from app.onboarding.fit.collision_sampling import (
+    Meetings,
+    make_units,
+    nested_links,
+    sample_meetings,
+)
+from app.onboarding.new_robot import compiled, description, parse
+from app.onboarding.request import Request
+from app.robot.model import RobotModel
+from app.robot.state import RobotState
+from app.simulation.plants.collision_shapes import link_contact_pairs
+from app.simulation.plants.planar import planar_plant
+from tests.onboarding import arm, cart, joint, link, robot, solid, write
+from tests.robots import needs_pybullet
+
+pytestmark = pytest.mark.slow
+
+GROUPS = [[1, 2], [3, 4], [5], [6, 7]]  # column and shoulder, upper and fore, cuff, wrist and hand
+UPPER = 3  # the unit that stands in the torso
+
+
+class Toy(NamedTuple):
+    model: RobotModel
+    bare: RobotModel
+    meetings: Meetings
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
+    """A torso around the arm's root, out of which upper and fore arm come."""
+    folder = tmp_path_factory.mktemp("torso")
+    torso = [
+        link("torso", solid('<box size="0.2 0.2 0.34"/>')),
+        joint("spine", "fixed", "base", "torso", xyz="0.15 0 0.25"),
+    ]
+    path = write(folder, robot([*cart(), *torso, *arm()]))
+    request = Request(urdf=str(path), base="base", tip="hand", out=folder / "torso")
+    parsed = parse(request)
+    path = write(folder, new_robot.rebased_urdf(parsed, name="torso", header="test"))
+    bare = compiled(description(request, parsed), path)
+    units = make_units(bare, parsed.arm, parsed.geometry)
+    meetings = sample_meetings(bare, units, samples=1500, seed=1, d_b=0.15)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(grouping, "_ranked", lambda *_: [(0.0, GROUPS)])
+        bodies = grouping.find_grouping(bare, meetings, d_b=0.15).bodies
+    content = description(request, parsed, bodies)
+    numbers = {"A_per_m2": 100.0, "B_m": 0.5, "C": 10.0}
+    reach = {**numbers, "source": dict.fromkeys(numbers, "assumed")}
+    content["reachability"] = {body.name: reach for body in bodies[2:]}
+    return Toy(compiled(content, path), bare, meetings)
+
+
+def test_links_are_nested_that_touch_where_their_units_do(toy: Toy) -> None:
+    """The torso, and not all that moves with it; nor links of units that merely can collide."""
+    assert nested_links(toy.bare, toy.meetings, 0, UPPER) == [("torso", "upper")]
+    assert nested_links(toy.bare, toy.meetings, 0, 2) == [("torso", "shoulder")]  # neighbours
+    for far in (4, 5, 6, 7):
+        assert (toy.meetings.random.distances[:, column(toy, far)] <= 0.0).any()
+        assert nested_links(toy.bare, toy.meetings, 0, far) == []
+    watched = replace(toy.meetings, close=frozenset())  # a buffer lets go of it in free poses
+    assert nested_links(toy.bare, watched, 0, UPPER) == []
+
+
+def test_nested_links_are_written_and_are_no_contact_pair(toy: Toy) -> None:
+    assert {body.name: body.nested for body in toy.model.description.bodies if body.nested} == {
+        "l2": {"upper": ("torso",)}
+    }
+    pairs = link_contact_pairs(toy.model.description)
+    assert ("torso", "upper") not in pairs
+    for pair in (("base", "upper"), ("torso", "fore"), ("torso", "hand"), ("base", "hand")):
+        assert pairs[pair] == "arm_base"
+
+
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])
+def test_a_plant_counts_what_the_fit_holds_to_be_a_collision(toy: Toy, engine: str) -> None:
+    """In poses in which an upper arm stands in the torso, and others beside it hit it or not."""
+    others = toy.meetings.random.distances[:, [column(toy, k) for k in (4, 5, 6, 7)]].min(axis=1)
+    built = toy.meetings.random.distances[:, column(toy, UPPER)]
+    assert (built < -0.01).all()
+    q_m = toy.meetings.random.q_m
+    free, hit = q_m[others > 0.01][:40], q_m[others < -0.01][:40]
+    assert len(free) == len(hit) == 40
+    plant, state = planar_plant(engine, toy.model), RobotState(toy.model)
+    for poses, expected in ((free, False), (hit, True)):
+        for pose in poses:
+            plant.reset(np.zeros(3), pose)
+            state.update(plant.measure())
+            plant.step(state.g[toy.model.n_b :], np.zeros(toy.model.n_b), np.zeros(3))
+            assert plant.contacts().arm_base is expected
+    plant.close()
+
+
+def column(toy: Toy, unit: int) -> int:
+    """Of the base and a unit, among the distances."""
+    return toy.meetings.pairs.index((0, unit))
