@@ -55,7 +55,10 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
 
 
 def _stamp(kernel: Dispatcher) -> tuple[tuple[str, float, int], ...]:
-    """What a kernel is made of: name, time and size of its file, and of each that it calls into."""
+    """What a kernel is made of: name, time and size of its file, and of each that it calls into.
+
+    Others are those that it has by their own names; constants are to be its own file's.
+    """
     files, known, called = set[Path](), set[FunctionType](), [kernel.py_func]
     while called:
         function = called.pop()

@@ -55,7 +55,17 @@ def swallowed() -> None:
                 pytest.fail("nobody heard it")
 
 
-@pytest.mark.parametrize("command", [interrupted, turned_into_another_error, swallowed])
+def swallowed_by_an_import() -> None:
+    """As the import of a library does that tries what it may have; then the work begins."""
+    with suppress(BaseException):
+        interrupted()
+    with progress_bar("work", 10.0):
+        pytest.fail("nobody heard it")
+
+
+@pytest.mark.parametrize(
+    "command", [interrupted, turned_into_another_error, swallowed, swallowed_by_an_import]
+)
 def test_an_interrupted_command_says_so_in_one_line(command, monkeypatch, capsys):
     monkeypatch.setattr(ENTRY, "_run", lambda _: command())
     with pytest.raises(SystemExit) as end:
@@ -105,8 +115,12 @@ def test_a_second_signal_does_not_interrupt_what_is_tidied_up(monkeypatch, capsy
 
 DEAF = r"""
 import ctypes, os, tempfile
+from pathlib import Path
 from app.jobs.progress import ending_signals_raised
+from app.onboarding.write import whole_folder
 kept = tempfile.TemporaryDirectory()
+robot = whole_folder(Path(tempfile.gettempdir()) / "robot")
+robot.__enter__()
 lock = ctypes.create_string_buffer(256)
 ctypes.CDLL(None).pthread_mutex_init(lock, None)
 with ending_signals_raised():

@@ -11,6 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from app.jobs.pool import Workers
+from tests.jobs import add
+
 PROJECT = Path(__file__).resolve().parent.parent
 
 PARENT = """
@@ -156,3 +159,13 @@ def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> N
         (folder / name).write_text(FOREIGN)
     out, errors = start(script, folder).communicate(timeout=60)
     assert (out, errors) == ("[0, 1, 2]\n", "")
+
+
+def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> None:
+    """By `taskset`, or in a container, these may be fewer than the machine has."""
+    begun = psutil.Process().children()
+    for cores in (1, 3):
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _, n=cores: set(range(n)), False)
+        with Workers(int) as workers:
+            assert len(psutil.Process().children()) - len(begun) == (cores if cores > 1 else 0)
+            assert [*workers.map(add, [1, 2])] == [1, 2]

@@ -6,12 +6,14 @@ As of Baxter, whose shoulder stands in its torso in 87 % of all poses, the ready
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from app.onboarding import new_robot
+from app.onboarding.check import check_robot
 from app.onboarding.fit import grouping
 from app.onboarding.fit.collision_sampling import (
     Meetings,
@@ -21,6 +23,7 @@ from app.onboarding.fit.collision_sampling import (
 )
 from app.onboarding.new_robot import compiled, description, parse
 from app.onboarding.request import Request
+from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.collision_shapes import link_contact_pairs
@@ -84,6 +87,27 @@ def test_nested_links_are_written_and_are_no_contact_pair(toy: Toy) -> None:
     assert ("torso", "upper") not in pairs
     for pair in (("base", "upper"), ("torso", "fore"), ("torso", "hand"), ("base", "hand")):
         assert pairs[pair] == "arm_base"
+
+
+@pytest.mark.parametrize(
+    ("links", "outcome"), [(("torso",), "passed"), (("torso", "left_wheel"), "warned")]
+)
+def test_links_that_are_said_to_be_nested_have_to_touch(
+    toy: Toy, links: tuple[str, ...], outcome: str
+) -> None:
+    """What plants leave out would else never be missed, as of a name that is a mistake."""
+    bodies = [body.model_dump() for body in toy.model.description.bodies]
+    bodies[2]["nested"] = {"upper": links}
+    said = RobotDescription.model_validate(toy.model.description.model_dump() | {"bodies": bodies})
+    (row,) = (row for row in islice(check_robot(said), 6) if row.name == "nested links")
+    assert row.outcome == outcome
+    assert ("left_wheel and upper in 0%" in row.text) == (outcome == "warned")
+    assert "torso" not in row.text
+
+
+def test_a_robot_without_nested_links_is_not_asked_for_them(toy: Toy) -> None:
+    rows = islice(check_robot(toy.bare.description), 6)
+    assert "nested links" not in [row.name for row in rows]
 
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=needs_pybullet), "mujoco"])

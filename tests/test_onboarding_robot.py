@@ -259,7 +259,7 @@ def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewR
 
 
 def test_processes_of_their_own_find_what_one_finds(
-    finished: tuple[NewRobot, BorderData],
+    finished: tuple[NewRobot, BorderData], caplog: pytest.LogCaptureFixture
 ) -> None:
     made, data = finished
     options = {"samples": 300, "seed": 5, "d_b": 0.15}
@@ -271,6 +271,7 @@ def test_processes_of_their_own_find_what_one_finds(
     for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
         for a, b in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(a, b)
+    assert not caplog.records, "they did it themselves"
 
 
 def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewRobot) -> None:
@@ -316,6 +317,17 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
         pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
     ):
         new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("too late"), ALONE)
+
+
+def test_an_arm_that_can_meet_no_base_becomes_a_robot_without_lines(tmp_path: Path) -> None:
+    """Nor is it said that they are lacking."""
+    text = robot([*cart(), *arm()]).replace('xyz="0.15 0 0.1"', 'xyz="0.15 0 3.0"')
+    request = Request(urdf=str(write(tmp_path, text)), base="base", tip="hand", out=tmp_path / "t")
+    with few_samples(tmp_path) as sampling:
+        high, data = finish(request, processes=1, sampling=sampling)
+    assert not data.pairs.mobile
+    assert not [*high.reach, *high.places, *high.lacking, *written(high).description.lines]
+    assert not any("line" in warning for warning in high.warnings)
 
 
 def test_a_pair_that_hardly_ever_meets_may_have_no_border(

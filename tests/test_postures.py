@@ -138,6 +138,20 @@ def test_lines_go_first_on_which_the_arm_holds_its_hand(monkeypatch: pytest.Monk
     assert first["guiding-lateral"].start[1] > 0.0 > left["guiding-lateral"][0].start[1]
 
 
+def test_lines_that_lead_as_near_to_a_millimetre_stay_as_they_come() -> None:
+    """Left before right of a robot that is the same on both; a deeper one goes before either."""
+
+    def line(nearest: float) -> postures._Candidate:
+        return postures._Candidate(
+            (0.0, 0.6, 0.4), np.array([0.0, -1.0, 0.0]), 0.3, 0.1, nearest, 0.0
+        )
+
+    left, right, deeper, met, further = map(line, (0.0302, 0.0298, 0.028, 0.0, -0.02))
+    came = [left, right, deeper, met, further]
+    came.sort(key=lambda each: each.rank)
+    assert [each.nearest for each in came] == [0.0, -0.02, 0.028, 0.0302, 0.0298]
+
+
 def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -1,7 +1,6 @@
 """Process pool: the same function for many jobs on all cores, in the order of the jobs."""
 
 import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
@@ -14,6 +13,7 @@ from typing_extensions import Self
 
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome
+from app.system import usable_cores
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -29,12 +29,12 @@ class Workers(AbstractContextManager["Workers"]):
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
-        """Prepare so many processes, all cores if not given; one means within this process.
+        """Prepare so many processes, one a usable core if not given; one means within this process.
 
         `make_context` makes what the jobs share; it must be picklable.
         """
         self._make_context = make_context
-        self._processes = processes or os.cpu_count() or 1
+        self._processes = processes or usable_cores()
         self._threads = ThreadPoolExecutor(self._processes)  # one waits for each process
         self._children: list[Child] = []
         self._idle: SimpleQueue[Child] = SimpleQueue()

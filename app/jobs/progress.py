@@ -26,17 +26,24 @@ def progress_bar(
     """Show how far some work is, of a total in any unit.
 
     Yields:
-        The function to be told how much is done, where Ctrl-C is heard again if it was lost.
+        The function to be told how much is done. There, and before the work begins, Ctrl-C is heard
+        again if it was lost.
     """
+    _raise_what_was_lost()
     show = _bar if sys.stderr.isatty() else _lines
     with show(text, total) if shown else nullcontext(lambda _: None) as update:
 
         def on_progress(done: float) -> None:
-            if _received and threading.current_thread() is threading.main_thread():
-                raise _exception()  # what a signal did, if compiled code has swallowed it
+            _raise_what_was_lost()
             update(done)
 
         yield on_progress
+
+
+def _raise_what_was_lost() -> None:
+    """What a signal did, if compiled code or the import of a library has swallowed it."""
+    if _received and threading.current_thread() is threading.main_thread():
+        raise _exception()
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from app.border.config import SamplingConfig
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
-from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
+from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches, units_of_links
 from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.numbers import gravity_load, largest_of_poses
@@ -91,6 +91,7 @@ def check_robot(
         "mujoco": partial(dynamics_row, name="mujoco"),
         "engines": engines_row,
         "limits": limits_row,
+        **({"nested links": nested_row} if description.nested else {}),
         "base's body": base_row,
         "arm's bodies": arm_row,
         "hand held": holding_row,
@@ -196,6 +197,18 @@ def limits_row(model: RobotModel) -> Row:
     if weak:
         text = f"gravity is more than a joint holds in some poses: {'; '.join(weak)}"
     return Row("limits", "warned" if weak else "passed", text, {"gravity_share": share})
+
+
+def nested_row(model: RobotModel) -> Row:
+    """Links of which plants count no contact touch as often as those that are built so."""
+    touches = nested_touches(model, _geometry(model))
+    least = min(touches.values())
+    seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
+    text = f"they touch in {least:.0%} of random poses at least"
+    if seldom:
+        text = f"plants count no contact of links that touch in few poses: {', '.join(seldom)}"
+    numbers = {"least_touching_share": least}
+    return Row("nested links", "warned" if seldom else "passed", text, numbers)
 
 
 def base_row(model: RobotModel) -> Row:

@@ -73,7 +73,7 @@ from app.onboarding.write import (
 )
 from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
-from app.system import write_whole
+from app.system import usable_cores, write_whole
 
 _log = logging.getLogger(__name__)
 
@@ -137,9 +137,10 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Make a robot and its border, and only then put its folder in its place.
 
-    All cores work, or `processes`; a coarse border, with a `sampling` of its own, takes one less
-    long than to start others. `tell` is called with what is being done, `on_progress` with the
-    share of a long step that is, 0 to 1: of bodies, border and places.
+    The border is sampled by all usable cores, or `processes`; a coarse one, of a `sampling` of its
+    own, by this process, which takes less long than to start others. What else there is to share
+    takes as many processes as there are sides, at most. `tell` is called with what is being done,
+    `on_progress` with the share of a long step that is, 0 to 1: of bodies, border and places.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.
@@ -155,10 +156,9 @@ def finish(
         doing = what
         tell(what)
 
-    begun = Workers(
-        partial(import_module, line_from.__module__), min(processes or len(SIDES), len(SIDES))
-    )
-    with whole_folder(request.out) as folder, _one_message(lambda: doing), begun as workers:
+    prepare = partial(import_module, line_from.__module__)
+    workers = Workers(prepare, min(processes or usable_cores(), len(SIDES)))
+    with whole_folder(request.out) as folder, _one_message(lambda: doing), workers:
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
             path = open_package(Path(request.urdf), folder, request.file)
@@ -213,7 +213,7 @@ def make_robot(
     """Everything but the report, which `finish` adds; its arguments and errors.
 
     The URDF is written into the folder, a temporary one; `border` gives pairs and clouds, and
-    `workers` share random poses, bodies and places.
+    `workers` share random poses, reachability maps and places.
     """
     tell("reading the URDF")
     parsed = parse(request)

@@ -52,17 +52,18 @@ def whole_folder(out: Path) -> Iterator[Path]:
         raise OutputError(f"--out: {out} is there already; remove it or give another")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        made = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+        begun = tempfile.TemporaryDirectory(
+            prefix=f".{out.name}-", dir=out.parent, ignore_cleanup_errors=True
+        )
     except OSError as error:
         raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
-    try:
+    with begun:
+        made = Path(begun.name)
         yield made
         made.chmod(0o755)
         if out.exists():
             out.rmdir()
         made.rename(out)
-    finally:
-        shutil.rmtree(made, ignore_errors=True)
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:

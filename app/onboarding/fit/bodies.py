@@ -42,7 +42,7 @@ class FittedBody(NamedTuple):
     points: Array
     """(N, 3) [m] what they had to hold, in the frame."""
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """By its link, those of bodies nearer to the base with which that is built into one another."""
+    """By a link of it, those of bodies nearer to the base that it is built into."""
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:

@@ -31,6 +31,9 @@ MARGIN = 0.015
 _ALONG = 0.999  # [-] cosine between two lines that count as parallel
 _THIN_OUT = 500  # [-] points on a unit's surface that are looked at, beside the outermost
 _BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
+NESTED = _BUILT_IN**2
+"""[-] share of random poses in which nested links touch at least: in so many do their units, and in
+so many of those do they."""
 _FEWEST = 50  # [-] poses without a collision that say what is near
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
 _OVERLAP = 0.02  # [m] by which meshes of links may overlap that are built side by side
@@ -407,19 +410,42 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
-    shapes: dict[tuple[int, str], list[Placed]] = {}
-    for k in (u, v):
-        for part in found.units[k].parts:
-            placed = found.units[k].joint, pin.SE3.Identity(), convex_hull(part.corners)
-            shapes.setdefault((k, part.link), []).append(placed)
-    names = list(shapes)
-    pairs = [(i, j) for i, j in combinations(range(len(names)), 2) if names[i][0] != names[j][0]]
-    gaps = shape_distances(model, list(shapes.values()), pairs, found.random.q_m[:ENOUGH])
+    own, other = (_link_shapes([found.units[k]]) for k in (u, v))
+    pairs = [*product(range(len(own)), range(len(own), len(own) + len(other)))]
+    shapes = [*own.values(), *other.values()]
+    gaps = shape_distances(model, shapes, pairs, found.random.q_m[:ENOUGH])
     met = (gaps <= 0.0).any(axis=1)
     if (u, v) not in found.nested and met.mean() < _BUILT_IN:
         return []
-    often = _touch_mostly(gaps[met])
-    return [(names[i][1], names[j][1]) for i, j in compress(pairs, often)]
+    return [*compress(product(own, other), _touch_mostly(gaps[met]))]
+
+
+def nested_touches(
+    model: RobotModel, geometry: Mapping[str, LinkGeometry]
+) -> dict[tuple[str, str], float]:
+    """[-] in what share of random poses the links touch that a description calls nested, by pair.
+
+    Of those that `nested_links` finds it is `NESTED` at least; of one without a shape it is 0.
+    """
+    units = [unit for each in units_of_links(model, geometry).values() for unit in each]
+    shapes = _link_shapes(units)
+    named = sorted((min(pair), max(pair)) for pair in model.description.nested)
+    shaped, number = [pair for pair in named if shapes.keys() >= {*pair}], list(shapes).index
+    pairs = [(number(a), number(b)) for a, b in shaped]
+    q_m = sample_joints(model, ENOUGH, np.random.default_rng(0))
+    gaps = shape_distances(model, list(shapes.values()), pairs, q_m)
+    shares = (gaps <= 0.0).mean(axis=0).tolist()
+    return dict.fromkeys(named, 0.0) | dict(zip(shaped, shares, strict=True))
+
+
+def _link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
+    """The hulls of each link that has some."""
+    shapes: dict[str, list[Placed]] = {}
+    for unit in units:
+        for part in unit.parts:
+            placed = unit.joint, pin.SE3.Identity(), convex_hull(part.corners)
+            shapes.setdefault(part.link, []).append(placed)
+    return shapes
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
