@@ -17,7 +17,7 @@ from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MOST_SEEDS, check_range
-from app.system import is_no_file
+from app.system import is_no_file, usable_cores
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # given or not
 Json = Annotated[
@@ -160,7 +160,7 @@ def check_processes(processes: int | None) -> int:
     """
     if processes is not None:
         check_range("--processes", processes, 1, _MOST_PROCESSES)
-    return processes or min(_USUAL_PROCESSES, os.cpu_count() or 1)
+    return processes or min(_USUAL_PROCESSES, usable_cores())
 
 
 def check_once(words: list[str]) -> None:

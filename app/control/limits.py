@@ -123,11 +123,8 @@ def robot_limits(
     J, least = np.zeros((0, model.n)), np.zeros(0)
     if barriers is not None:
         J, least = barriers.J, barriers.least(config.barrier)
-    torque, pushed, bounds = (
-        model.tau_limits,
-        np.zeros(model.n_m),
-        joint_bounds(state, config.limit),
-    )
+    torque, pushed = model.tau_limits, np.zeros(model.n_m)
+    bounds = joint_bounds(state, config.limit)
     if arm is not None:
         qdd_b, torque, pushed = arm
         room, rate = model.qd_limits - state.measurement.qd_m, config.limit.torque_rate

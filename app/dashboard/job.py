@@ -9,7 +9,6 @@ from __future__ import annotations
 import gc
 import logging
 import math
-import os
 import threading
 import time
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from app.control import CONTROLLERS
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled, Report, run_in_process
-from app.system import give_freed_memory_back, write_whole
+from app.system import give_freed_memory_back, usable_cores, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from app.studies.sweep.plan import SweepPlan
 
 logger = logging.getLogger(__name__)
-_CORES = max(1, (os.cpu_count() or 1) - 1)  # of a job: one core is the simulation's
+_CORES = max(1, usable_cores() - 1)  # of a job: one core is the simulation's
 FILM_RATE = 25.0  # [1/s] pictures of a film
 _PATIENCE = 10.0  # [s] for a thread to end
 FIGURES = (

@@ -278,8 +278,9 @@ def _fitted(
     d_b = request.d_b
     tell("looking at random poses")
     units, samples = make_units(bare, parsed.arm, parsed.geometry), MEETING_SAMPLES
-    options = {"samples": samples, "seed": request.seed, "d_b": d_b, "enough": ENOUGH}
-    meetings = sample_meetings(bare, units, **options, workers=workers)
+    meetings = sample_meetings(
+        bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH, workers=workers
+    )
     tell("fitting bodies")
     count = request.bodies
     return meetings, find_grouping(bare, meetings, d_b=d_b, count=count, on_progress=on_progress)
