@@ -6,13 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import psutil
 import pytest
 
 from app.jobs.pool import Workers
-from tests.jobs import add
+from tests.jobs import add, add_slowly
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -169,3 +170,29 @@ def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> N
         with Workers(int) as workers:
             assert len(psutil.Process().children()) - len(begun) == (cores if cores > 1 else 0)
             assert [*workers.map(add, [1, 2])] == [1, 2]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_pool_tells_the_share_of_all_jobs_while_they_are_done(processes: int) -> None:
+    told: list[tuple[float, threading.Thread]] = []
+
+    def on_progress(share: float) -> None:
+        told.append((share, threading.current_thread()))
+
+    with Workers(int, processes) as workers:
+        results = workers.map(add_slowly, [1, 2, 3, 4], on_progress, tells=True)
+        assert [*results] == [1, 2, 3, 4]
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares)
+    assert {*shares} >= {k / 16 for k in range(13, 17)}  # those of the last job, and its end
+    assert len({*shares}) == 16
+    assert {thread for _, thread in told} == {threading.current_thread()}  # which hears Ctrl-C
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_of_jobs_that_tell_nothing_a_pool_tells_how_many_are_done(processes: int) -> None:
+    shares: list[float] = []
+    with Workers(int, processes) as workers:
+        assert [*workers.map(add, [1, 2, 3, 4], shares.append)] == [1, 2, 3, 4]
+        assert [*workers.map(add, [], shares.append)] == []
+    assert shares == [0.25, 0.5, 0.75, 1.0]

@@ -1,8 +1,10 @@
 """Process pool: the same function for many jobs on all cores, in the order of the jobs."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
@@ -13,9 +15,9 @@ from typing_extensions import Self
 
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome
+from app.jobs.progress import OnProgress
 from app.system import usable_cores
 
-Job = TypeVar("Job")
 Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
 
@@ -55,38 +57,71 @@ class Workers(AbstractContextManager["Workers"]):
         self._threads.shutdown(cancel_futures=True)
         self._end()
 
-    def map(self, function: Callable[[Any, Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-        """The results of all jobs, in their order, each as soon as it is there."""
-        done = 0
+    def map(
+        self,
+        function: Callable[..., Result],
+        jobs: Sequence[Any],
+        on_progress: OnProgress = lambda _: None,
+        *,
+        tells: bool = False,
+    ) -> Iterator[Result]:
+        """The results of all jobs, in their order, each as soon as it is there.
+
+        `on_progress` is called, where the results are taken, with the mean of the shares of the
+        jobs that are done, 0 to 1, which never falls. A function that `tells` takes a third
+        argument, to be called with the share of its job; of any other's only the end counts.
+        """
+        done, shares = 0, _Shares(len(jobs), on_progress)
         if self._processes > 1:
             try:
-                for result in self._threads.map(partial(self._ask, function), jobs):
+                for result in self._shared(function, jobs, shares, tells):
                     done += 1
                     yield result
             except _GoneError:
                 self._go_on_alone()
-        if done < len(jobs):
-            if self._own is None:
-                self._own = self._make_context()
-            for job in jobs[done:]:
-                yield function(self._own, job)
+        if done < len(jobs) and self._own is None:
+            self._own = self._make_context()
+        for number, job in enumerate(jobs[done:], done):
+            tell = partial(shares.tell, number)
+            result = function(self._own, job, *([tell] if tells else []))
+            tell(1.0)
+            yield result
+
+    def _shared(
+        self, function: Callable[..., Result], jobs: Sequence[Any], shares: _Shares, tells: bool
+    ) -> Iterator[Result]:
+        """The results by the processes; what their threads are told is passed on by this one."""
+        told: SimpleQueue[tuple[int, float]] = SimpleQueue()
+        asked: list[Future[Result]] = []
+        try:
+            for number, job in enumerate(jobs):
+                asked.append(self._threads.submit(self._ask, (function, job, tells), number, told))
+                asked[-1].add_done_callback(lambda _, number=number: told.put((number, 1.0)))
+            for number, future in enumerate(asked):
+                while shares.of[number] < 1.0:
+                    shares.tell(*told.get())
+                yield future.result()
+        finally:
+            for future in asked:
+                future.cancel()
 
     def _go_on_alone(self) -> None:
         _log.warning("worker processes cannot run here; going on in one process")
         self._processes = 1
         self._end()
 
-    def _ask(self, function: Callable[[Any, Job], Result], job: Job) -> Result:
+    def _ask(self, task: tuple[Any, ...], number: int, told: SimpleQueue[tuple[int, float]]) -> Any:
         """Have an idle process do a job; there is one for each thread that waits here."""
         child = self._idle.get()
         try:
-            child.sender.send((function, job))
-            outcome = child.receiver.recv()
+            child.sender.send(task)
+            while not isinstance(received := child.receiver.recv(), Outcome):
+                told.put((number, received))
         except (EOFError, OSError):
             raise _GoneError from None
         finally:
             self._idle.put(child)
-        return outcome.value()
+        return received.value()
 
     def _end(self) -> None:
         for child in self._children:
@@ -101,10 +136,23 @@ class _GoneError(LoopError):
     """A process has ended."""
 
 
+class _Shares:
+    """How much of each job is done."""
+
+    def __init__(self, jobs: int, on_progress: OnProgress) -> None:
+        self.of, self._on_progress = [0.0] * jobs, on_progress
+        """0 to 1, by the job's number."""
+
+    def tell(self, number: int, share: float) -> None:
+        """Take the share of a job, which may begin again, and pass on that of all of them."""
+        self.of[number] = max(self.of[number], share)
+        self._on_progress(sum(self.of) / len(self.of))
+
+
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
     """What each process does, until its parent wants no more."""
     context = make_context()
     with suppress(EOFError):
         while True:
-            function, job = receiver.recv()
-            sender.send(Outcome.of(function, context, job))
+            function, job, tells = receiver.recv()
+            sender.send(Outcome.of(function, context, job, *([sender.send] if tells else [])))
