@@ -252,10 +252,8 @@ def make_robot(
     held = holding_warning(carried_hand(model))
     # An arm that cannot hold its hand avoids by itself: there any line shows it.
     sides = [Side(name, model, data, anyway=bool(held)) for name in SIDES if pairs.mobile]
-    found: dict[str, Place | str] = {}
-    for side, place in zip(sides, workers.map(line_from, sides), strict=True):
-        found[side.name] = place
-        on_progress(len(found) / len(sides))
+    lines = workers.map(line_from, sides, on_progress, tells=True)
+    found = dict(zip((side.name for side in sides), lines, strict=True))
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content["lines"] = {name: place.content() for name, place in places.items()}
