@@ -33,6 +33,10 @@ def add_slowly(context: int, job: int, on_progress: Callable[[float], None]) -> 
     return context + job
 
 
+def touch(context: int, file: str) -> None:
+    Path(file).touch()
+
+
 def fail_with(report: Report, error: Exception) -> None:
     raise error
 

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import psutil
 import pytest
 
 from app.jobs.pool import Workers
-from tests.jobs import add, add_slowly
+from tests.jobs import add, add_slowly, touch
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -196,3 +197,36 @@ def test_of_jobs_that_tell_nothing_a_pool_tells_how_many_are_done(processes: int
         assert [*workers.map(add, [1, 2, 3, 4], shares.append)] == [1, 2, 3, 4]
         assert [*workers.map(add, [], shares.append)] == []
     assert shares == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_processes_begin_a_job_before_its_result_is_taken(tmp_path: Path) -> None:
+    file, last = tmp_path / "touched", time.monotonic() + 30
+    with Workers(int, processes=2) as workers:
+        results = workers.map(touch, [str(file)])
+        while not file.exists() and time.monotonic() < last:
+            time.sleep(0.01)
+        assert file.exists()
+        assert [*results] == [None]
+
+
+NEW_ROBOT = """
+import sys
+from pathlib import Path
+from app.cli import robots
+
+def helpers():
+    raise SystemExit("app.onboarding.new_robot" in sys.modules)
+
+robots.helpers = helpers
+robots.new_robot({"urdf": "robot.urdf", "base": "base", "tip": "hand", "out": Path("made")})
+"""
+
+
+def test_processes_that_help_to_make_a_robot_begin_before_their_parent_imports_what_they_do(
+    tmp_path: Path,
+) -> None:
+    """Both imports take seconds; else they came one after the other."""
+    script = tmp_path / "script.py"
+    script.write_text(NEW_ROBOT)
+    _, errors = (process := start(script, tmp_path)).communicate(timeout=60)
+    assert (process.returncode, errors) == (0, "")

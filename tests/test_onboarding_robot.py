@@ -51,7 +51,7 @@ from app.onboarding.fit.postures import Side, line_from
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
-from app.onboarding.report import report_html
+from app.onboarding.report import draw, report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of
 from app.onboarding.write import description_text, mesh_name
@@ -515,7 +515,8 @@ def test_a_flat_link_seen_from_its_side_is_drawn(finished: tuple[NewRobot, Borde
     part = base.parts[0]
     sheet = part._replace(corners=part.corners * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.1])
     meetings = replace(made.meetings, units=(base._replace(parts=(sheet,)), *others))
-    page = report_html(replace(made, meetings=meetings), data)
+    flat = replace(made, meetings=meetings)
+    page = report_html(flat, data, draw(None, (flat, data)))
     assert page.count("data:image/png") >= 2
 
 

@@ -67,56 +67,55 @@ class Workers(AbstractContextManager["Workers"]):
     ) -> Iterator[Result]:
         """The results of all jobs, in their order, each as soon as it is there.
 
-        `on_progress` is called, where the results are taken, with the mean of the shares of the
-        jobs that are done, 0 to 1, which never falls. A function that `tells` takes a third
-        argument, to be called with the share of its job; of any other's only the end counts.
+        Processes begin at once, so that other work can be done before the results are taken; within
+        this one a job is done when its result is. `on_progress` is called, where they are taken,
+        with the mean of the shares of the jobs that are done, 0 to 1, which never falls. A function
+        that `tells` takes a third argument, to be called with the share of its job; of any other's
+        only the end counts.
         """
-        done, shares = 0, _Shares(len(jobs), on_progress)
-        if self._processes > 1:
-            try:
-                for result in self._shared(function, jobs, shares, tells):
-                    done += 1
-                    yield result
-            except _GoneError:
-                self._go_on_alone()
-        if done < len(jobs) and self._own is None:
-            self._own = self._make_context()
-        for number, job in enumerate(jobs[done:], done):
-            tell = partial(shares.tell, number)
-            result = function(self._own, job, *([tell] if tells else []))
-            tell(1.0)
-            yield result
-
-    def _shared(
-        self, function: Callable[..., Result], jobs: Sequence[Any], shares: _Shares, tells: bool
-    ) -> Iterator[Result]:
-        """The results by the processes; what their threads are told is passed on by this one."""
-        told: SimpleQueue[tuple[int, float]] = SimpleQueue()
+        shares, tasks = _Shares(len(jobs), on_progress), [(function, job, tells) for job in jobs]
         asked: list[Future[Result]] = []
+        if self._processes > 1:
+            for number, task in enumerate(tasks):
+                tell = partial(shares.send, number)
+                asked.append(self._threads.submit(self._ask, task, tell))
+                asked[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
+        return self._results(tasks, asked, shares)
+
+    def _results(
+        self, tasks: Sequence[_Task], asked: Sequence[Future[Result]], shares: _Shares
+    ) -> Iterator[Result]:
+        done = 0
         try:
-            for number, job in enumerate(jobs):
-                asked.append(self._threads.submit(self._ask, (function, job, tells), number, told))
-                asked[-1].add_done_callback(lambda _, number=number: told.put((number, 1.0)))
-            for number, future in enumerate(asked):
-                while shares.of[number] < 1.0:
-                    shares.tell(*told.get())
+            for future in asked:
+                shares.wait_for(done)
                 yield future.result()
+                done += 1
+        except _GoneError:
+            self._go_on_alone()
         finally:
             for future in asked:
                 future.cancel()
+        if done < len(tasks) and self._own is None:
+            self._own = self._make_context()
+        for number, task in enumerate(tasks[done:], done):
+            result = _do(task, self._own, partial(shares.take, number))
+            shares.take(number, 1.0)
+            yield result
 
     def _go_on_alone(self) -> None:
-        _log.warning("worker processes cannot run here; going on in one process")
+        if self._processes > 1:  # else others that were begun have said so
+            _log.warning("worker processes cannot run here; going on in one process")
         self._processes = 1
         self._end()
 
-    def _ask(self, task: tuple[Any, ...], number: int, told: SimpleQueue[tuple[int, float]]) -> Any:
+    def _ask(self, task: _Task, tell: OnProgress) -> Any:
         """Have an idle process do a job; there is one for each thread that waits here."""
         child = self._idle.get()
         try:
             child.sender.send(task)
             while not isinstance(received := child.receiver.recv(), Outcome):
-                told.put((number, received))
+                tell(received)
         except (EOFError, OSError):
             raise _GoneError from None
         finally:
@@ -137,16 +136,34 @@ class _GoneError(LoopError):
 
 
 class _Shares:
-    """How much of each job is done."""
+    """How much of each job is done, as whoever does them tells it to the thread that waits."""
 
     def __init__(self, jobs: int, on_progress: OnProgress) -> None:
-        self.of, self._on_progress = [0.0] * jobs, on_progress
-        """0 to 1, by the job's number."""
+        self._of, self._on_progress = [0.0] * jobs, on_progress
+        self._sent: SimpleQueue[tuple[int, float]] = SimpleQueue()
 
-    def tell(self, number: int, share: float) -> None:
-        """Take the share of a job, which may begin again, and pass on that of all of them."""
-        self.of[number] = max(self.of[number], share)
-        self._on_progress(sum(self.of) / len(self.of))
+    def send(self, number: int, share: float) -> None:
+        """Tell the share of a job; any thread may."""
+        self._sent.put((number, share))
+
+    def wait_for(self, number: int) -> None:
+        """Take what is sent until a job is done."""
+        while self._of[number] < 1.0:
+            self.take(*self._sent.get())
+
+    def take(self, number: int, share: float) -> None:
+        """Take the share of a job, which may have begun again, and pass on that of all of them."""
+        self._of[number] = max(self._of[number], share)
+        self._on_progress(sum(self._of) / len(self._of))
+
+
+_Task = tuple[Callable[..., Any], Any, bool]
+"""A function, its job, and whether it tells the share of that."""
+
+
+def _do(task: _Task, context: Any, tell: OnProgress) -> Any:
+    function, job, tells = task
+    return function(context, job, *([tell] if tells else []))
 
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
@@ -154,5 +171,4 @@ def _work(receiver: Connection, sender: Connection, make_context: Callable[[], A
     context = make_context()
     with suppress(EOFError):
         while True:
-            function, job, tells = receiver.recv()
-            sender.send(Outcome.of(function, context, job, *([sender.send] if tells else [])))
+            sender.send(Outcome.of(_do, receiver.recv(), context, sender.send))

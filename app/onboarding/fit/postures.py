@@ -151,10 +151,6 @@ class Place(NamedTuple):
         return {"start_m": self.start, "move_m": self.move, "source": source}
 
 
-SIDES = ("guiding-lateral", "guiding-front")
-"""Scenarios that lead the hand towards the base."""
-
-
 def find_place(
     model: RobotModel,
     pairs: LinkPairs,
@@ -270,7 +266,7 @@ class Side(NamedTuple):
     """From where a line is looked for, as a process of its own does."""
 
     name: str
-    """Of the scenario, one of `SIDES`."""
+    """Of the scenario, one of `app.onboarding.SIDES`."""
     model: RobotModel
     data: BorderData
     anyway: bool
