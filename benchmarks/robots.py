@@ -110,11 +110,8 @@ def robot_table(
         for robot in robots
         for case in cases
     ]
-    rows: list[Row] = []
     with Workers(tuple, processes) as workers:  # the jobs share nothing
-        for k, found in enumerate(workers.map(_compared, jobs), start=1):
-            rows += found
-            on_progress(k / len(jobs))
+        rows = [row for found in workers.map(_compared, jobs, on_progress) for row in found]
     limits = {
         "clearance_limit_m": CLEARANCE_LIMIT,
         "hand_error_limit_m": ERROR_LIMIT,

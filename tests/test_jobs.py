@@ -6,13 +6,15 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import psutil
 import pytest
 
 from app.jobs.pool import Workers
-from tests.jobs import add
+from tests.jobs import add, add_slowly, touch
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -169,3 +171,62 @@ def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> N
         with Workers(int) as workers:
             assert len(psutil.Process().children()) - len(begun) == (cores if cores > 1 else 0)
             assert [*workers.map(add, [1, 2])] == [1, 2]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_pool_tells_the_share_of_all_jobs_while_they_are_done(processes: int) -> None:
+    told: list[tuple[float, threading.Thread]] = []
+
+    def on_progress(share: float) -> None:
+        told.append((share, threading.current_thread()))
+
+    with Workers(int, processes) as workers:
+        results = workers.map(add_slowly, [1, 2, 3, 4], on_progress, tells=True)
+        assert [*results] == [1, 2, 3, 4]
+    shares = [share for share, _ in told]
+    assert shares == sorted(shares)
+    assert {*shares} >= {k / 16 for k in range(13, 17)}  # those of the last job, and its end
+    assert len({*shares}) == 16
+    assert {thread for _, thread in told} == {threading.current_thread()}  # which hears Ctrl-C
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_of_jobs_that_tell_nothing_a_pool_tells_how_many_are_done(processes: int) -> None:
+    shares: list[float] = []
+    with Workers(int, processes) as workers:
+        assert [*workers.map(add, [1, 2, 3, 4], shares.append)] == [1, 2, 3, 4]
+        assert [*workers.map(add, [], shares.append)] == []
+    assert shares == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_processes_begin_a_job_before_its_result_is_taken(tmp_path: Path) -> None:
+    file, last = tmp_path / "touched", time.monotonic() + 30
+    with Workers(int, processes=2) as workers:
+        results = workers.map(touch, [str(file)])
+        while not file.exists() and time.monotonic() < last:
+            time.sleep(0.01)
+        assert file.exists()
+        assert [*results] == [None]
+
+
+NEW_ROBOT = """
+import sys
+from pathlib import Path
+from app.cli import robots
+
+def helpers():
+    raise SystemExit("app.onboarding.new_robot" in sys.modules)
+
+robots.helpers = helpers
+robots.new_robot({"urdf": "robot.urdf", "base": "base", "tip": "hand", "out": Path("made")})
+"""
+
+
+def test_processes_that_help_to_make_a_robot_begin_before_their_parent_imports_what_they_do(
+    tmp_path: Path,
+) -> None:
+    """Both imports take seconds; else they came one after the other."""
+    script = tmp_path / "script.py"
+    script.write_text(NEW_ROBOT)
+    _, errors = (process := start(script, tmp_path)).communicate(timeout=60)
+    assert (process.returncode, errors) == (0, "")

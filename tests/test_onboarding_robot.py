@@ -51,7 +51,7 @@ from app.onboarding.fit.postures import Side, line_from
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
-from app.onboarding.report import report_html
+from app.onboarding.report import draw, report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of
 from app.onboarding.write import description_text, mesh_name
@@ -81,14 +81,28 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[NewRobot, BorderData]:
+def told() -> dict[str, list[float]]:
+    """The shares that were told while the toy was made, by what was done."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def finished(
+    tmp_path_factory: pytest.TempPathFactory, told: dict[str, list[float]]
+) -> tuple[NewRobot, BorderData]:
     """The toy from a zip, made with few samples, in a folder of its own with a cache of its own."""
     folder = tmp_path_factory.mktemp("toy")
     text = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
     path = zipped(folder, {"toy/u/toy.urdf": text, "toy/meshes/m.stl": cube(), "toy/LICENSE": ""})
     with few_samples(folder) as sampling:
         request = Request(urdf=str(path), base="base", tip="hand", out=folder / "toy")
-        return finish(request, processes=1, sampling=sampling)
+        return finish(
+            request,
+            processes=1,
+            sampling=sampling,
+            tell=lambda text: told.update({text: []}),
+            on_progress=lambda share: [*told.values()][-1].append(share),
+        )
 
 
 @pytest.fixture(scope="module")
@@ -258,6 +272,18 @@ def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewR
     assert len(same.random.q_m) == 300
 
 
+def test_while_places_are_looked_for_progress_is_told_all_the_way(
+    finished: tuple[NewRobot, BorderData], told: dict[str, list[float]]
+) -> None:
+    """Each side takes seconds: by whole sides it would stand still at 0, 50 and 100 %."""
+    shares = told["looking for places to guide the hand"]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.01
+    assert shares[-1] == 1.0
+    for begin in (0.0, 0.5):  # also within either side
+        assert len({share for share in shares if begin < share < begin + 0.5}) > 10
+
+
 def test_processes_of_their_own_find_what_one_finds(
     finished: tuple[NewRobot, BorderData], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -267,7 +293,11 @@ def test_processes_of_their_own_find_what_one_finds(
     side = Side("guiding-lateral", made.model, data, anyway=False)
     with Workers(tuple, 2) as workers:
         there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
-        assert [*workers.map(line_from, [side])] == [line_from(None, side)]
+        shares: list[float] = []
+        lines = workers.map(line_from, [side], shares.append, tells=True)
+        assert [*lines] == [line_from(None, side)]
+    assert shares == sorted(shares)
+    assert len({*shares}) > 10
     for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
         for a, b in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(a, b)
@@ -485,7 +515,8 @@ def test_a_flat_link_seen_from_its_side_is_drawn(finished: tuple[NewRobot, Borde
     part = base.parts[0]
     sheet = part._replace(corners=part.corners * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.1])
     meetings = replace(made.meetings, units=(base._replace(parts=(sheet,)), *others))
-    page = report_html(replace(made, meetings=meetings), data)
+    flat = replace(made, meetings=meetings)
+    page = report_html(flat, data, draw(None, (flat, data)))
     assert page.count("data:image/png") >= 2
 
 

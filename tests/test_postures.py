@@ -12,8 +12,9 @@ import pytest
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.config import Config
+from app.onboarding import SIDES
 from app.onboarding.fit import postures
-from app.onboarding.fit.postures import SIDES, Place, chosen, find_place, gives_way
+from app.onboarding.fit.postures import Place, chosen, find_place, gives_way
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import Box

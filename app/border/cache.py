@@ -156,7 +156,7 @@ def load_border_data(
     sampling: SamplingConfig | None = None,
     progress: bool = True,
     processes: int | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> BorderData:
     """Pairs and clouds of a robot: kept ones, or sampled on so many processes, or all cores.
 

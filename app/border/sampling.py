@@ -5,7 +5,7 @@ Either stage is made of jobs for worker processes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from app.border.dbb import POINT_UNIT, Cloud, make_cloud, quantise_distances, qu
 from app.border.flood import Flood, PairReader, Voxels
 from app.border.mobile import MobileBody
 from app.jobs.pool import Workers
-from app.jobs.progress import progress_bar
+from app.jobs.progress import OnProgress, part_of, progress_bar
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import Pair, sample_joints
 from app.robot.model import RobotModel
@@ -32,7 +32,7 @@ def sample_clouds(
     *,
     progress: bool = True,
     processes: int | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Cloud]:
     """P_i of Algorithm 1 for each pair: closest points on the arm's body, one a voxel.
 
@@ -46,45 +46,43 @@ def sample_clouds(
     """
     make_context = partial(Context, model.description, config)
     seeds = np.random.SeedSequence(config.seed).spawn(len(pairs))
-    total = max(len(pairs) * (_SEED_JOBS + config.sectors), 1)  # not the later rounds: short ones
-    bar = progress_bar("sampling the border", total, shown=progress)
+    bar = progress_bar("sampling the border", 1.0, shown=progress)
     with bar as update, Workers(make_context, processes) as workers:
-        done = 0
 
-        def advance() -> None:
-            nonlocal done
-            done += 1
-            update(min(done, total))
-            if on_progress is not None:
-                on_progress(min(done / total, 1.0))
+        def tell(share: float) -> None:
+            update(share)
+            on_progress(share)
 
-        sampler = _Sampler(Context(model.description, config), workers, advance)
+        sampler = _Sampler(Context(model.description, config), workers, tell)
         return sampler.run(pairs, seeds)
 
 
 class _Sampler:
     """The stages of the sampling, over all pairs at once so that no core waits."""
 
-    def __init__(self, context: Context, workers: Workers, advance: Callable[[], None]) -> None:
+    def __init__(self, context: Context, workers: Workers, on_progress: OnProgress) -> None:
         self._voxels, self._config = context.voxels, context.config
-        self._workers, self._advance = workers, advance
+        self._workers, self._on_progress = workers, on_progress
+        self._flood = _SEED_JOBS / (_SEED_JOBS + context.config.sectors)
+        """[-] of the work, the share after which the flood begins."""
 
     def run(
         self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
     ) -> dict[str, Cloud]:
-        """All stages; rounds after the first start at the seams between sectors."""
+        """All stages; rounds after the first, which are short, start at the seams of sectors."""
         found = self._starts(pairs, seeds)
         kept = {pair: start.none() for pair, start in found.items()}
+        tell = part_of(self._on_progress, self._flood, 1.0)
         for _ in range(self._config.rounds):
             jobs = [
                 job
                 for pair, seed in zip(pairs, seeds, strict=True)
                 for job in self._sector_jobs(pair, seed, found[pair], kept[pair])
             ]
-            for job, result in zip(jobs, self._workers.map(flood_sector, jobs), strict=True):
+            results = self._workers.map(flood_sector, jobs, tell)
+            for job, result in zip(jobs, results, strict=True):
                 kept[job.pair] = kept[job.pair].plus(result)
-                self._advance()
-            found = kept
+            found, tell = kept, lambda _: None
         return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
 
     def _starts(
@@ -97,10 +95,11 @@ class _Sampler:
             for child in seed.spawn(_SEED_JOBS)
         ]
         starts: dict[Pair, Kept] = {}
-        for job, result in zip(jobs, self._workers.map(sample_shell, jobs), strict=True):
+        tell = part_of(self._on_progress, 0.0, self._flood)
+        results = self._workers.map(sample_shell, jobs, tell)
+        for job, result in zip(jobs, results, strict=True):
             so_far = starts.get(job.pair)
             starts[job.pair] = result if so_far is None else so_far.plus(result)
-            self._advance()
         return starts
 
     def _sector_jobs(

@@ -17,6 +17,7 @@ from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
+from app.onboarding import helpers
 from app.onboarding.request import Request, check_request
 
 if TYPE_CHECKING:
@@ -121,12 +122,12 @@ def new_robot(
     """
     asked = Request(**request)
     check_request(asked)
-    # Imported here: matplotlib, scipy and trimesh would make every other command start later.
-    from app.border.config import QUICK
-    from app.onboarding.new_robot import finish
-
     begin = perf_counter()
-    with ExitStack() as step:
+    with helpers() as workers, ExitStack() as step:
+        # Imported here: matplotlib, scipy and trimesh would make every other command start later.
+        from app.border.config import QUICK
+        from app.onboarding.new_robot import finish
+
         share: Callable[[float], None] = lambda _: None  # noqa: E731
 
         def tell(text: str) -> None:
@@ -137,6 +138,7 @@ def new_robot(
 
         robot, data = finish(
             asked,
+            workers,
             tell=tell,
             sampling=QUICK if quick else None,
             on_progress=lambda part: share(part),

@@ -21,6 +21,7 @@ from app.control import CONTROLLERS
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled, Report, run_in_process
+from app.onboarding import helpers
 from app.system import give_freed_memory_back, usable_cores, write_whole
 
 if TYPE_CHECKING:
@@ -251,8 +252,6 @@ def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
 
 def build_robot(report: Report, request: Request) -> None:
     """Description, border and report of a new robot, in the folder that the request names."""
-    from app.onboarding.new_robot import finish
-
     text = ""
 
     def say(what: str) -> None:
@@ -260,12 +259,16 @@ def build_robot(report: Report, request: Request) -> None:
         text = what
         report(text, -1.0)
 
-    finish(
-        request,
-        tell=say,
-        processes=_CORES,
-        on_progress=lambda share: report(text, share),
-    )
+    with helpers(_CORES) as workers:
+        from app.onboarding.new_robot import finish
+
+        finish(
+            request,
+            workers,
+            tell=say,
+            processes=_CORES,
+            on_progress=lambda share: report(text, share),
+        )
 
 
 def check_rows(report: Report, robot: str) -> list[Row]:

@@ -1,8 +1,10 @@
 """Process pool: the same function for many jobs on all cores, in the order of the jobs."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
@@ -13,9 +15,9 @@ from typing_extensions import Self
 
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome
+from app.jobs.progress import OnProgress
 from app.system import usable_cores
 
-Job = TypeVar("Job")
 Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
 
@@ -55,38 +57,70 @@ class Workers(AbstractContextManager["Workers"]):
         self._threads.shutdown(cancel_futures=True)
         self._end()
 
-    def map(self, function: Callable[[Any, Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-        """The results of all jobs, in their order, each as soon as it is there."""
-        done = 0
+    def map(
+        self,
+        function: Callable[..., Result],
+        jobs: Sequence[Any],
+        on_progress: OnProgress = lambda _: None,
+        *,
+        tells: bool = False,
+    ) -> Iterator[Result]:
+        """The results of all jobs, in their order, each as soon as it is there.
+
+        Processes begin at once, so that other work can be done before the results are taken; within
+        this one a job is done when its result is. `on_progress` is called, where they are taken,
+        with the mean of the shares of the jobs that are done, 0 to 1, which never falls. A function
+        that `tells` takes a third argument, to be called with the share of its job; of any other's
+        only the end counts.
+        """
+        shares, tasks = _Shares(len(jobs), on_progress), [(function, job, tells) for job in jobs]
+        asked: list[Future[Result]] = []
         if self._processes > 1:
-            try:
-                for result in self._threads.map(partial(self._ask, function), jobs):
-                    done += 1
-                    yield result
-            except _GoneError:
-                self._go_on_alone()
-        if done < len(jobs):
-            if self._own is None:
-                self._own = self._make_context()
-            for job in jobs[done:]:
-                yield function(self._own, job)
+            for number, task in enumerate(tasks):
+                tell = partial(shares.send, number)
+                asked.append(self._threads.submit(self._ask, task, tell))
+                asked[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
+        return self._results(tasks, asked, shares)
+
+    def _results(
+        self, tasks: Sequence[_Task], asked: Sequence[Future[Result]], shares: _Shares
+    ) -> Iterator[Result]:
+        done = 0
+        try:
+            for future in asked:
+                shares.wait_for(done)
+                yield future.result()
+                done += 1
+        except _GoneError:
+            self._go_on_alone()
+        finally:
+            for future in asked:
+                future.cancel()
+        if done < len(tasks) and self._own is None:
+            self._own = self._make_context()
+        for number, task in enumerate(tasks[done:], done):
+            result = _do(task, self._own, partial(shares.take, number))
+            shares.take(number, 1.0)
+            yield result
 
     def _go_on_alone(self) -> None:
-        _log.warning("worker processes cannot run here; going on in one process")
+        if self._processes > 1:  # else others that were begun have said so
+            _log.warning("worker processes cannot run here; going on in one process")
         self._processes = 1
         self._end()
 
-    def _ask(self, function: Callable[[Any, Job], Result], job: Job) -> Result:
+    def _ask(self, task: _Task, tell: OnProgress) -> Any:
         """Have an idle process do a job; there is one for each thread that waits here."""
         child = self._idle.get()
         try:
-            child.sender.send((function, job))
-            outcome = child.receiver.recv()
+            child.sender.send(task)
+            while not isinstance(received := child.receiver.recv(), Outcome):
+                tell(received)
         except (EOFError, OSError):
             raise _GoneError from None
         finally:
             self._idle.put(child)
-        return outcome.value()
+        return received.value()
 
     def _end(self) -> None:
         for child in self._children:
@@ -101,10 +135,40 @@ class _GoneError(LoopError):
     """A process has ended."""
 
 
+class _Shares:
+    """How much of each job is done, as whoever does them tells it to the thread that waits."""
+
+    def __init__(self, jobs: int, on_progress: OnProgress) -> None:
+        self._of, self._on_progress = [0.0] * jobs, on_progress
+        self._sent: SimpleQueue[tuple[int, float]] = SimpleQueue()
+
+    def send(self, number: int, share: float) -> None:
+        """Tell the share of a job; any thread may."""
+        self._sent.put((number, share))
+
+    def wait_for(self, number: int) -> None:
+        """Take what is sent until a job is done."""
+        while self._of[number] < 1.0:
+            self.take(*self._sent.get())
+
+    def take(self, number: int, share: float) -> None:
+        """Take the share of a job, which may have begun again, and pass on that of all of them."""
+        self._of[number] = max(self._of[number], share)
+        self._on_progress(sum(self._of) / len(self._of))
+
+
+_Task = tuple[Callable[..., Any], Any, bool]
+"""A function, its job, and whether it tells the share of that."""
+
+
+def _do(task: _Task, context: Any, tell: OnProgress) -> Any:
+    function, job, tells = task
+    return function(context, job, *([tell] if tells else []))
+
+
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
     """What each process does, until its parent wants no more."""
     context = make_context()
     with suppress(EOFError):
         while True:
-            function, job = receiver.recv()
-            sender.send(Outcome.of(function, context, job))
+            sender.send(Outcome.of(_do, receiver.recv(), context, sender.send))

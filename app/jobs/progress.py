@@ -13,6 +13,9 @@ from types import FrameType
 from app.errors import BrowserError, DbbError
 from app.system import ENDING, wake_children
 
+OnProgress = Callable[[float], None]
+"""Takes the share of some work that is done, 0 to 1."""
+
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
 _LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
 _TIDYING = 1.0  # [s] for what is done at its exit, once it is late
@@ -38,6 +41,14 @@ def progress_bar(
             update(done)
 
         yield on_progress
+
+
+def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
+    """What takes the share of a part of some work, and tells it as a share of the whole.
+
+    The part is from one share of the whole to another, 0 to 1.
+    """
+    return lambda share: on_progress(begin + (end - begin) * share)
 
 
 def _raise_what_was_lost() -> None:

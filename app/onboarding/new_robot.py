@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -18,13 +17,14 @@ import numpy as np
 from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
 from app.errors import DbbError, RobotFileError
-from app.jobs.pool import Workers
+from app.jobs.pool import ALONE, Workers
+from app.jobs.progress import OnProgress
+from app.onboarding import SIDES
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, make_units, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
-    SIDES,
     Place,
     Ready,
     Side,
@@ -54,7 +54,6 @@ from app.onboarding.read.wheels import (
     stands_on_floor,
     with_rigid_suspensions,
 )
-from app.onboarding.report import report_html
 from app.onboarding.request import Request, named, package_folders
 from app.onboarding.warn import (
     borne_push,
@@ -73,7 +72,7 @@ from app.onboarding.write import (
 )
 from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
-from app.system import usable_cores, write_whole
+from app.system import write_whole
 
 _log = logging.getLogger(__name__)
 
@@ -83,6 +82,8 @@ _OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
 _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 PREFIX = "arm_"
 """Before the names of an arm's links and joints that the base has too."""
+_URDF = "robot.urdf"
+"""The new one, in the robot's folder."""
 
 
 @dataclass(frozen=True)
@@ -129,18 +130,19 @@ class NewRobot:
 
 def finish(
     request: Request,
+    workers: Workers = ALONE,
     *,
     tell: Callable[[str], None] = lambda _: None,
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
-    on_progress: Callable[[float], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
     """Make a robot and its border, and only then put its folder in its place.
 
     The border is sampled by all usable cores, or `processes`; a coarse one, of a `sampling` of its
-    own, by this process, which takes less long than to start others. What else there is to share
-    takes as many processes as there are sides, at most. `tell` is called with what is being done,
-    `on_progress` with the share of a long step that is, 0 to 1: of bodies, border and places.
+    own, by this process, which takes less long than to start others. `workers` share what else
+    there is to share. `tell` is called with what is being done, `on_progress` with the share of a
+    long step that is, 0 to 1: of bodies, border and places.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.
@@ -156,9 +158,7 @@ def finish(
         doing = what
         tell(what)
 
-    prepare = partial(import_module, line_from.__module__)
-    workers = Workers(prepare, min(processes or usable_cores(), len(SIDES)))
-    with whole_folder(request.out) as folder, _one_message(lambda: doing), workers:
+    with whole_folder(request.out) as folder, _one_message(lambda: doing):
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
             path = open_package(Path(request.urdf), folder, request.file)
@@ -174,9 +174,16 @@ def finish(
         robot, data = make_robot(
             request, folder, border, workers, tell=say, on_progress=on_progress
         )
+        say("looking for places to guide the hand")
+        lines = _lines(robot, data, workers, on_progress)
+        # Imported here: the processes, which import this module, begin sooner without matplotlib.
+        from app.onboarding.report import draw, report_html
+
+        pictures = workers.map(draw, [(robot, data)])  # by the process that ends its line first
+        robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
-        page = report_html(robot, data)
+        page = report_html(robot, data, next(pictures))
         write_whole(folder / "report.html", page)
     return robot, data
 
@@ -208,18 +215,18 @@ def make_robot(
     workers: Workers,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    on_progress: Callable[[float], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Everything but the report, which `finish` adds; its arguments and errors.
+    """Everything but guiding and the report, which `finish` adds; its arguments and errors.
 
     The URDF is written into the folder, a temporary one; `border` gives pairs and clouds, and
-    `workers` share random poses, reachability maps and places.
+    `workers` share random poses and reachability maps.
     """
     tell("reading the URDF")
     parsed = parse(request)
     header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
     urdf = rebased_urdf(parsed, name=request.name, header=header, home=folder)
-    path = folder / "robot.urdf"
+    path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
@@ -234,6 +241,7 @@ def make_robot(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
             f"give another number of --bodies than {len(bodies) - 1}, or another --seed"
         )
+    counted = find_reach(model, workers)
     tell("sampling the border")
     data = border(model)
     pairs = data.pairs
@@ -245,25 +253,37 @@ def make_robot(
     moving = _moving(request, parsed, model, ready)
     content = description(request, parsed, bodies, moving, unwatched)
     tell("counting the reachability")
-    reach = find_reach(compiled(content, path), pairs, workers)
+    near = {pair.b for pair in pairs.mobile}
+    reach = {body: each for body, each in counted if body in near}
     content["reachability"] = {name: each.content() for name, each in reach.items()}
-    tell("looking for places to guide the hand")
     model = compiled(content, path)
     held = holding_warning(carried_hand(model))
-    # An arm that cannot hold its hand avoids by itself: there any line shows it.
-    sides = [Side(name, model, data, anyway=bool(held)) for name in SIDES if pairs.mobile]
-    found: dict[str, Place | str] = {}
-    for side, place in zip(sides, workers.map(line_from, sides), strict=True):
-        found[side.name] = place
-        on_progress(len(found) / len(sides))
-    places = {name: each for name, each in found.items() if isinstance(each, Place)}
-    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
-    content["lines"] = {name: place.content() for name, place in places.items()}
-    model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen, ready, reach
-    robot = NewRobot(request, parsed, urdf, content, model, *fitted, places, lacking, held, [])
-    weak = push_warning(borne_push(model, pairs.mobile))
-    return replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)]), data
+    return NewRobot(request, parsed, urdf, content, model, *fitted, {}, {}, held, []), data
+
+
+def _lines(
+    robot: NewRobot, data: BorderData, workers: Workers, on_progress: OnProgress
+) -> Iterator[tuple[str, Place | str]]:
+    """Where the hand is guided from each side, or why nowhere, by the scenario; begun at once."""
+    # An arm that cannot hold its hand avoids by itself: there any line shows it.
+    anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
+    sides = [Side(name, robot.model, data, anyway=anyway) for name in names]
+    return zip(names, workers.map(line_from, sides, on_progress, tells=True), strict=True)
+
+
+def _with_lines(
+    robot: NewRobot, data: BorderData, folder: Path, lines: Mapping[str, Place | str]
+) -> NewRobot:
+    """The robot with its lines, and with all that there is to warn of."""
+    places = {name: each for name, each in lines.items() if isinstance(each, Place)}
+    lacking = {name: each for name, each in lines.items() if isinstance(each, str)}
+    told = {"lines": {name: place.content() for name, place in places.items()}}
+    content = robot.content | told
+    model = compiled(content, folder / _URDF)
+    robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
+    weak = push_warning(borne_push(model, data.pairs.mobile))
+    return replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
 
 
 def _fitted(
@@ -272,7 +292,7 @@ def _fitted(
     bare: RobotModel,
     workers: Workers,
     tell: Callable[[str], None],
-    on_progress: Callable[[float], None],
+    on_progress: OnProgress,
 ) -> tuple[Meetings, Grouping]:
     """Which links meet, and the bodies around groups of them."""
     d_b = request.d_b

@@ -5,7 +5,7 @@ What the URDF does not state is measured, counted, or assumed and said so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -15,10 +15,10 @@ import pinocchio as pin
 from app.border.reach import PEAK, ReachMap, reach_bodies, sample_reach_map
 from app.border.score import ReachFit, fit_reachability
 from app.errors import DescriptionError, RobotFileError
-from app.jobs.pool import ALONE, Workers
+from app.jobs.pool import Workers
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Steering, Wheels
-from app.robot.link_pairs import LinkPairs, sample_joints
+from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 
@@ -286,15 +286,17 @@ class Reach(NamedTuple):
         return with_source({}, {name: (value, self.source) for name, value in values.items()})
 
 
-def find_reach(model: RobotModel, pairs: LinkPairs, workers: Workers = ALONE) -> dict[str, Reach]:
-    """The coefficients of all bodies that can come near the base, by name; `workers` share them.
+def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
+    """The coefficients of all bodies that may come near the base, with their names.
 
-    A body that fewer than three joints move, or whose map (9) does not fit, gets a parabola about
-    the distances that it has in random poses: assumed, and said so.
+    `workers` begin at once, so that other work can be done before they are taken. A body that fewer
+    than three joints move, or whose map (9) does not fit, gets a parabola about the distances that
+    it has in random poses: assumed, and said so.
     """
-    bodies = [pair.b for pair in pairs.mobile]
+    mobile = model.body_names[0]
+    bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
     found = workers.map(_reach_of, [(model, body) for body in bodies])
-    return dict(zip(bodies, found, strict=True))
+    return zip(bodies, found, strict=True)
 
 
 def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -29,18 +29,34 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 
-def report_html(robot: NewRobot, data: BorderData) -> str:
+class Pictures(NamedTuple):
+    """Of a new robot, as PNG."""
+
+    bodies: bytes
+    border: bytes | None
+    """Or None if there is none."""
+    reach: bytes | None
+    """Or None if nothing was counted."""
+
+
+def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
+    """The pictures of a robot and its border, which its lines of guiding do not change."""
+    robot, data = job
+    return Pictures(bodies_png(robot), border_png(robot, data), reach_png(robot))
+
+
+def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
     """The page, for a robot and its border; it needs nothing else."""
-    pictures = (("Border", border_png(robot, data)), ("Reachability", reach_png(robot)))
+    more = (("Border", pictures.border), ("Reachability", pictures.reach))
     parts = [
         Part("Warnings", points=robot.warnings or ["none"]),
         Part(
             "Bodies over meshes, in the ready pose",
-            png=bodies_png(robot),
+            png=pictures.bodies,
             tables=[_bodies(robot)],
         ),
         Part("Pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
-        *(Part(title, png=png) for title, png in pictures if png is not None),
+        *(Part(title, png=png) for title, png in more if png is not None),
         Part("Coefficients of (9)", tables=[_reach(robot)]),
         Part("Base and arm", tables=[_numbers(robot)]),
     ]

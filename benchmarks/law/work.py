@@ -23,12 +23,8 @@ def played(play: Callable[[Case], Row], cases: Sequence[Case], jobs: int, text: 
         jobs: Processes; with one it is this one.
         text: What the progress bar says.
     """
-    rows: list[Row] = []
-    with progress_bar(text, len(cases)) as on_progress, Workers(tuple, max(jobs, 1)) as workers:
-        for row in workers.map(partial(_row, play), cases):
-            rows.append(row)
-            on_progress(len(rows))
-    return rows
+    with progress_bar(text, 1.0) as on_progress, Workers(tuple, max(jobs, 1)) as workers:
+        return list(workers.map(partial(_row, play), cases, on_progress))
 
 
 def _row(play: Callable[[Case], Row], _: object, case: Case) -> Row:

@@ -354,7 +354,10 @@ def sample_meetings(
     gaps = hull_distances(model, units, pairs, rare_q)
     found = replace(found, rare=Poses(rare_q, gaps, np.all(gaps[:, barred] > 0.0, axis=1)))
     if points:
-        _meet(found, model)
+        met: dict[tuple[int, int], Array] = {}
+        for masks in workers.map(_met, [(found, model, k) for k in range(len(pairs))]):
+            met.update(masks)
+        found = replace(found, met=met)
     return found
 
 
@@ -497,29 +500,29 @@ def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[
     return frozenset(pair for pair, share in zip(pairs, near, strict=True) if share > ALWAYS)
 
 
-def _meet(found: Meetings, model: RobotModel) -> None:
-    """Fill in which points of the units met."""
-    data, units = model.pin.createData(), found.units
-    for k, (a, b) in enumerate(found.pairs):
-        column = found.random.distances[:, k]
-        met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
-        # The shallow ones first: deep ones, where arms pass through each other, come last.
-        met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
-        poses = found.random.q_m[met_in]
-        if np.count_nonzero(column <= 0.0) < _RARE:
-            rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
-            poses = np.vstack([poses, rare])
-        if (a, b) in found.close or not len(poses):
-            continue
-        masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
-        for pose in poses:
-            q = model.configuration((0.0, 0.0, 0.0), pose)
-            pin.forwardKinematics(model.pin, data, q)
-            for (u, v), mask in masks.items():
-                T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])
-                left = np.flatnonzero(~mask)
-                mask[left] = _reached(moved(units[u].surface[left], T), units[v])
-        found.met.update(masks)
+def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
+    """Which points of its units met, of a pair by its column."""
+    found, model, k = job
+    data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
+    column = found.random.distances[:, k]
+    met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
+    # The shallow ones first: deep ones, where arms pass through each other, come last.
+    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
+    poses = found.random.q_m[met_in]
+    if np.count_nonzero(column <= 0.0) < _RARE:
+        rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
+        poses = np.vstack([poses, rare])
+    if (a, b) in found.close or not len(poses):
+        return {}
+    masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
+    for pose in poses:
+        q = model.configuration((0.0, 0.0, 0.0), pose)
+        pin.forwardKinematics(model.pin, data, q)
+        for (u, v), mask in masks.items():
+            T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])
+            left = np.flatnonzero(~mask)
+            mask[left] = _reached(moved(units[u].surface[left], T), units[v])
+    return masks
 
 
 def _reached(points: Array, unit: Unit) -> Array:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.control.tasks import carried as carried_by
 from app.errors import UnreachableError
+from app.jobs.progress import OnProgress, part_of
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
 from app.simulation.case import Planned
@@ -151,10 +151,6 @@ class Place(NamedTuple):
         return {"start_m": self.start, "move_m": self.move, "source": source}
 
 
-SIDES = ("guiding-lateral", "guiding-front")
-"""Scenarios that lead the hand towards the base."""
-
-
 def find_place(
     model: RobotModel,
     pairs: LinkPairs,
@@ -162,6 +158,7 @@ def find_place(
     *,
     shows: Callable[[Place], bool] = lambda _: True,
     anyway: bool = False,
+    on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
     """A line towards the base from its side or its front for a scenario, or why there is none.
 
@@ -174,6 +171,7 @@ def find_place(
 
     The line is one of which `shows` is true, as `gives_way`; where none is, one is taken `anyway`
     or not. For the pairs that avoidance watches, of which there has to be one with l_m.
+    `on_progress` is called with the share of places, and of postures, that were looked at.
     """
     d_b = model.description.config.border.d_b
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
@@ -184,7 +182,7 @@ def find_place(
     outs = np.arange(_FARTHEST, d_b + _OUTSIDE, -_NEARER).round(3).tolist()
     starts = list((_front if name == "guiding-front" else _lateral)(body, mount, outs))
     tried = [*product(starts, heights), *product(starts, last)]
-    return chosen(guide.lines(tried), d_b, shows, anyway=anyway)
+    return chosen(guide.lines(tried, on_progress), d_b, shows, anyway=anyway)
 
 
 _Start = tuple[Array, Array]
@@ -235,18 +233,27 @@ def chosen(
     )
 
 
-def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
+def gives_way(
+    model: RobotModel,
+    data: BorderData,
+    name: str,
+    place: Place,
+    on_progress: OnProgress = lambda _: None,
+) -> bool:
     """Whether the base gives way within d_b, the arm keeping away, when the hand is guided.
 
     The base does not where other parts of the arm meet first, which holds the hand, or where it
     would take the hand along. It may come back while the hand is held: its place at the end counts.
+    `on_progress` is called now and then with the share of the run that is over.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = Planned(model.description.name, line, model.description.config, physics="kinematic")
     moved = 0.0
     try:
         with closing(steps_of(run, model, data)) as steps:
-            for _, step in steps:
+            for k, (_, step) in enumerate(steps):
+                if k % 100 == 0:
+                    on_progress(step.t / line.duration)
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
@@ -259,18 +266,28 @@ class Side(NamedTuple):
     """From where a line is looked for, as a process of its own does."""
 
     name: str
-    """Of the scenario, one of `SIDES`."""
+    """Of the scenario, one of `app.onboarding.SIDES`."""
     model: RobotModel
     data: BorderData
     anyway: bool
     """Whether one is taken on which the base does not give way."""
 
 
-def line_from(_: object, side: Side) -> Place | str:
-    """The line from a side as `find_place` finds it, on which the base gives way."""
+def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -> Place | str:
+    """The line from a side as `find_place` finds it, on which the base gives way.
+
+    Of the progress, the search for lines and each run that there may be count as much.
+    """
     name, model, data, anyway = side
-    shows = partial(gives_way, model, data, name)
-    return find_place(model, data.pairs, name, shows=shows, anyway=anyway)
+    ends = np.linspace(0.0, 1.0, 2 + _MOST_RUNS)
+    parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
+    search = next(parts)
+
+    def shows(place: Place) -> bool:
+        return gives_way(model, data, name, place, next(parts))
+
+    pairs = data.pairs
+    return find_place(model, pairs, name, shows=shows, anyway=anyway, on_progress=search)
 
 
 class _Candidate(NamedTuple):
@@ -317,15 +334,23 @@ class _Guide:
         self._mobile = len(pairs.mobile)
         self._free, self._hands = _free_postures(self._search)
 
-    def lines(self, tried: Iterable[tuple[_Start, float]]) -> Iterator[Place]:
+    def lines(
+        self, tried: Sequence[tuple[_Start, float]], on_progress: OnProgress
+    ) -> Iterator[Place]:
         """Those from starts at heights [m], the most promising first.
 
         All are looked at with the arm pulled to their start from a posture nearby, which is quick.
         What is told of a line is of the posture with which a run begins, which is searched only for
         those that are asked for; none of them is beside another, and of those that do not lead into
         the inner part of the buffer there is one at most, where there is no other.
+        `on_progress` is called with the share of starts and postures that were looked at.
         """
-        found = [line for start, z in tried if (line := self._look(start, z)) is not None]
+        found: list[_Candidate] = []
+        most = len(tried) + _MOST_STARTS
+        for k, (start, z) in enumerate(tried):
+            on_progress(k / most)
+            if (line := self._look(start, z)) is not None:
+                found.append(line)
         asked: list[_Candidate] = []
         searched = 0
         for line in sorted(found, key=lambda each: each.rank):  # else as they come
@@ -333,6 +358,7 @@ class _Guide:
                 return
             if any(map(line.is_as, asked)):
                 continue
+            on_progress((len(tried) + searched) / most)
             searched += 1
             p, move = line.start, line.move
             try:

@@ -3,7 +3,6 @@
 Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import groupby
@@ -17,6 +16,7 @@ import numpy as np
 from app.border.cache import load_border_data
 from app.errors import StudyError
 from app.jobs.pool import Workers
+from app.jobs.progress import OnProgress, part_of
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_planned
@@ -74,9 +74,7 @@ def load(robot: str, d_b: float) -> StartFinder:
     return StartFinder(model, data, d_b)
 
 
-def sweep(
-    plan: SweepPlan, *, processes: int = 1, on_progress: Callable[[float], None] = lambda _: None
-) -> Row:
+def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
     """Lead the hand along all paths of a plan.
 
     Starts are searched once for all controllers and speeds. The result does not depend on the
@@ -95,14 +93,13 @@ def sweep(
     starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in KINDS}
     with Workers(make_context, processes) as workers:
-        for k, found in enumerate(workers.map(partial(_find_starts, plan), groups), start=1):
+        tell = part_of(on_progress, 0.0, START_SHARE)
+        for found in workers.map(partial(_find_starts, plan), groups, tell):
             starts += found
-            on_progress(START_SHARE * k / len(groups))
-        trials = list(plan.trials(starts))
-        results = workers.map(partial(_row, plan), trials)
-        for k, (trial, row) in enumerate(zip(trials, results, strict=True), start=1):
+        trials, tell = list(plan.trials(starts)), part_of(on_progress, START_SHARE, 1.0)
+        results = workers.map(partial(_row, plan), trials, tell)
+        for trial, row in zip(trials, results, strict=True):
             rows[trial.start.approach.kind].append(row)
-            on_progress(START_SHARE + (1.0 - START_SHARE) * k / len(trials))
     on_progress(1.0)
     return {
         "robot": plan.robot,
