@@ -7,6 +7,7 @@ acceleration that the arm will have.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -49,14 +50,6 @@ def velocity_bounds(state: RobotState, config: LimitConfig) -> Array:
     )
 
 
-def joint_bounds(state: RobotState, config: LimitConfig) -> Array:
-    """(2, n_m) lower and upper bound on q̈_m: the tighter of position and velocity."""
-    m, model = state.measurement, state.model
-    return kernels.joint_bounds(
-        m.q_m, m.qd_m, model.q_limits, model.qd_limits, config.position_rate, config.velocity_rate
-    )
-
-
 class ArmNow(NamedTuple):
     """What bounds the arm's part of a step, beside the robot's state."""
 
@@ -94,14 +87,21 @@ def robot_limits(
     J, least = np.zeros((0, model.n)), np.zeros(0)
     if kept is not None:
         J, least = kept.J, barrier_bounds(kept, config.barrier)
-    torque, pushed = model.tau_limits, np.zeros(model.n_m)
-    bounds = joint_bounds(state, config.limit)
-    if arm is not None:
-        qdd_b, torque, pushed = arm
-        room, rate = model.qd_limits - state.measurement.qd_m, config.limit.torque_rate
-        bounds = kernels.in_reach(M, h, torque, rate, bounds, room, qdd_b, pushed)
+    m, limit, rate = state.measurement, config.limit, config.limit.torque_rate
+    moving = (
+        m.q_m,
+        m.qd_m,
+        model.q_limits,
+        model.qd_limits,
+        limit.position_rate,
+        limit.velocity_rate,
+    )
+    if arm is None:
+        arm = ArmNow(np.zeros(model.n_b), model.tau_limits, np.zeros(model.n_m))
+        rate = math.inf
+    qdd_b, torque, pushed = arm
     return Limits(
-        *kernels.limit_rows(M, h, torque, bounds, model.qd_max, pushed, J, least),
+        *kernels.limit_rows(M, h, torque, rate, *moving, qdd_b, pushed, J, least),
         _softness(model.n_m, len(least), config.task.softness),
     )
 
