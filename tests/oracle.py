@@ -14,7 +14,7 @@ import pytest
 from scipy.optimize import nnls
 
 from app.avoidance.mobile_acceleration import ActingPointFinder
-from app.avoidance.task import TaskRows
+from app.avoidance.task import Distances, TaskRows
 from app.border.cache import BorderData
 from app.border.contours import Foot
 from app.border.offset import OffsetContours
@@ -22,7 +22,7 @@ from app.border.score import ScoreField
 from app.config import Config, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
-from app.control.limits import ArmNow, Barriers
+from app.control.limits import ArmNow
 from app.control.qp import Limits, Objective, TaskQP
 from app.control.tasks import EndEffectorError, EqualityTask
 from app.robot.model import RobotModel
@@ -65,10 +65,14 @@ class PlainState(RobotState):
         r = p_world - placement.translation
         return a.linear + pin.skew(a.angular) @ r + w @ (w @ r)
 
-    def pair_motion(
-        self, joint_a: int, joint_b: int, p: Array, n: Array
-    ) -> tuple[Array, float, float]:
+    def pair_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
         """As seen from the first body: nᵀ(a_b - a_a - 2 ω_a × v)."""
+        rows = [self._pair_motion(*each) for each in zip(joints, p, n, strict=True)]
+        J, bias, speed = (np.array(each) for each in zip(*rows, strict=True))
+        return J, bias, speed
+
+    def _pair_motion(self, joints: Array, p: Array, n: Array) -> tuple[Array, float, float]:
+        joint_a, joint_b = joints.tolist()
         J = self.point_jacobian(joint_b, p) - self.point_jacobian(joint_a, p)
         v = J @ self.qd
         w = self.data.oMi[joint_a].rotation @ self.data.v[joint_a].angular
@@ -194,7 +198,7 @@ def plain_rows(
 def plain_limits(
     state: RobotState,
     config: Config,
-    barriers: Barriers | None = None,
+    kept: Distances | None = None,
     *,
     arm: ArmNow | None = None,
 ) -> Limits:
@@ -221,10 +225,10 @@ def plain_limits(
     n = model.n_m
     most = model.qd_max  # joints' rows are in shares of it
     J, least = np.zeros((0, n + 2)), NONE
-    if barriers is not None:
-        J, keep = barriers.J, config.barrier
-        h = np.maximum(barriers.h, -keep.leaving / keep.rate)
-        least = -2 * keep.rate * barriers.speed - keep.rate**2 * h - barriers.Jdqd
+    if kept is not None:
+        J, keep = kept.J, config.barrier
+        h = np.maximum(kept.d, -keep.leaving / keep.rate)
+        least = -2 * keep.rate * kept.speed - keep.rate**2 * h - kept.Jdqd
     C, least = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], J]), least - J[:, 2:] @ extra
     return Limits(
         C,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from app.border.mobile import MobileBody
+from app.border.mobile import ConvexPart, MobileBody
 from app.border.offset import OffsetContours
-from app.robot.shapes import Box
+from app.robot.shapes import Box, convex_hull
+from tests.nearest import Placed
 from tests.robots import husky_panda, with_mobile_shapes
 
 HALF, CENTRE = np.array([0.495, 0.345, 0.19015]), np.array([0.0, 0.0, 0.1902])  # [m]
@@ -146,3 +148,32 @@ def test_the_distance_to_l_m_is_that_of_its_box():
     measured = MobileBody(husky_panda()).distance(p)
     np.testing.assert_allclose(measured[outside], box_distance(p)[outside], atol=1e-12)
     assert (measured[~outside] <= 0).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("points", [4, 12, 200])
+def test_the_distance_to_a_hull_is_the_librarys(seed: int, points: int):
+    """Outside and inside, with its gradient, on a hull that lies askew."""
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(points, 3)) * [0.3, 0.2, 0.05]
+    geometry, placement = convex_hull(corners), pin.exp6(rng.normal(size=6))
+    part, library = ConvexPart(geometry, placement), Placed(geometry, placement)
+    signs, middle = set(), corners.mean(axis=0)
+    for at in middle + rng.uniform(0.0, 2.0, (300, 1)) * (rng.choice(corners, 300) - middle):
+        p = placement.act(at)
+        d, n = part.distance_and_normal(p)
+        known, normal = library.distance(p)
+        assert d == pytest.approx(known, abs=1e-6)
+        if abs(d) > 1e-3:
+            np.testing.assert_allclose(p - d * n, p - known * normal, atol=2e-3 if d > 0 else 1e-5)
+        signs.add(d > 0.0)
+    assert signs == {False, True}
+
+
+def test_a_flat_hull_and_a_point_of_its_surface_have_a_distance():
+    geometry = convex_hull(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]))
+    part = ConvexPart(geometry, pin.SE3.Identity())
+    d, n = part.distance_and_normal(np.array([0.5, 0.5, 5e-5]))
+    assert d == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(n, [0.0, 0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(part.distances(np.array([[2.0, 2, 0]])), np.sqrt(2), atol=1e-6)

@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor, SmoothPoint
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor, SmoothPoints
 from app.avoidance.self_collision import SelfCollisionAvoidance
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
+from app.robot.shapes import Hull
 from app.robot.state import RobotState, at_rest
+from tests.nearest import library_nearest
+from tests.robots import husky_panda, with_mobile_shapes
 
 Array = np.ndarray
 
@@ -29,8 +32,9 @@ class Follower:
 
     def at(self, q_m: Array, *, smooth: bool) -> ClosestPoints:
         self.state.update(at_rest(self.state.model, q_m))
-        within = D_B if smooth else -np.inf
-        return self._monitor.find_closest_points(within=within, blend=BLEND)[0]
+        if smooth:
+            return self._monitor.find_nearest(BLEND).closest(0)
+        return self._monitor.find_closest_points()[0]
 
     def largest_step(self, direction: Array, reach: float, steps: int, *, smooth: bool) -> float:
         """[m] that p_b moves at most from one of evenly spaced postures to the next."""
@@ -111,13 +115,16 @@ def test_the_points_are_on_the_normal_behind_each_other(
         assert (c.core - c.p_b) @ c.n > 0.0
 
 
+BENT = Hull(type="hull", vertices_m=tuple(np.random.default_rng(5).normal(0.0, 0.1, (30, 3))))
+
+
 @pytest.mark.parametrize("pair", [("lm", "lEE"), ("lEE", "lm"), ("l1", "l3")])
-def test_the_kernel_has_the_librarys_distances(robot: RobotModel, pair: tuple[str, str]) -> None:
-    """Of boxes against capsules, and turned round, where a face may be nearest anywhere."""
+@pytest.mark.parametrize("hull", [False, True])
+def test_the_kernel_has_the_librarys_points(pair: tuple[str, str], hull: bool) -> None:
+    """Of boxes or hulls against capsules, and turned round, where a face may be nearest."""
+    robot = with_mobile_shapes((BENT,)) if hull else husky_panda()
     state, rng, found = RobotState(robot), np.random.default_rng(3), 0
-    smooth, plain = SmoothPoint(state, Pair(*pair)), SmoothPoint(state, Pair(*pair))
-    for part in (*plain._parts, *plain._faces):
-        part.placed = None
+    smooth = SmoothPoints(state, [Pair(*pair)])
     while found < 60:
         pose = rng.uniform(-1.0, 1.0, 3)
         state.update(at_rest(robot, rng.uniform(robot.q_lower, robot.q_upper), pose))
@@ -125,4 +132,5 @@ def test_the_kernel_has_the_librarys_distances(robot: RobotModel, pair: tuple[st
         if (points[1] - points[0]) @ points[2] < 0.01:
             continue
         found += 1
-        np.testing.assert_allclose(points, plain.by_library(BLEND)[0], atol=2e-5)
+        expected = library_nearest(state, Pair(*pair), BLEND, slice(None))
+        np.testing.assert_allclose(points, expected, atol=2e-5)

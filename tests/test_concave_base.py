@@ -8,16 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.avoidance.closest_points import DistanceMonitor, SmoothPoint
+from app.avoidance.closest_points import DistanceMonitor, SmoothPoints
+from app.avoidance.task import Distances
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.control.explanation import explain
-from app.control.limits import Barriers
+from app.control.limits import barrier_bounds
 from app.control.tasks import Reference
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.shapes import Box
 from app.robot.state import Measurement, RobotState
+from tests.nearest import library_nearest
 from tests.robots import husky_panda, with_mobile_shapes
 
 Array = np.ndarray
@@ -73,22 +75,20 @@ def asked(controller: Controller, m: Measurement, acceleration: Array) -> Contro
 
 def missed(output: ControlOutput) -> Array:
     """(k,) [m/s²] of what each barrier asks."""
-    barriers, workings = output.inserted.barriers, output.workings
-    assert barriers is not None
+    kept, workings = output.inserted.kept, output.workings
+    assert kept is not None
     assert workings is not None
-    return barriers.least(AT_ONCE.barrier) - barriers.J @ workings.qdd
+    return barrier_bounds(kept, AT_ONCE.barrier) - kept.J @ workings.qdd
 
 
 @pytest.mark.parametrize("name", ["dbb", "barrier"])
 def test_a_base_of_two_parts_is_kept_from_as_two_bases_of_one_part_each(
     border_data: BorderData, name: str
 ) -> None:
-    def kept(*shapes: Box) -> Barriers:
-        barriers = (
-            controller_of(border_data, name, *shapes).step(in_the_corner(0)).inserted.barriers
-        )
-        assert barriers is not None
-        return barriers
+    def kept(*shapes: Box) -> Distances:
+        found = controller_of(border_data, name, *shapes).step(in_the_corner(0)).inserted.kept
+        assert found is not None
+        return found
 
     n = len(border_data.pairs.mobile)
     for both, deck, wall in zip(kept(DECK, WALL), kept(DECK), kept(WALL), strict=True):
@@ -120,7 +120,7 @@ def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData
         found = []
         for s in np.linspace(-0.1, 0.1, steps + 1):
             controller.state.update(m._replace(q_m=m.q_m + s * np.array([0, 1, 0, 1, 0, 0, 0])))
-            closest = monitor.find_closest_points(within=0.3, blend=0.005)[0]
+            closest = monitor.find_nearest(0.005).closest(0)
             found.append([v for each in (closest, *closest.parts) for v in (each.n, each.core)])
             nearest.add(min(range(2), key=lambda k: closest.parts[k].d))
         return float(np.abs(np.diff(found, axis=0)).max())
@@ -133,12 +133,14 @@ def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData
 def test_the_kernel_has_the_librarys_points_of_each_part() -> None:
     state, blend = RobotState(with_mobile_shapes((DECK, WALL))), 0.005  # [m]
     state.update(in_the_corner(0))
-    for pair in (Pair("lm", "lEE"), Pair("lm", "l3")):
-        found, smooth = SmoothPoint(state, pair).find(blend), SmoothPoint(state, pair)
-        for part in (*smooth._parts, *smooth._faces):
-            part.placed = None
-        assert len(found) == 3
-        np.testing.assert_allclose(found, smooth.by_library(blend), atol=2e-5)
+    pairs = [Pair("lm", "lEE"), Pair("lm", "l3")]
+    smooth = SmoothPoints(state, pairs)
+    found = smooth.find(blend)
+    assert smooth.rows == [[0, 2, 3], [1, 4, 5]]
+    for pair, rows in zip(pairs, smooth.rows, strict=True):
+        for row, parts in zip(rows, (slice(2), slice(1), slice(1, 2)), strict=True):
+            expected = library_nearest(state, pair, blend, parts)
+            np.testing.assert_allclose(found[row], expected, atol=2e-5)
 
 
 def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:

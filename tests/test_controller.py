@@ -11,7 +11,7 @@ from app.border.cache import BorderData
 from app.config import Config, slowed
 from app.control.admittance import response
 from app.control.controller import Controller, ControlOutput
-from app.control.limits import base_limits, joint_bounds, robot_limits
+from app.control.limits import base_limits, robot_limits
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
     Reference,
@@ -221,9 +221,9 @@ def missing(state: RobotState, base: np.ndarray) -> float:
     hold = Reference(state.T_world_ee, np.zeros(6), np.zeros(6))
     task = end_effector_task(state, end_effector_error(state, hold), slow.task)
     wanted = task.b - task.J[:, :2] @ moved
-    return float(
-        np.linalg.norm(lsq_linear(task.J[:, 2:], wanted, joint_bounds(state, slow.limit)).fun)
-    )
+    joints = slice(7, 14)
+    bounds = [at[joints] * state.model.qd_max for at in robot_limits(state, slow)[1:3]]
+    return float(np.linalg.norm(lsq_linear(task.J[:, 2:], wanted, bounds).fun))
 
 
 def test_a_base_without_an_answer_costs_the_arm_nothing_and_is_counted(

@@ -18,6 +18,7 @@ from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
 from app.control.controller import CONTROLLERS, Controller, ControlOutput, Stack, Workings
 from app.control.estimate import ArmEstimate
 from app.control.explanation import Explanation, Level, NearPair, explain, level_readings, split
+from app.control.limits import barrier_bounds
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
     Reference,
@@ -377,9 +378,9 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
     for seed in range(6):
         why, output = explained(controllers["barrier"], near(robot, "lm-lEE", seed, 0.01, 0.06))
         qdd = qdd_of(controllers["barrier"], output)
-        barriers = output.inserted.barriers
-        bounds = barriers.least(AT_ONCE.barrier)
-        for J, least, pair in zip(barriers.J, bounds, output.avoidance.pairs, strict=True):
+        kept = output.inserted.kept
+        bounds = barrier_bounds(kept, AT_ONCE.barrier)
+        for J, least, pair in zip(kept.J, bounds, output.avoidance.pairs, strict=True):
             at = J @ qdd < least + AT_ONCE.task.softness + TOLERANCE
             name = pair.closest.pair.name
             assert (Bound(name, "barrier", upper=False) in why.bounds) == at

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
-from app.avoidance.task import distance_jacobian
+from app.avoidance.closest_points import DistanceMonitor
+from app.avoidance.task import Distances, distances_of
 from app.border.cache import BorderData
+from app.config import Config
 from app.control.limits import force_bound
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -19,25 +20,36 @@ from app.simulation.trace.snapshot import QUANTITIES
 from tests.robots import random_measurement
 
 
-def near(robot: RobotModel, border_data: BorderData, seed: int) -> tuple[RobotState, ClosestPoints]:
+class Near:
     """A random state with an arm that moves nowhere, and its nearest pair with the base."""
-    rng = np.random.default_rng(seed)
-    state = RobotState(robot)
-    monitor = DistanceMonitor(state, border_data.pairs.mobile)
-    while True:
-        m = random_measurement(rng)
-        state.update(m._replace(base_velocity=np.zeros(2), qd_m=np.zeros(7)))
-        closest = min(monitor.find_closest_points(), key=lambda each: each.d)
-        if 0.02 < closest.d < 0.15:
-            return state, closest
+
+    def __init__(self, robot: RobotModel, border_data: BorderData, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.state = RobotState(robot)
+        self._monitor = DistanceMonitor(self.state, border_data.pairs.mobile)
+        while True:
+            m = random_measurement(rng)
+            self.state.update(m._replace(base_velocity=np.zeros(2), qd_m=np.zeros(7)))
+            self._nearest = int(np.argmin(self._monitor.distances()))
+            if 0.02 < self.distance().d[0] < 0.15:
+                return
+
+    def distance(self) -> Distances:
+        """That pair's in the state as it is now."""
+        found = self._monitor.find_nearest(Config().activation.blend)
+        rows = slice(self._nearest, self._nearest + 1)
+        return distances_of(self.state, self._monitor.joints, found).of(rows)
+
+    def bound(self) -> float:
+        """[N]"""
+        return force_bound(self.state, self.distance())
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_at_rest_torques_within_their_limits_hold_the_bound_and_no_more(robot, border_data, seed):
-    state, closest = near(robot, border_data, seed)
-    bound = force_bound(state, closest)
-    J = distance_jacobian(state, closest).J[2:]
-    needed = state.g[2:] + bound * J
+    near = Near(robot, border_data, seed)
+    bound = near.bound()
+    needed = near.state.g[2:] + bound * near.distance().J[0, 2:]
     assert bound > 0.0
     assert np.max(np.abs(needed) / robot.tau_max) == pytest.approx(1.0)
 
@@ -46,30 +58,31 @@ def test_at_rest_torques_within_their_limits_hold_the_bound_and_no_more(robot, b
 def test_a_pair_that_comes_nearer_bears_less_by_what_stops_it_within_its_distance(
     robot, border_data, seed
 ):
-    state, closest = near(robot, border_data, seed)
-    still, J = force_bound(state, closest), distance_jacobian(state, closest).J[2:]
+    near = Near(robot, border_data, seed)
+    state, still, ((d,), (J,), *_) = near.state, near.bound(), near.distance()
+    J = J[2:]
     M = state.M[2:, 2:]
     along = np.linalg.solve(M, J)
     along /= J @ along  # (n_m,) joints' motion at a unit speed of the distance, the least energy
     speed = 0.2
     state.update(state.measurement._replace(qd_m=-speed * along))
-    force = still - force_bound(state, closest)
+    force = still - near.bound()
     energy = 0.5 * speed**2 * along @ M @ along
-    assert min(force, still) * closest.d == pytest.approx(min(energy, still * closest.d), rel=1e-6)
+    assert min(force, still) * d == pytest.approx(min(energy, still * d), rel=1e-6)
     state.update(state.measurement._replace(qd_m=speed * along))
-    assert force_bound(state, closest) == pytest.approx(still)  # it goes away
+    assert near.bound() == pytest.approx(still)  # it goes away
 
 
 def test_bodies_that_touch_bear_nothing(robot, border_data):
-    state, closest = near(robot, border_data, 0)
-    assert force_bound(state, closest._replace(d=0.0)) == 0.0
+    near = Near(robot, border_data, 0)
+    assert force_bound(near.state, near.distance()._replace(d=np.zeros(1))) == 0.0
 
 
 def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_data):
-    state, closest = near(robot, border_data, 0)
-    pair = SimpleNamespace(closest=closest, beta=0.5)
-    avoidance = SimpleNamespace(mobile=[pair, SimpleNamespace(closest=closest, beta=0.0)])
-    session: Any = SimpleNamespace(controller=SimpleNamespace(state=state))
+    near = Near(robot, border_data, 0)
+    twice = Distances(*[np.repeat(each, 2, axis=0) for each in near.distance()])
+    avoidance = SimpleNamespace(n_mobile=2, beta=(0.5, 0.0), near=twice)
+    session: Any = SimpleNamespace(controller=SimpleNamespace(state=near.state))
     quantity: Any = QUANTITIES["force_bound"]
 
     def step(t: float, **fields: Any) -> Any:
@@ -79,5 +92,5 @@ def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_da
     rows = [quantity.row(session, step(k / 1000))[0] for k in range(41)]
     known = [k for k, force in enumerate(rows) if not math.isnan(force)]
     assert known == [0, 20, 40]
-    assert quantity.take(session, step(0.007)) == rows[0] == force_bound(state, closest)
+    assert quantity.take(session, step(0.007)) == rows[0] == near.bound()
     assert math.isnan(quantity.take(session, step(0.007, pulls=())))

@@ -5,10 +5,11 @@ import pinocchio as pin
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
+from app.avoidance.task import distance_of
 from app.border.cache import BorderData
 from app.config import BarrierConfig, Config
 from app.control.controller import CONTROLLERS, Controller, ControlOutput
-from app.control.limits import barriers_of
+from app.control.limits import barrier_bounds
 from app.control.tasks import Reference, base_rest_acceleration
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -108,9 +109,9 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     output = controller.step(m, here(controller, towards))
     assert output.solved
     qdd = realised(controller, output)
-    barriers = output.inserted.barriers
-    assert barriers is not None
-    for J, least in zip(barriers.J, barriers.least(AT_ONCE.barrier), strict=True):
+    kept = output.inserted.kept
+    assert kept is not None
+    for J, least in zip(kept.J, barrier_bounds(kept, AT_ONCE.barrier), strict=True):
         assert J @ qdd >= least - 2 * Config().task.softness * (20.0 + abs(least))
 
 
@@ -125,8 +126,8 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
     pairs = PairDistances(robot, candidate_pairs(robot))
     index = [p.name for p in pairs.pairs].index("lm-lEE")
     (closest,) = DistanceMonitor(state, [pairs.pairs[index]]).find_closest_points()
-    barriers = barriers_of(state, [closest], config.d_min)
-    (J,), (least,) = barriers.J, barriers.least(config)
+    left = distance_of(state, closest).beyond(config.d_min)
+    (J,), (least,) = left.J, barrier_bounds(left, config)
 
     def distance(t: float) -> float:
         v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)

@@ -6,7 +6,7 @@ import pytest
 from finite_differences import jacobian
 
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
-from app.avoidance.task import distance_jacobian, generate_rep_acc
+from app.avoidance.task import TaskRows, distance_of, generate_rep_acc
 from app.border.cache import BorderData
 from app.config import RepulsionConfig
 from app.robot.link_pairs import PairDistances, candidate_pairs
@@ -39,12 +39,16 @@ class Moving:
         self.state.update(measurement)
         return self.monitor.find_closest_points()
 
+    def row(self, closest: ClosestPoints) -> TaskRows:
+        """That parts a pair."""
+        return generate_rep_acc(distance_of(self.state, closest), CONFIG, 1.0)
+
 
 @pytest.mark.parametrize("seed", range(6))
 def test_J_r_is_the_gradient_of_the_distance(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for i, closest in enumerate(moving.at(0.0, moving.qd)):
-        row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+        row = moving.row(closest)
         numeric = jacobian(lambda qd, i=i: moving.at(1.0, qd)[i].d, robot.n)
         moving.at(0.0, moving.qd)
         np.testing.assert_allclose(row.J[0], numeric, atol=2e-5)
@@ -54,7 +58,7 @@ def test_J_r_is_the_gradient_of_the_distance(robot: RobotModel, seed: int) -> No
 def test_distances_within_the_robot_do_not_depend_on_the_base(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for closest in moving.at(0.0, moving.qd):
-        row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+        row = moving.row(closest)
         np.testing.assert_allclose(row.J[0, :2], 0.0, atol=1e-12)
 
 
@@ -90,14 +94,14 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
             (distances(step) - 2 * here + distances(-step)) / step**2 for step in (h, 2 * h)
         )
         state.update(Measurement(np.zeros(3), np.zeros(2), q_m, qd[2:]))
-        for found, true, again in zip(
-            monitor.find_closest_points(within=0.15, blend=0.005), second, wide, strict=True
-        ):
+        nearest = monitor.find_nearest(0.005)
+        for i, (true, again) in enumerate(zip(second, wide, strict=True)):
+            found = nearest.closest(i)
             if not 0.02 < found.d < 0.15 or abs(true - again) > 0.02 * (1.0 + abs(true)):
                 continue  # d has a kink there
-            row = distance_jacobian(state, found)
+            _, (J,), (Jdqd,), _ = distance_of(state, found)
             across = _across(state, found)
-            error = float(row.J @ qdd) + row.Jdqd - float(true)
+            error = float(J @ qdd) + float(Jdqd) - float(true)
             errors.append((error, error + across / found.d))
     return np.abs(errors)
 
@@ -126,10 +130,10 @@ def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotM
     moving = Moving(robot, 3)
     moving.at(0.0, np.zeros(robot.n))
     closest = moving.monitor.find_closest_points()[-1]
-    assert generate_rep_acc(moving.state, closest, CONFIG, 1.0).xdd[0] == pytest.approx(60.0)
-    row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+    assert moving.row(closest).xdd[0] == pytest.approx(60.0)
+    row = moving.row(closest)
     moving.at(0.0, row.J[0] / np.linalg.norm(row.J[0]) ** 2)  # distance grows by 1 m/s
-    assert generate_rep_acc(moving.state, closest, CONFIG, 1.0).xdd[0] == pytest.approx(30.0)
+    assert moving.row(closest).xdd[0] == pytest.approx(30.0)
 
 
 def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> None:
@@ -143,7 +147,7 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
             if not -0.05 < closest.d < -0.005:
                 continue
             found += 1
-            row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+            row = moving.row(closest)
             along = row.J[0] / np.linalg.norm(row.J[0]) ** 2 * 1e-3
             assert moving.at(1.0, along)[i].d > closest.d
             moving.at(0.0, np.zeros(robot.n))
@@ -153,5 +157,5 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
 def test_the_speed_is_the_jacobians(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for closest in moving.at(0.0, moving.qd):
-        row = distance_jacobian(moving.state, closest)
-        assert row.speed == pytest.approx(float(row.J @ moving.qd))
+        _, (J,), _, (speed,) = distance_of(moving.state, closest)
+        assert speed == pytest.approx(float(J @ moving.qd))

@@ -1,18 +1,20 @@
 """FindClosestPoints: signed distances of all link pairs, with a normal that keeps its sign.
 
-Inside a buffer the closest point of a pair moves continuously, also along a link that turns
-parallel to a face.
+The closest point of a pair moves continuously, also along a link that turns parallel to a face.
 """
 
 import math
 from collections.abc import Sequence
-from itertools import product
+from itertools import chain, pairwise, product
+from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
+from typing_extensions import Self
 
-from app.border.mobile import ConvexPart, mean_nearest
+from app.border.mobile import Shapes, act, is_round, nearest_of
+from app.compiled import compiled
 from app.robot.link_pairs import ClosestPoints, Pair, PairDistances, with_parts
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
@@ -23,6 +25,27 @@ _ALONG = 7  # nodes of a capsule
 _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # 26 directions
 
 
+class Nearest(NamedTuple):
+    """Closest points that move continuously.
+
+    Of each pair, and then of each convex part of the body `a` of those that have several: a row
+    each, k of them.
+    """
+
+    pairs: Sequence[Pair]
+    rows: Sequence[Sequence[int]]
+    """Of each pair: its own, and those of its parts where it has several."""
+    d: Array
+    """(k,) [m] signed distances."""
+    points: Array
+    """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints`, in the world."""
+
+    def closest(self, i: int) -> ClosestPoints:
+        """Those of the i-th pair, with its parts; they share the rows' memory."""
+        pair, d, points = self.pairs[i], self.d, self.points
+        return with_parts(*[ClosestPoints(pair, d.item(k), *points[k]) for k in self.rows[i]])
+
+
 class DistanceMonitor:
     """Distances of a fixed set of link pairs at the robot's present state."""
 
@@ -30,27 +53,28 @@ class DistanceMonitor:
         """Prepare the pairs, in the order of the results; `state` is read at each call."""
         self._state = state
         self._distances = PairDistances(state.model, pairs)
-        self._smooth = [SmoothPoint(state, pair) for pair in pairs]
+        self._smooth = SmoothPoints(state, pairs)
+        self.joints = self._smooth.joints
+        """(k, 2) joints that carry `a` and `b` of each row of `Nearest`."""
+        self.rows = self._smooth.rows
+        """Of each pair, its own row, and those of its parts where `a` has several."""
 
-    def find_closest_points(
-        self, *, within: float = -math.inf, blend: float = math.nan
-    ) -> list[ClosestPoints]:
-        """The closest points of every pair; within a distance such as move continuously.
+    def find_closest_points(self) -> list[ClosestPoints]:
+        """The closest points of every pair, as the collision library finds them.
 
-        Paper: Algorithm 2, lines 4 and 9. The direction is the collision library's signed normal,
-        not p_b - p_a, which flips in penetration and would turn repulsion into attraction.
-
-        Args:
-            within: [m] such as the buffer distance; by default all are the library's own.
-            blend: [m] of `SmoothPoint`.
+        Paper: Algorithm 2, lines 4 and 9. The direction is the library's signed normal, not
+        p_b - p_a, which flips in penetration and would turn repulsion into attraction.
         """
         self._distances.update_from(self._state.data)
-        found = []
-        for i, smooth in enumerate(self._smooth):
-            d = self._distances.distance_by_part(i)
-            near = d[0] < within
-            found.append(smooth.closest(d, blend) if near else self._distances.closest(i))
-        return found
+        return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
+
+    def find_nearest(self, blend: float) -> Nearest:
+        """The same as they move continuously, at the library's distances; τ [m] is `blend`."""
+        self._distances.update_from(self._state.data)
+        points = self._smooth.find(blend)
+        by_part = [self._distances.distance_by_part(i) for i in range(len(self._distances.pairs))]
+        d = [by[0] for by in by_part] + [part for by in by_part for part in by[1:]]
+        return Nearest(self._distances.pairs, self.rows, np.array(d), points)
 
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""
@@ -58,7 +82,7 @@ class DistanceMonitor:
         return self._distances.distances()
 
 
-class SmoothPoint:
+class SmoothPoints:
     """The mean over a link's core, each point by how little farther than the nearest it is.
 
     The library's closest point is one of many where a capsule lies along a face, and leaps from one
@@ -71,88 +95,157 @@ class SmoothPoint:
     A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
     """
 
-    def __init__(self, state: RobotState, pair: Pair) -> None:
-        """Prepare for the body `b` of a pair against its body `a`; `state` is read each time."""
-        self._pair = pair
+    def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
+        """Prepare for the bodies of pairs; `state` is read each time."""
         model, oMi = state.model, state.data.oMi
-        self._at_a, self._at_b = oMi[model.body_joints[pair.a]], oMi[model.body_joints[pair.b]]
-        a, b = _shapes(model, pair.a), _shapes(model, pair.b)
-        self._parts = [ConvexPart(each.geometry, each.placement) for _, each in a]
-        alone = [slice(k, k + 1) for k in range(len(a))]
-        self._groups = [slice(len(a)), *(alone if len(a) > 1 else [])]
-        self._corners = np.vstack([_core(*shape)[0] for shape in a])
-        self._faces = [
-            ConvexPart(each.geometry, each.placement)
-            for shape, each in b
-            if not isinstance(shape, Capsule | Sphere)
+        names = list(dict.fromkeys(body for pair in pairs for body in pair))
+        bodies = [_Body.of(model, name) for name in names]
+        # Views of pinocchio's own placements: asking for them anew would cost as much again.
+        placed = [oMi[model.body_joints[name]] for name in names]
+        self._placed = [part for T in placed for part in (T.rotation, T.translation[None])]
+        self._shapes = Shapes.together([body.shapes for body in bodies])
+        self._nodes = np.concatenate([np.empty((0, 4)), *(body.nodes for body in bodies)])
+        sizes = [(len(body.shapes.rows), len(body.nodes)) for body in bodies]
+        self._firsts = np.cumsum([(0, 0), *sizes], axis=0)
+        at = [(names.index(pair.a), names.index(pair.b)) for pair in pairs]
+        whole = [(a, b, *self._firsts[a : a + 2, 0]) for a, b in at]
+        parts = [
+            [(a, b, k, k + 1) for k in range(first, end) if end - first > 1]
+            for a, b, first, end in whole
         ]
-        cores = [_core(*shape) for shape in b]
-        self._nodes = np.vstack(
-            [np.column_stack([nodes, np.full(len(nodes), radius)]) for nodes, radius in cores]
+        self._sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
+        ends = np.cumsum([len(pairs), *map(len, parts)]).tolist()
+        self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
+        """Of each pair: its own, and those of its parts where `a` has several."""
+        joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
+        self.joints = np.array(joints, dtype=int).reshape(-1, 2)
+        """(k, 2) that carry `a` and `b` of each row."""
+
+    def find(self, blend: float) -> Array:
+        """(k, 4, 3) of `Nearest`; `blend` [m] is τ."""
+        placed = np.concatenate(self._placed)
+        return mean_nearest(*self._shapes, self._nodes, self._firsts, self._sought, placed, blend)
+
+
+class _Body(NamedTuple):
+    shapes: Shapes
+    """In the frame of the joint that carries it."""
+    nodes: Array
+    """(K, 4) [m] points of its core in that frame, and its radius around each."""
+
+    @classmethod
+    def of(cls, model: RobotModel, name: str) -> Self:
+        objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
+        cores = [
+            _core(shape, placed)
+            for shape, placed in zip(model.description.body(name).shapes, objects, strict=True)
+        ]
+        return cls(
+            Shapes.together([Shapes.of(each.geometry, each.placement) for each in objects]),
+            np.vstack([np.column_stack([at, np.full(len(at), radius)]) for at, radius in cores]),
         )
-        placed = [part.placed for part in (*self._parts, *self._faces)]
-        known = [each for each in placed if each is not None]
-        self._shapes = np.vstack(known) if len(known) == len(placed) else None
-
-    def closest(self, d: Sequence[float], blend: float) -> ClosestPoints:
-        """The closest points at the signed distances d [m], of the pair and then of each part."""
-        found = zip(d, self.find(blend), strict=True)
-        return with_parts(*[ClosestPoints(self._pair, each, *points) for each, points in found])
-
-    def find(self, blend: float) -> list[Array]:
-        """The closest points of the pair, then of each part of `a` by itself if it has several.
-
-        Args:
-            blend: [m] τ.
-
-        Returns:
-            (4, 3) [m] of each, in the world: the points on `a` and on `b`, the normal from `a` to
-            `b`, and the point of the core of `b`.
-        """
-        if self._shapes is None:
-            return self.by_library(blend)
-        a, b, split = self._at_a, self._at_b, len(self._parts)
-        placed = a.rotation, a.translation, b.rotation, b.translation
-        shapes, faces = self._shapes[:split], self._shapes[split:]
-        return [
-            mean_nearest(shapes[group], self._corners, self._nodes, faces, *placed, blend)
-            for group in self._groups
-        ]
-
-    def by_library(self, blend: float) -> list[Array]:
-        """The same of shapes that the kernel does not know, slower."""
-        placed = self._at_a
-        relative = placed.actInv(self._at_b)
-        nodes, radii = self._nodes[:, :3], self._nodes[:, 3]
-        if self._faces:
-            corners = (self._corners - relative.translation) @ relative.rotation
-            faced = [face.nearest(corner) for face in self._faces for corner in corners]
-            nodes, radii = np.vstack([nodes, *faced]), np.append(radii, np.zeros(len(faced)))
-        nodes = nodes @ relative.rotation.T + relative.translation
-        distances = np.array([part.distances(nodes) for part in self._parts]) - radii
-        found = []
-        for group in self._groups:
-            weights = _near(distances[group].min(axis=0), blend)
-            core, radius = weights @ nodes, weights @ radii
-            sides = [part.distance_and_normal(core) for part in self._parts[group]]
-            d_core, normals = np.array([d for d, _ in sides]), np.array([n for _, n in sides])
-            weights = _near(d_core, blend)
-            foot, n = (placed.rotation @ (w @ normals) for w in (weights * d_core, weights))
-            core = placed.act(core)
-            found.append(np.array([core - foot, core - radius * n, n, core]))
-        return found
 
 
-def _near(d: Array, blend: float) -> Array:
-    """(K,) [-] weights of distances d [m] whose sum is 1, by how little each is above the least."""
-    weights = np.exp((d.min() - d) / blend)
-    return weights / weights.sum()
+@compiled()
+def _mean_nearest(
+    a: Array,
+    corners: Array,
+    T_a: Array,
+    b: Array,
+    nodes: Array,
+    T_b: Array,
+    triangles: Array,
+    blend: float,
+    work: Array,
+    found: Array,
+) -> None:
+    """Of one pair, into (4, 3): of some shapes of a body with nodes, to a whole one with nodes."""
+    (R_a, p_a), (R_b, p_b), none = (T_a[:3], T_a[3]), (T_b[:3], T_b[3]), np.zeros(3)
+    R, p = np.empty((3, 3)), np.empty(3)
+    for i in range(3):  # of b, as a sees it
+        R[:, i] = act(R_a.T, none, R_b[0, i], R_b[1, i], R_b[2, i])
+    p[:] = act(R_a.T, none, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+    count = len(nodes)
+    for k in range(count):
+        work[k, :3], work[k, 3] = act(R, p, nodes[k, 0], nodes[k, 1], nodes[k, 2]), nodes[k, 3]
+    for f in range(len(b)):
+        if is_round(b[f]):
+            continue
+        for c in range(len(corners)):
+            x, y, z = corners[c, 0] - p[0], corners[c, 1] - p[1], corners[c, 2] - p[2]
+            x, y, z = act(R.T, none, x, y, z)
+            d_c, n_x, n_y, n_z = nearest_of(b[f : f + 1], triangles, x, y, z)
+            work[count, :3] = act(R, p, x - d_c * n_x, y - d_c * n_y, z - d_c * n_z)
+            work[count, 3] = 0.0
+            count += 1
+    least = np.inf
+    for k in range(count):
+        node = work[k]
+        node[4] = nearest_of(a, triangles, node[0], node[1], node[2])[0] - node[3]
+        least = min(least, node[4])
+    x = y = z = radius = total = 0.0
+    for k in range(count):
+        node = work[k]
+        weight = math.exp((least - node[4]) / blend)
+        total += weight
+        x, y, z = x + weight * node[0], y + weight * node[1], z + weight * node[2]
+        radius += weight * node[3]
+    x, y, z, radius = x / total, y / total, z / total, radius / total
+    nearest, total = nearest_of(a, triangles, x, y, z), 0.0
+    found[:] = 0.0
+    for k in range(len(a)):
+        side = nearest_of(a[k : k + 1], triangles, x, y, z) if len(a) > 1 else nearest
+        weight = math.exp((nearest[0] - side[0]) / blend)
+        total += weight
+        n = act(R_a, none, side[1], side[2], side[3])
+        for i in range(3):
+            found[0, i] -= weight * side[0] * n[i]
+            found[2, i] += weight * n[i]
+    found[3] = act(R_a, p_a, x, y, z)
+    for i in range(3):
+        found[2, i] /= total
+        found[0, i] = found[3, i] + found[0, i] / total
+        found[1, i] = found[3, i] - radius * found[2, i]
 
 
-def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:
-    objects = model.geometry.geometryObjects
-    placed = (objects[i] for i in model.shape_ids[body])
-    return list(zip(model.description.body(body).shapes, placed, strict=True))
+@compiled("f8[:,:,::1](f8[:,:], f8[:,:,:], f8[:,:], i8[:,:], i8[:,:], f8[:,:], f8)")
+def mean_nearest(
+    rows: Array,
+    triangles: Array,
+    nodes: Array,
+    firsts: Array,
+    sought: Array,
+    placed: Array,
+    blend: float,
+) -> Array:
+    """(k, 4, 3) of `Nearest`, as of `SmoothPoints`.
+
+    Args:
+        rows: (P, 16) of the `Shapes` of all bodies, one body after the other.
+        triangles: (T, 4, 3) of them.
+        nodes: (K, 4) [m] of all bodies, and their radii.
+        firsts: (bodies + 1, 2) the first shape and the first node of each.
+        sought: (k, 4) bodies `a` and `b`; the first and the end of the shapes of `a` that count.
+        placed: (4 bodies, 3) axes as R (3, 3) and origin (3,) [m] of each body in the world.
+        blend: [m] τ.
+    """
+    found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))
+    work = np.empty((most, 5))  # places, radii and distances of a pair's nodes
+    for k in range(len(sought)):
+        a, b = sought[k, 0], sought[k, 1]
+        _mean_nearest(
+            rows[sought[k, 2] : sought[k, 3]],
+            nodes[firsts[a, 1] : firsts[a + 1, 1]],
+            placed[4 * a : 4 * a + 4],
+            rows[firsts[b, 0] : firsts[b + 1, 0]],
+            nodes[firsts[b, 1] : firsts[b + 1, 1]],
+            placed[4 * b : 4 * b + 4],
+            triangles,
+            blend,
+            work,
+            found[k],
+        )
+    return found
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance import task
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor, Nearest
 from app.avoidance.mobile_acceleration import (
     ActingPoint,
     ActingPointFinder,
@@ -15,7 +15,7 @@ from app.avoidance.mobile_acceleration import (
     avoidance_force,
     generate_mob_acc,
 )
-from app.avoidance.task import TaskRows
+from app.avoidance.task import Distances, TaskRows
 from app.border.dbb import Cloud
 from app.border.nearest import border_of
 from app.border.score import ScoreField
@@ -38,13 +38,31 @@ class PairState(NamedTuple):
     """(3,) [N] force f_m,i in the base's frame."""
 
 
+class Push(NamedTuple):
+    """What an active pair of L_m does to the base, in the base's frame."""
+
+    acting: ActingPoint
+    """Acting point."""
+    f: Array
+    """(3,) [N] force f_m,i."""
+
+
+_NO_FORCE = np.zeros(3)
+_NO_FORCE.setflags(write=False)
+_NO_PUSH = (None, _NO_FORCE)
+
+
 class Avoidance(NamedTuple):
     """The avoidance task of one control step."""
 
-    pairs: tuple[PairState, ...]
-    """All pairs, those of L_m first."""
+    nearest: Nearest
+    """Closest points of all pairs, those of L_m first."""
     n_mobile: int
     """How many of them are of L_m."""
+    beta: tuple[float, ...]
+    """[-] activation parameter of each pair."""
+    pushes: Mapping[int, Push]
+    """By the pairs of L_m that have one."""
     xdd_m: Array
     """(n_b,) [m/s² or rad/s²] of (16), v̇_d and ω̇_d, not yet multiplied by β_m."""
     beta_m: float
@@ -53,15 +71,29 @@ class Avoidance(NamedTuple):
     """The base's rows, or None while β_m = 0."""
     rows_links: tuple[TaskRows, ...]
     """The arm's active rows between its own links, (22) and (23)."""
+    near: Distances
+    """Those of the pairs of L_m."""
+    convex: Distances
+    """Those of all pairs, of each convex part of a body by itself: of L_m, then of L_m^c."""
+    n_convex: int
+    """How many of the latter are of L_m."""
+    d_b: float
+    """[m] the buffer distance in force."""
+
+    @property
+    def pairs(self) -> tuple[PairState, ...]:
+        """All pairs, those of L_m first; made when they are asked for."""
+        return tuple(map(self._pair, range(len(self.beta))))
 
     @property
     def mobile(self) -> tuple[PairState, ...]:
         """The pairs of L_m."""
-        return self.pairs[: self.n_mobile]
+        return tuple(map(self._pair, range(self.n_mobile)))
+
+    def _pair(self, i: int) -> PairState:
+        return PairState(self.nearest.closest(i), self.beta[i], *self.pushes.get(i, _NO_PUSH))
 
 
-_NO_FORCE = np.zeros(3)
-_NO_FORCE.setflags(write=False)
 BUFFER_RATE = 0.1  # [m/s] at which the buffer takes on another d_b
 
 
@@ -80,6 +112,10 @@ class SelfCollisionAvoidance:
         self._pairs = pairs
         self._clouds = clouds
         self._monitor = DistanceMonitor(state, [*pairs.mobile, *pairs.manipulator])
+        rows = [parts or [whole] for whole, *parts in self._monitor.rows]  # with a convex body
+        self._n_convex = sum(map(len, rows[: len(pairs.mobile)]))
+        several = any(len(parts) > 1 for parts in rows)
+        self._convex = np.concatenate(rows) if several else None
         self._config = config
         self._d_b: float | None = None  # none in force before the first step
         self._finders = self._make_finders(config)
@@ -107,47 +143,57 @@ class SelfCollisionAvoidance:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._finders[pair].field
 
-    def update(self, dt: float = math.inf, *, ahead: bool = False) -> Avoidance:
+    def update(self, dt: float = math.inf) -> Avoidance:
         """The avoidance task at the state's configuration, `dt` [s] after the last one.
-
-        Within the buffer closest points move continuously; `ahead`, where the base makes room for
-        pairs before they are in it, everywhere.
 
         Paper: Algorithm 2, lines 3 to 13.
         """
         n_mobile, way = len(self._pairs.mobile), BUFFER_RATE * dt
         self._d_b = self.d_b + min(max(self._config.border.d_b - self.d_b, -way), way)
-        closest = self._monitor.find_closest_points(
-            within=math.inf if ahead else self.d_b, blend=self._config.activation.blend
-        )
-        pairs = tuple([self._pair(each) for each in closest])
-        mobile, model = pairs[:n_mobile], self._state.model
-        forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
+        nearest = self._monitor.find_nearest(self._config.activation.blend)
+        distances = task.distances_of(self._state, self._monitor.joints, nearest)
+        d_full, model = self._config.activation.d_full, self._state.model
+        d = nearest.d[: len(nearest.pairs)].tolist()
+        beta = tuple([task.activation(each, self.d_b, d_full) for each in d])
+        pushes: dict[int, Push] = {}
+        for i in range(n_mobile):
+            if beta[i] > 0.0 and (push := self._push(nearest, i)) is not None:
+                pushes[i] = push
+        forces = [PairForce(push.f, push.acting.p_act) for push in pushes.values()]
         xdd_m = generate_mob_acc(forces, model.description.base)
-        beta_m = task.mobile_activation([p.beta for p in mobile])
+        beta_m = task.mobile_activation(beta[:n_mobile])
         rows_m = None
         if beta_m > 0.0:
             rows_m = task.mobile_rows(model.base_rows, xdd_m, beta_m)
         links = [
-            task.generate_rep_acc(self._state, pair.closest, self._config.repulsion, pair.beta)
-            for pair in pairs[n_mobile:]
-            if pair.beta > 0.0
+            task.generate_rep_acc(distances.of(slice(i, i + 1)), self._config.repulsion, beta[i])
+            for i in range(n_mobile, len(beta))
+            if beta[i] > 0.0
         ]
-        return Avoidance(pairs, n_mobile, xdd_m, beta_m, rows_m, tuple(links))
+        return Avoidance(
+            nearest,
+            n_mobile,
+            beta,
+            pushes,
+            xdd_m,
+            beta_m,
+            rows_m,
+            tuple(links),
+            distances.of(slice(n_mobile)),
+            distances if self._convex is None else distances.of(self._convex),
+            self._n_convex,
+            self.d_b,
+        )
 
-    def _pair(self, closest: ClosestPoints) -> PairState:
-        """Lines 4 to 6 for one pair; only those of L_m have a force."""
-        beta = task.activation(closest.d, self.d_b, self._config.activation.d_full)
-        finder = self._finders.get(closest.pair.name) if beta > 0.0 else None
-        if finder is None:
-            return PairState(closest, beta, None, _NO_FORCE)
-        p_b = self._state.to_base(closest.p_b)
-        acting = finder.find_acting_point(p_b, closest.d, self._config.force)
+    def _push(self, nearest: Nearest, i: int) -> Push | None:
+        """Lines 5 and 6 for a pair of L_m; None if l_m has no border at all."""
+        (_, p_b, n, _), d, force = nearest.points[i], nearest.d.item(i), self._config.force
+        p_b, n = self._state.to_base(p_b), self._state.R_world_base.T @ n
+        acting = self._finders[nearest.pairs[i].name].find_acting_point(p_b, d, force)
         if acting is None:
-            return PairState(closest, beta, None, _NO_FORCE)
-        n, f_max = self._state.R_world_base.T @ closest.n, self._config.force.f_max
-        f = avoidance_force(p_b, acting.p_act, closest.d, n, f_max, self.d_b)
-        return PairState(closest, beta, acting, f)
+            return None
+        f = avoidance_force(p_b, acting.p_act, d, n, force.f_max, self.d_b)
+        return Push(acting, f)
 
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
         model = self._state.model

@@ -1,11 +1,13 @@
 """The rows of T_sca, each with its activation (§3.2, §3.3)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.closest_points import ClosestPoints
+from app.avoidance.closest_points import ClosestPoints, Nearest
 from app.config import RepulsionConfig
 from app.robot.state import RobotState
 from app.strict import Array
@@ -41,19 +43,29 @@ def mobile_activation(betas: Sequence[float]) -> float:
     return max(betas, default=0.0)
 
 
-class DistanceJacobian(NamedTuple):
-    """How a pair's distance moves: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇."""
+class Distances(NamedTuple):
+    """Distances of some pairs and how they move: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇."""
 
+    d: Array
+    """(k,) [m] signed distances, or what is left of them."""
     J: Array
-    """(n,) Jacobian of the distance."""
-    Jdqd: float
-    """[m/s²] J̇ q̇, with the turning of l_a."""
-    speed: float
-    """[m/s] ḋ."""
+    """(k, n) their Jacobians."""
+    Jdqd: Array
+    """(k,) [m/s²] J̇ q̇, with the turning of l_a."""
+    speed: Array
+    """(k,) [m/s] ḋ."""
+
+    def of(self, rows: slice | Array) -> Distances:
+        """Some of them."""
+        return Distances(*[each[rows] for each in self])
+
+    def beyond(self, kept: Array | float) -> Distances:
+        """What is left of them beyond the distances that are kept, (k,) or one [m]."""
+        return self._replace(d=self.d - kept)
 
 
-def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJacobian:
-    """J = uᵀ(J_b - J_a) at the core of l_b, with u fixed to l_a.
+def distances_of(state: RobotState, joints: Array, nearest: Nearest) -> Distances:
+    """J = uᵀ(J_b - J_a) at the core of l_b, with u fixed to l_a; `joints` (k, 2) carry l_a and l_b.
 
     u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips in
     penetration. A face keeps its normal while the closest points of a round link slide along it,
@@ -62,9 +74,16 @@ def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJaco
 
     Paper: Eq. (21).
     """
-    model, pair = state.model, closest.pair
-    joint_a, joint_b = model.body_joints[pair.a], model.body_joints[pair.b]
-    return DistanceJacobian(*state.pair_motion(joint_a, joint_b, closest.core, closest.n))
+    points = nearest.points
+    return Distances(nearest.d, *state.pair_motions(joints, points[:, 3], points[:, 2]))
+
+
+def distance_of(state: RobotState, closest: ClosestPoints) -> Distances:
+    """The same of one pair by its closest points."""
+    joints = [[state.model.body_joints[body] for body in closest.pair]]
+    points = np.array([[closest.p_a, closest.p_b, closest.n, closest.core]])
+    nearest = Nearest((closest.pair,), ((0,),), np.array([closest.d]), points)
+    return distances_of(state, np.array(joints), nearest)
 
 
 class TaskRows(NamedTuple):
@@ -96,22 +115,18 @@ def mobile_rows(base_rows: Array, xdd_m: Array, beta_m: float) -> TaskRows:
     return TaskRows(base_rows, np.zeros(len(base_rows)), xdd_m, beta_m)
 
 
-def generate_rep_acc(
-    state: RobotState, closest: ClosestPoints, config: RepulsionConfig, beta: float
-) -> TaskRows:
+def generate_rep_acc(distance: Distances, config: RepulsionConfig, beta: float) -> TaskRows:
     """One row that parts the links of a pair: ẍ_r = k_p - k_v uᵀ(ṗ_b - ṗ_a).
 
     Paper: Eq. (20).
 
     Args:
-        state: The robot's state.
-        closest: Closest points of the pair.
+        distance: That of the pair alone.
         config: Gains k_p and k_v.
         beta: [-] activation parameter of the pair.
     """
-    J, Jdqd, speed = distance_jacobian(state, closest)
-    xdd = config.k_p - config.k_v * speed
-    return TaskRows(J[None, :], np.array([Jdqd]), np.array([xdd]), beta)
+    _, J, Jdqd, speed = distance
+    return TaskRows(J, Jdqd, config.k_p - config.k_v * speed, beta)
 
 
 def generate_avoidance_task(rows: Sequence[TaskRows]) -> tuple[Array, Array, Array]:

@@ -1,10 +1,14 @@
 """Exact distance of points to a convex shape, and to the mobile robot's (DistanceToMobile).
 
-Boxes, spheres, capsules and cylinders are measured by a kernel, with the same answers as by the
-collision library, fifty times faster: so a border for another d_b is there at once.
+A kernel measures them, with the same answers as the collision library, fifty times faster: so a
+border for another d_b is there at once.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -14,8 +18,9 @@ from app.compiled import compiled
 from app.robot.model import RobotModel
 from app.strict import Array
 
-_BOX, _CAPSULE, _CYLINDER = range(3)
+_BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
 _MAX_NEWTON = 30
+_AT_END = 1e-9  # [m] of the distance at a ray's end
 
 
 class ConvexPart:
@@ -24,24 +29,12 @@ class ConvexPart:
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
         """(3,) [m] corners of a box around it, along the base's axes."""
-        self.placed = _placed(geometry, placement)
-        """(1, 16) of `distances_and_normals`; None for a shape that only the library knows."""
-        self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
-        self._T_point = coal.Transform3s()
-        self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
-        # The functor points to its two shapes without owning them: they must live as long as it.
-        self._geometry, self._point = geometry, coal.Sphere(0.0)
-        self._compute = coal.ComputeDistance(self._geometry, self._point)
-
-    def distance(self, point: Array) -> float:
-        """[m] signed distance of a point (3,) [m]."""
-        self._T_point.setTranslation(point)
-        self._result.clear()
-        return self._compute(self._T_shape, self._T_point, self._request, self._result)
+        self.shapes = Shapes.of(geometry, placement)
+        """It alone, as the kernels take it."""
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
-        """The same, and the unit vector (3,) from the shape to the point."""
-        found = self._distances_and_normals(point[None])[0]
+        """[m] signed distance of a point (3,) [m], and the unit vector (3,) to it."""
+        found = distances_and_normals(*self.shapes, point[None])[0]
         return found.item(0), found[1:]
 
     def nearest(self, point: Array) -> Array:
@@ -51,7 +44,7 @@ class ConvexPart:
 
     def distances(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m]."""
-        return self._distances_and_normals(points)[:, 0]
+        return distances_and_normals(*self.shapes, points)[:, 0]
 
     def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
         """How far along each ray the shape's offset ends.
@@ -69,12 +62,11 @@ class ConvexPart:
         Returns:
             (K,) [m], minus infinity where a ray misses the offset.
         """
-        tolerance = 1e-6 if self.placed is None else 1e-9  # [m] of the distance at a ray's end
         s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
         for _ in range(_MAX_NEWTON):
-            found = self._distances_and_normals(origin + s[left, None] * rays[left])
+            found = distances_and_normals(*self.shapes, origin + s[left, None] * rays[left])
             off, slope = found[:, 0] - d_b, (found[:, 1:] * rays[left]).sum(axis=1)
-            there, rising = np.abs(off) < tolerance, slope > 1e-9
+            there, rising = np.abs(off) < _AT_END, slope > 1e-9
             on_border = left[there & (slope >= 0.0)]
             ends[on_border] = s[on_border]
             further = ~there & rising
@@ -84,15 +76,6 @@ class ConvexPart:
             s[left] -= off[further] / slope[further]
         ends[left] = s[left]
         return ends
-
-    def _distances_and_normals(self, points: Array) -> Array:
-        """(N, 4) signed distances [m] of points (N, 3) [m], and unit vectors to them."""
-        if self.placed is not None:
-            return distances_and_normals(self.placed, points)
-        found = np.empty((len(points), 4))
-        for row, point in zip(found, points, strict=True):
-            row[0], row[1:] = self.distance(point), self._result.normal
-        return found
 
 
 class MobileBody:
@@ -109,7 +92,7 @@ class MobileBody:
 
     def distance(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m] in the base's frame."""
-        return np.array([min(part.distance(p) for part in self.parts) for p in points])
+        return np.min([part.distances(points) for part in self.parts], axis=0)
 
 
 def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
@@ -121,26 +104,110 @@ def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array,
     return centre - half, centre + half
 
 
-def _placed(geometry: coal.CollisionGeometry, placement: pin.SE3) -> Array | None:
-    """Kind of a shape of coal's, half sides or radius and half length (3,) [m], axes, origin [m].
+class Shapes(NamedTuple):
+    """Convex shapes as the kernels take them."""
 
-    None for a shape that the kernels do not know; a sphere is a capsule without length.
+    rows: Array
+    """(P, 16) kind; half sides [m], or radius and half length [m], or the first and the end of its
+    triangles; axes as R (3, 3); and origin [m]. A sphere is a capsule without length."""
+    triangles: Array
+    """(T, 4, 3) of the hulls: three corners [m], and the unit vector outwards, in their frames."""
+
+    @classmethod
+    def of(cls, geometry: coal.CollisionGeometry, placement: pin.SE3) -> Shapes:
+        """One of coal's shapes where it is placed."""
+        triangles = np.empty((0, 4, 3))
+        if isinstance(geometry, coal.Box):
+            kind, size = _BOX, geometry.halfSide
+        elif isinstance(geometry, coal.Sphere):
+            kind, size = _CAPSULE, (geometry.radius, 0.0, 0.0)
+        elif isinstance(geometry, coal.Capsule | coal.Cylinder):
+            kind = _CAPSULE if isinstance(geometry, coal.Capsule) else _CYLINDER
+            size = (geometry.radius, geometry.halfLength, 0.0)
+        else:
+            triangles = _triangles(geometry)
+            kind, size = _HULL, (0, len(triangles), 0)
+        row = np.concatenate([[kind], size, placement.rotation.ravel(), placement.translation])
+        return cls(row[None], triangles)
+
+    @classmethod
+    def together(cls, shapes: Sequence[Shapes]) -> Shapes:
+        """All of them, in their order."""
+        rows, triangles = [np.empty((0, 16))], [np.empty((0, 4, 3))]
+        for each in shapes:
+            before = sum(map(len, triangles))
+            moved = each.rows.copy()
+            moved[moved[:, 0] == _HULL, 1:3] += before
+            rows.append(moved)
+            triangles.append(each.triangles)
+        return cls(np.concatenate(rows), np.concatenate(triangles))
+
+
+def _triangles(geometry: coal.CollisionGeometry) -> Array:
+    """(T, 4, 3) of `Shapes`, without those that have no area."""
+    points = geometry.points()
+    found = (geometry.polygons(i) for i in range(geometry.num_polygons))
+    corners = points[[[each[k] for k in range(3)] for each in found]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    twice_area = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(twice_area, _NO_AREA)[:, None]
+    return np.concatenate([corners, normals[:, None]], axis=1)[twice_area > _NO_AREA]
+
+
+_NO_AREA = 1e-15  # [m²]
+
+
+@compiled()
+def _on_triangle(
+    triangle: Array, x: float, y: float, z: float, over: float
+) -> tuple[float, float, float]:
+    """The point of a triangle that is nearest to a point, which is by so much over its plane."""
+    n, foot, least = triangle[3], (0.0, 0.0, 0.0), np.inf
+    f_x, f_y, f_z = x - over * n[0], y - over * n[1], z - over * n[2]
+    for i in range(3):
+        a, b = triangle[i], triangle[(i + 1) % 3]
+        u, v, w = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        p, q, r = f_x - a[0], f_y - a[1], f_z - a[2]
+        if n[0] * (v * r - w * q) + n[1] * (w * p - u * r) + n[2] * (u * q - v * p) >= 0.0:
+            continue  # on the inner side of this edge
+        share = min(max((u * p + v * q + w * r) / (u * u + v * v + w * w), 0.0), 1.0)
+        p, q, r = p - share * u, q - share * v, r - share * w
+        if p * p + q * q + r * r < least:
+            least = p * p + q * q + r * r
+            foot = (f_x - p, f_y - q, f_z - r)
+    return foot if least < np.inf else (f_x, f_y, f_z)
+
+
+@compiled()
+def _hull_distance(
+    triangles: Array, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Signed distance [m] of a point to a hull, and its gradient there.
+
+    From outside the nearest point lies on one of the triangles that are seen from there, none of
+    which is nearer than its plane; inside the nearest plane counts.
     """
-    if isinstance(geometry, coal.Box):
-        kind, size = _BOX, geometry.halfSide
-    elif isinstance(geometry, coal.Sphere):
-        kind, size = _CAPSULE, (geometry.radius, 0.0, 0.0)
-    elif isinstance(geometry, coal.Capsule | coal.Cylinder):
-        kind = _CAPSULE if isinstance(geometry, coal.Capsule) else _CYLINDER
-        size = (geometry.radius, geometry.halfLength, 0.0)
-    else:
-        return None
-    return np.concatenate([[kind], size, placement.rotation.ravel(), placement.translation])[None]
+    deepest, face, least, nearest = -np.inf, 0, np.inf, (x, y, z)
+    for k in range(len(triangles)):
+        a, n = triangles[k, 0], triangles[k, 3]
+        over = n[0] * (x - a[0]) + n[1] * (y - a[1]) + n[2] * (z - a[2])
+        if over > deepest:
+            deepest, face = over, k
+        if over > 0.0 and over * over < least:
+            u, v, w = _on_triangle(triangles[k], x, y, z, over)
+            far = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
+            if far < least:
+                least, nearest = far, (u, v, w)
+    if deepest <= 0.0 or least == 0.0:
+        n = triangles[face, 3]
+        return min(deepest, 0.0), n[0], n[1], n[2]
+    far = math.sqrt(least)
+    return far, (x - nearest[0]) / far, (y - nearest[1]) / far, (z - nearest[2]) / far
 
 
 @compiled()
 def _signed_distance(
-    kind: int, size: Array, x: float, y: float, z: float
+    kind: int, size: Array, triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
     """Signed distance [m] of a point in the shape's frame, and its gradient there."""
     if kind == _CAPSULE:
@@ -149,6 +216,8 @@ def _signed_distance(
         if far == 0.0:
             return -size[0], 1.0, 0.0, 0.0
         return far - size[0], x / far, y / far, z_out / far
+    if kind == _HULL:
+        return _hull_distance(triangles[int(size[0]) : int(size[1])], x, y, z)
     if kind == _CYLINDER:
         rho = math.hypot(x, y)
         e_x, e_y = (x / rho, y / rho) if rho > 0.0 else (1.0, 0.0)
@@ -170,7 +239,9 @@ def _signed_distance(
 
 
 @compiled()
-def _nearest_of(shapes: Array, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def nearest_of(
+    shapes: Array, triangles: Array, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
     """Signed distance [m] of a point to the nearest of some shapes, and its gradient there."""
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
@@ -178,6 +249,7 @@ def _nearest_of(shapes: Array, x: float, y: float, z: float) -> tuple[float, flo
         d, n_x, n_y, n_z = _signed_distance(
             int(shapes[k, 0]),
             shapes[k, 1:4],
+            triangles,
             R[0] * a + R[3] * b + R[6] * c,
             R[1] * a + R[4] * b + R[7] * c,
             R[2] * a + R[5] * b + R[8] * c,
@@ -192,83 +264,26 @@ def _nearest_of(shapes: Array, x: float, y: float, z: float) -> tuple[float, flo
     return best
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:,:])")
-def distances_and_normals(shapes: Array, points: Array) -> Array:
-    """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest of shapes, and gradients.
+@compiled()
+def is_round(row: Array) -> bool:
+    """Whether a shape of `Shapes` is nearest to something flat at its core's nodes alone."""
+    return bool(row[0] == _CAPSULE)
 
-    A shape's row of (P, 16) has its kind, its size, its axes as R (3, 3), and its origin [m].
-    """
+
+@compiled("f8[:,::1](f8[:,:], f8[:,:,:], f8[:,:])")
+def distances_and_normals(rows: Array, triangles: Array, points: Array) -> Array:
+    """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest shape, with gradients."""
     found = np.empty((len(points), 4))
     for k in range(len(points)):
-        found[k] = _nearest_of(shapes, points[k, 0], points[k, 1], points[k, 2])
+        found[k] = nearest_of(rows, triangles, points[k, 0], points[k, 1], points[k, 2])
     return found
 
 
 @compiled()
-def _act(R: Array, p: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+def act(R: Array, p: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """R (x, y, z) + p."""
     return (
         p[0] + R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
         p[1] + R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
         p[2] + R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
     )
-
-
-@compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:], f8)")
-def mean_nearest(
-    shapes: Array,
-    corners: Array,
-    nodes: Array,
-    faces: Array,
-    R_a: Array,
-    p_a: Array,
-    R_b: Array,
-    p_b: Array,
-    blend: float,
-) -> Array:
-    """(4, 3) points of two bodies, the normal, and the point of the second's core: `SmoothPoint`.
-
-    Args:
-        shapes: (P, 16) of body `a`, as of `distances_and_normals`.
-        corners: (C, 3) [m] of body `a`.
-        nodes: (K, 4) [m] of body `b` and their radii.
-        faces: (F, 16) shapes of body `b` that are nearest to a corner of `a` anywhere.
-        R_a: (3, 3) axes of `a`.
-        p_a: (3,) [m] origin of `a`.
-        R_b: (3, 3) axes of `b`.
-        p_b: (3,) [m] origin of `b`.
-        blend: [m] τ.
-    """
-    count, size = len(nodes), len(nodes) + len(faces) * len(corners)
-    at, d, R, none = np.empty((size, 3)), np.empty(size), np.empty((3, 3)), np.zeros(3)
-    for i in range(3):  # of b, as a sees it
-        R[:, i] = _act(R_a.T, none, R_b[0, i], R_b[1, i], R_b[2, i])
-    p = np.array(_act(R_a.T, none, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2]))
-    for k in range(size):
-        radius = 0.0
-        if k < count:
-            at[k], radius = _act(R, p, nodes[k, 0], nodes[k, 1], nodes[k, 2]), nodes[k, 3]
-        else:
-            f, c = divmod(k - count, len(corners))
-            x, y, z = corners[c, 0] - p[0], corners[c, 1] - p[1], corners[c, 2] - p[2]
-            x, y, z = _act(R.T, none, x, y, z)
-            d_c, n_x, n_y, n_z = _nearest_of(faces[f : f + 1], x, y, z)
-            at[k] = _act(R, p, x - d_c * n_x, y - d_c * n_y, z - d_c * n_z)
-        d[k] = _nearest_of(shapes, at[k, 0], at[k, 1], at[k, 2])[0] - radius
-    weights = np.exp((d.min() - d) / blend)
-    weights /= weights.sum()
-    x = y = z = radius = 0.0
-    for k in range(size):
-        x, y, z = x + weights[k] * at[k, 0], y + weights[k] * at[k, 1], z + weights[k] * at[k, 2]
-        radius += weights[k] * (nodes[k, 3] if k < count else 0.0)
-    nearest, total, found = _nearest_of(shapes, x, y, z)[0], 0.0, np.zeros((4, 3))
-    for k in range(len(shapes)):
-        d_k, n_x, n_y, n_z = _nearest_of(shapes[k : k + 1], x, y, z)
-        weight, n = math.exp((nearest - d_k) / blend), np.array(_act(R_a, none, n_x, n_y, n_z))
-        total += weight
-        found[0] -= weight * d_k * n
-        found[2] += weight * n
-    found[3] = _act(R_a, p_a, x, y, z)
-    found[2] /= total
-    found[0], found[1] = found[3] + found[0] / total, found[3] - radius * found[2]
-    return found

@@ -11,7 +11,7 @@ from app.control import CONTROLLERS
 from app.control.admittance import response
 from app.control.estimate import ArmEstimate
 from app.control.kernels import base_blend, clipped, torque_range
-from app.control.limits import ArmNow, barriers_of, base_limits, robot_limits
+from app.control.limits import ArmNow, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
@@ -199,7 +199,7 @@ class Controller:
         last = free_arm_torque(self.state) if self._u_a is None else self._u_a
         slew = self._config.limit.torque_rate * self._dt
         torque, workings = torque_range(last, self._model.tau_max, slew), None
-        avoidance = self._avoidance.update(self._dt, ahead=reference is not None)
+        avoidance = self._avoidance.update(self._dt)
         inserted = self._method(self.state, avoidance, self._config)
         try:
             if not good:
@@ -243,8 +243,8 @@ class Controller:
             return self._by_rows(rest, inserted.rows_m)
         k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
         links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
-        barriers = inserted.barriers if inserted.base_too else None
-        limits = robot_limits(state, self._config, barriers)
+        kept = inserted.kept if inserted.base_too else None
+        limits = robot_limits(state, self._config, kept)
         if error is None:
             T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
         else:  # an error that is left damps nothing here: the base drives there
@@ -294,10 +294,7 @@ class Controller:
         rows = [] if inserted.rows_m is None else [inserted.rows_m]
         tasks = insert_rows(tasks, rows, task.softness)
         qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
-        kept = barriers_of(self.state, inserted.clear, self.d_b)
-        if inserted.barriers is not None and not inserted.base_too:
-            kept = inserted.barriers.and_also(kept)
-        limits = robot_limits(self.state, self._slow, kept)
+        limits = robot_limits(self.state, self._slow, inserted.ahead)
         return self._model.J_m @ self._solver.change(tasks, limits, qdd_b) / gain
 
     def _arm_part(
@@ -315,10 +312,9 @@ class Controller:
         """
         config, softness = self._config, self._config.task.softness
         rows = (*inserted.rows_arm, *inserted.rows_links)
-        state, barriers = self.state, inserted.barriers
         qdd_b = self._model.J_m_inv @ given
         now = ArmNow(qdd_b, torque, self.estimate.pushed)
-        limits = robot_limits(state, config, barriers, arm=now)
+        limits = robot_limits(self.state, config, inserted.kept, arm=now)
         whole = insert_rows(stack.objective, rows, softness, given=len(qdd_b))
         qdd = self._solver.solve(whole, limits, qdd_b)
         return Workings(wanted, given, rows, stack, limits, torque, qdd)

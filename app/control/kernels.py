@@ -27,8 +27,8 @@ def second_order(Jdqd: Array, speed: Array, h: Array, rate: float, leaving: floa
     return -2.0 * rate * speed - rate**2 * np.maximum(h, -leaving / rate) - Jdqd
 
 
-@compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8[:,:], f8, f8)")
-def joint_bounds(
+@compiled()
+def _joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
     """(2, n_m) the lower and the upper one on q̈_m: the tighter of position and velocity."""
@@ -42,8 +42,8 @@ def joint_bounds(
     return found
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8, f8[:,:], f8[:,:], f8[:], f8[:])")
-def in_reach(
+@compiled()
+def _in_reach(
     M: Array,
     h: Array,
     torque: Array,
@@ -90,14 +90,21 @@ def in_reach(
 
 @compiled(
     "Tuple((f8[:,::1], f8[::1], f8[::1]))"
-    "(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:,:], f8[:])"
+    "(f8[:,:], f8[:], f8[:,:], f8, f8[:], f8[:], f8[:,:], f8[:,:], f8, f8, f8[:], f8[:],"
+    " f8[:,:], f8[:])"
 )
 def limit_rows(
     M: Array,
     h: Array,
     torque: Array,
-    bounds: Array,
-    unit: Array,
+    torque_rate: float,
+    q: Array,
+    qd: Array,
+    q_limits: Array,
+    qd_limits: Array,
+    position_rate: float,
+    speed_rate: float,
+    qdd_b: Array,
     pushed: Array,
     J: Array,
     least: Array,
@@ -108,13 +115,23 @@ def limit_rows(
         M: (n, n) of (26).
         h: (n,) of (26).
         torque: (2, n_m) the least and the largest ones.
-        bounds: (2, n_m) on q̈_m.
-        unit: (n_m,) in which they are counted.
+        torque_rate: [N m/s] at which they change, or infinite: joints need not be in reach of them.
+        q: (n_m,) positions.
+        qd: (n_m,) velocities.
+        q_limits: (2, n_m) the lower and the upper ones.
+        qd_limits: (2, n_m) the same; joints' rows are in shares of the upper ones.
+        position_rate: [1/s] of `position_bounds`.
+        speed_rate: [1/s] of `velocity_bounds`.
+        qdd_b: (n_b,) of the base.
         pushed: (n_m,) of q̈_m, by those who push.
         J: (k, n) of the distances.
         least: (k,) of J q̈.
     """
-    n, n_m, k = len(M), len(unit), len(least)
+    n, n_m, k, unit = len(M), len(q), len(least), qd_limits[1]
+    bounds = _joint_bounds(q, qd, q_limits, qd_limits, position_rate, speed_rate)
+    if torque_rate < math.inf:
+        room = qd_limits - qd
+        bounds = _in_reach(M, h, torque, torque_rate, bounds, room, qdd_b, pushed)
     n_b, m = n - n_m, 2 * n_m + k
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
     for i in range(n_m):

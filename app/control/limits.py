@@ -7,14 +7,13 @@ acceleration that the arm will have.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.closest_points import ClosestPoints
-from app.avoidance.task import distance_jacobian
+from app.avoidance.task import Distances
 from app.config import BarrierConfig, Config, LimitConfig
 from app.control import kernels
 from app.control.qp import Limits
@@ -23,42 +22,15 @@ from app.robot.state import RobotState
 from app.strict import Array
 
 
-class Barriers(NamedTuple):
-    """Distances that are kept, a row each: with h of it left, ḣ = J q̇ and ḧ = J q̈ + J̇ q̇."""
+def barrier_bounds(left: Distances, config: BarrierConfig) -> Array:
+    """(k,) lower bounds [m/s²] on J q̈, so that no distance falls below 0, (k,) of them left.
 
-    J: Array
-    """(k, n) Jacobians of the distances."""
-    Jdqd: Array
-    """(k,) [m/s²] J̇ q̇."""
-    speed: Array
-    """(k,) [m/s] ḣ."""
-    h: Array
-    """(k,) [m] distances less the one that is kept."""
-
-    def least(self, config: BarrierConfig) -> Array:
-        """(k,) [m/s²] of J q̈, so that no h falls below 0.
-
-        It asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never comes nearer,
-        and one that begins nearer, in penetration too, leaves at the rate λ, at `barrier.leaving`
-        at most: h counts down to that speed over λ. It is the second-order form of the barriers
-        ḣ + λ h ≥ 0 that libraries for velocities use.
-        """
-        return kernels.second_order(*self[1:], config.rate, config.leaving)
-
-    def and_also(self, others: Barriers) -> Barriers:
-        """These and others."""
-        return Barriers(*map(np.concatenate, zip(self, others, strict=True)))
-
-
-def barriers_of(state: RobotState, pairs: Iterable[ClosestPoints], kept: float) -> Barriers:
-    """Those of some pairs, or their parts, at a distance that is kept [m]; of base and arm."""
-    rows = [(pair.d - kept, distance_jacobian(state, pair)) for pair in pairs]
-    return Barriers(
-        np.array([row.J for _, row in rows]).reshape(-1, state.model.n),
-        np.array([row.Jdqd for _, row in rows]),
-        np.array([row.speed for _, row in rows]),
-        np.array([h for h, _ in rows]),
-    )
+    It asks for ḧ + 2 λ ḣ + λ² h ≥ 0, with h what is left: a pair that begins with ḣ + λ h ≥ 0
+    never comes nearer, and one that begins nearer, in penetration too, leaves at the rate λ, at
+    `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
+    the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
+    """
+    return kernels.second_order(left.Jdqd, left.speed, left.d, config.rate, config.leaving)
 
 
 def position_bounds(state: RobotState, config: LimitConfig) -> Array:
@@ -78,14 +50,6 @@ def velocity_bounds(state: RobotState, config: LimitConfig) -> Array:
     )
 
 
-def joint_bounds(state: RobotState, config: LimitConfig) -> Array:
-    """(2, n_m) lower and upper bound on q̈_m: the tighter of position and velocity."""
-    m, model = state.measurement, state.model
-    return kernels.joint_bounds(
-        m.q_m, m.qd_m, model.q_limits, model.qd_limits, config.position_rate, config.velocity_rate
-    )
-
-
 class ArmNow(NamedTuple):
     """What bounds the arm's part of a step, beside the robot's state."""
 
@@ -100,7 +64,7 @@ class ArmNow(NamedTuple):
 def robot_limits(
     state: RobotState,
     config: Config,
-    barriers: Barriers | None = None,
+    kept: Distances | None = None,
     *,
     arm: ArmNow | None = None,
 ) -> Limits:
@@ -115,22 +79,29 @@ def robot_limits(
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
-        barriers: Distances that are kept.
+        kept: Distances that are kept, as what is left of them.
         arm: For the arm's part; else any torque up to the joints' own may act in this step, and
             nobody pushes.
     """
     model, M, h = state.model, state.M, state.h
     J, least = np.zeros((0, model.n)), np.zeros(0)
-    if barriers is not None:
-        J, least = barriers.J, barriers.least(config.barrier)
-    torque, pushed = model.tau_limits, np.zeros(model.n_m)
-    bounds = joint_bounds(state, config.limit)
-    if arm is not None:
-        qdd_b, torque, pushed = arm
-        room, rate = model.qd_limits - state.measurement.qd_m, config.limit.torque_rate
-        bounds = kernels.in_reach(M, h, torque, rate, bounds, room, qdd_b, pushed)
+    if kept is not None:
+        J, least = kept.J, barrier_bounds(kept, config.barrier)
+    m, limit, rate = state.measurement, config.limit, config.limit.torque_rate
+    moving = (
+        m.q_m,
+        m.qd_m,
+        model.q_limits,
+        model.qd_limits,
+        limit.position_rate,
+        limit.velocity_rate,
+    )
+    if arm is None:
+        arm = ArmNow(np.zeros(model.n_b), model.tau_limits, np.zeros(model.n_m))
+        rate = math.inf
+    qdd_b, torque, pushed = arm
     return Limits(
-        *kernels.limit_rows(M, h, torque, bounds, model.qd_max, pushed, J, least),
+        *kernels.limit_rows(M, h, torque, rate, *moving, qdd_b, pushed, J, least),
         _softness(model.n_m, len(least), config.task.softness),
     )
 
@@ -147,7 +118,7 @@ def base_limits(model: RobotModel) -> Limits:
     return Limits(model.base_rows, -most, most, np.zeros(model.n_b))
 
 
-def force_bound(state: RobotState, closest: ClosestPoints) -> float:
+def force_bound(state: RobotState, distance: Distances) -> float:
     """[N] a push on the arm's closest point towards the other body that the arm can bear.
 
     A force F against the normal asks each joint for the torque g_i + J_i F, with J_i how the joint
@@ -159,11 +130,11 @@ def force_bound(state: RobotState, closest: ClosestPoints) -> float:
     Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds. It is 0
     where it cannot stop in time even if nobody pushes, and at contact.
     """
-    n_b, row = state.model.n_b, distance_jacobian(state, closest)
-    J, g = row.J[n_b:], state.g[n_b:]
+    n_b, ((d,), (row,), _, (speed,)) = state.model.n_b, distance
+    J, g = row[n_b:], state.g[n_b:]
     moved = np.abs(J) > 1e-9  # [m/rad or -]
-    if closest.d <= 0.0 or not moved.any():
+    if d <= 0.0 or not moved.any():
         return 0.0
     static = np.min((state.model.tau_max - g * np.sign(J))[moved] / np.abs(J)[moved])
-    stopping = min(row.speed, 0.0) ** 2 / (2.0 * closest.d)
+    stopping = min(speed, 0.0) ** 2 / (2.0 * d)
     return max(float(static - stopping / (J @ np.linalg.solve(state.M[n_b:, n_b:], J))), 0.0)

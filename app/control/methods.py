@@ -1,18 +1,16 @@
 """The compared methods: what each of them puts above the stack of tasks, or among its limits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.self_collision import Avoidance
-from app.avoidance.task import TaskRows
+from app.avoidance.task import Distances, TaskRows
 from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
 from app.control.kernels import reaction
-from app.control.limits import Barriers, barriers_of
-from app.robot.link_pairs import convex
 from app.robot.state import RobotState
 from app.strict import Array
 
@@ -26,10 +24,10 @@ class Inserted(NamedTuple):
     """The arm's rows against the base."""
     rows_links: tuple[TaskRows, ...] = ()
     """Rows between the arm's links."""
-    barriers: Barriers | None = None
-    """Distances that the arm keeps while the other tasks give in."""
-    clear: Sequence[ClosestPoints] = ()
-    """Links for which the base makes room, so that they stay outside of their pairs' buffers."""
+    kept: Distances | None = None
+    """What is left of the distances that the arm keeps while the other tasks give in."""
+    ahead: Distances | None = None
+    """The same of those for which the base makes room in time: between links their buffers too."""
     base_too: bool = False
     """Whether the base takes part in keeping them."""
     n_b: int = 2
@@ -66,16 +64,17 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
 
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
-    pairs, n_b = [pair.closest for pair in avoidance.mobile], state.model.n_b
-    force, d_min, d_b = config.force, config.barrier.d_min, config.border.d_b
-    near, parts = barriers_of(state, pairs, d_min), convex(pairs)
+    near, every, n_b = avoidance.near, avoidance.convex, state.model.n_b
+    least = np.full(len(every.d), avoidance.d_b)
+    least[: avoidance.n_convex] = config.barrier.d_min
+    ahead = every.beyond(least)
     return Inserted(
         avoidance.rows_m,
         rows_links=avoidance.rows_links,
-        barriers=near if len(parts) == len(pairs) else barriers_of(state, parts, d_min),
-        clear=convex(pair.closest for pair in avoidance.pairs[len(pairs) :]),
+        kept=ahead.of(slice(avoidance.n_convex)),
+        ahead=ahead,
         n_b=n_b,
-        u_a=reaction(near.h + d_min, near.J[:, n_b:], force.f_arm, d_b),
+        u_a=reaction(near.d, near.J[:, n_b:], config.force.f_arm, avoidance.d_b),
     )
 
 
@@ -119,9 +118,8 @@ def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted
 
     The base takes part in all of it.
     """
-    parts = convex(pair.closest for pair in avoidance.pairs)
-    barriers = barriers_of(state, parts, config.barrier.d_min)
-    return Inserted(barriers=barriers, base_too=True, n_b=state.model.n_b)
+    kept = avoidance.convex.beyond(config.barrier.d_min)
+    return Inserted(kept=kept, base_too=True, n_b=state.model.n_b)
 
 
 def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:

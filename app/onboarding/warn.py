@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from app.avoidance.task import distance_of
 from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, HandConfig
 from app.control.admittance import largest_command
@@ -353,7 +354,8 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
         state.update(at_rest(model, q_m))
         distances.update_from(state.data)
         d = distances.distances()
-        found.append(force_bound(state, distances.closest(int(np.argmin(d)))))
+        nearest = distances.closest(int(np.argmin(d)))
+        found.append(force_bound(state, distance_of(state, nearest)))
     return np.array(found)
 
 

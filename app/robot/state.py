@@ -10,6 +10,7 @@ for (B q̇_b, q̇_m).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,6 @@ from app.errors import MeasurementError
 from app.robot.model import RobotModel
 
 Array = np.ndarray
-_FLOAT = np.dtype(float)
 
 
 class Measurement(NamedTuple):
@@ -45,13 +45,11 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     Raises:
         MeasurementError: One of them is not that many numbers; the message names it.
     """
+    with suppress(TypeError):  # no arrays of floats
+        if _fits(*measurement, model.n_b, model.n_m, model.n_d):
+            return measurement
     n_d = model.n_d if np.size(measurement.drive) else 0
     sizes = (3, model.n_b, model.n_m, model.n_m, n_d)
-    for each, size in zip(measurement, sizes, strict=True):
-        if not (isinstance(each, np.ndarray) and each.dtype == _FLOAT and each.shape == (size,)):
-            break
-    else:
-        return measurement
     found: dict[str, Array] = {}
     for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
         try:
@@ -94,6 +92,12 @@ def _coordinates(
         q[4 + i] = q_m[i]
         qd[n_b + i] = v[3 + i] = qd_m[i]
     return qd, q, v
+
+
+@compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:], i8, i8, i8)")
+def _fits(a: Array, b: Array, c: Array, d: Array, e: Array, n_b: int, n_m: int, n_d: int) -> bool:
+    sizes = len(b) == n_b and len(c) == len(d) == n_m and (len(e) == n_d or len(e) == 0)
+    return len(a) == 3 and sizes
 
 
 @compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
@@ -206,27 +210,34 @@ def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
     return reduced
 
 
-@compiled("Tuple((f8[::1], f8, f8))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, i8, f8[:], f8[:])")
-def _pair_motion(
-    J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array, n: Array
-) -> tuple[Array, float, float]:
-    row = np.zeros(B.shape[1] + J.shape[1] - 3)
-    relative = _point_jacobian(J, B, joint_b, p) - _point_jacobian(J, B, joint_a, p)
-    for k in range(len(row)):
-        for i in range(3):
-            row[k] += n[i] * relative[i, k]
-    v_b, v_a = _point_velocity(twists[joint_b], p), _point_velocity(twists[joint_a], p)
-    a_b = _point_bias(twists[joint_b], biases[joint_b], p)
-    a_a = _point_bias(twists[joint_a], biases[joint_a], p)
-    x, y, z = v_b[0] - v_a[0], v_b[1] - v_a[1], v_b[2] - v_a[2]
-    w_x, w_y, w_z = twists[joint_a, 3], twists[joint_a, 4], twists[joint_a, 5]
-    speed = n[0] * x + n[1] * y + n[2] * z
-    bias = (
-        n[0] * (a_b[0] - a_a[0] - 2.0 * (w_y * z - w_z * y))
-        + n[1] * (a_b[1] - a_a[1] - 2.0 * (w_z * x - w_x * z))
-        + n[2] * (a_b[2] - a_a[2] - 2.0 * (w_x * y - w_y * x))
-    )
-    return row, bias, speed
+@compiled(
+    "Tuple((f8[:,::1], f8[::1], f8[::1]))"
+    "(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8[:,:], f8[:,:], f8[:,:])"
+)
+def _pair_motions(
+    J: Array, B: Array, twists: Array, biases: Array, joints: Array, at: Array, normals: Array
+) -> tuple[Array, Array, Array]:
+    count = len(joints)
+    rows = np.zeros((count, B.shape[1] + J.shape[1] - 3))
+    accelerations, speeds = np.empty(count), np.empty(count)
+    for k in range(count):
+        a, b, p, n = joints[k, 0], joints[k, 1], at[k], normals[k]
+        relative = _point_jacobian(J, B, b, p) - _point_jacobian(J, B, a, p)
+        for j in range(rows.shape[1]):
+            for i in range(3):
+                rows[k, j] += n[i] * relative[i, j]
+        v_b, v_a = _point_velocity(twists[b], p), _point_velocity(twists[a], p)
+        a_b = _point_bias(twists[b], biases[b], p)
+        a_a = _point_bias(twists[a], biases[a], p)
+        x, y, z = v_b[0] - v_a[0], v_b[1] - v_a[1], v_b[2] - v_a[2]
+        w_x, w_y, w_z = twists[a, 3], twists[a, 4], twists[a, 5]
+        speeds[k] = n[0] * x + n[1] * y + n[2] * z
+        accelerations[k] = (
+            n[0] * (a_b[0] - a_a[0] - 2.0 * (w_y * z - w_z * y))
+            + n[1] * (a_b[1] - a_a[1] - 2.0 * (w_z * x - w_x * z))
+            + n[2] * (a_b[2] - a_a[2] - 2.0 * (w_x * y - w_y * x))
+        )
+    return rows, accelerations, speeds
 
 
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])")
@@ -346,19 +357,16 @@ class RobotState:
         """(3,) J̇ q̇ of that point: its acceleration at q̈ = 0."""
         return np.array(_point_bias(self._twists[joint], self._biases[joint], p_world))
 
-    def pair_motion(
-        self, joint_a: int, joint_b: int, p: Array, n: Array
-    ) -> tuple[Array, float, float]:
-        """How a point of one body moves along a normal that is fixed to another one.
+    def pair_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
+        """How points of bodies move along normals that are fixed to other ones.
 
         Args:
-            joint_a: Joint of the body with the normal.
-            joint_b: Joint of the body with the point.
-            p: (3,) [m] the point, in the world.
-            n: (3,) unit normal, in the world.
+            joints: (k, 2) of the body with the normal and of the one with the point.
+            p: (k, 3) [m] the points, in the world.
+            n: (k, 3) unit normals, in the world.
 
         Returns:
-            (n,) its Jacobian nᵀ(J_b - J_a); [m/s²] its acceleration at q̈ = 0, with the turning of
-            the normal; [m/s] its speed.
+            (k, n) their Jacobians nᵀ(J_b - J_a); (k,) [m/s²] their accelerations at q̈ = 0, with the
+            turning of the normals; (k,) [m/s] their speeds.
         """
-        return _pair_motion(self._J, self._B, self._twists, self._biases, joint_a, joint_b, p, n)
+        return _pair_motions(self._J, self._B, self._twists, self._biases, joints, p, n)

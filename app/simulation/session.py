@@ -221,14 +221,16 @@ class Session:
         """
         if sensed is truth:
             self.state = self.controller.state
-            return self.state, tuple(pair.closest.d for pair in output.avoidance.pairs)
+            nearest = output.avoidance.nearest
+            return self.state, tuple(nearest.d[: len(nearest.pairs)].tolist())
         self.state = self._own_state
         self.state.update_kinematics(truth)
         return self.state, self._distances.distances()
 
     def _look(self, output: ControlOutput) -> BufferReading:
-        closest = [pair.closest for pair in output.avoidance.mobile]
-        return self._watch.update(self.state, closest, DT, gives_way=self.controller.name == "dbb")
+        avoidance, way = output.avoidance, self.controller.name == "dbb"
+        closest = [avoidance.nearest.closest(i) for i in range(avoidance.n_mobile)]
+        return self._watch.update(self.state, closest, DT, gives_way=way)
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.config = config

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
-from app.avoidance.task import distance_jacobian
+from app.avoidance.task import distance_of
 from app.config import Config
 from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState
@@ -106,18 +106,19 @@ def _samples(pose: Pose) -> list[Sample]:
     reader.update_from(state.data)
     config = Config()
     monitor = DistanceMonitor(state, robot.data.pairs.all)
-    near = monitor.find_closest_points(within=config.border.d_b, blend=config.activation.blend)
+    nearest = monitor.find_nearest(config.activation.blend)
     found = []
-    for i, (pair, closest) in enumerate(zip(reader.pairs, near, strict=True)):
+    for i, pair in enumerate(reader.pairs):
+        closest = nearest.closest(i)
         if not 0.0 < closest.d < Config().border.d_b:
             continue
         if abs(fine[i] - coarse[i]) > _KINK * (1.0 + abs(fine[i])):
             found.append(Sample(pair.name, None))
             continue
-        row = distance_jacobian(state, closest)
+        _, (J,), (Jdqd,), _ = distance_of(state, closest)
         bias, across = _fixed_points(state, closest)
-        without = float(row.J @ qdd_all) + bias - float(fine[i])
-        law = float(row.J @ qdd_all) + row.Jdqd - float(fine[i])
+        without = float(J @ qdd_all) + bias - float(fine[i])
+        law = float(J @ qdd_all) + Jdqd - float(fine[i])
         term = across / max(closest.d, _LEAST_D)
         found.append(Sample(pair.name, (law, without, without + term)))
     return found

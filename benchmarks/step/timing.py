@@ -106,7 +106,7 @@ def time_stages(controller: Controller, paths: Sequence[Path]) -> dict[str, floa
     stages = Stages()
     avoidance, solver = controller._avoidance, controller._solver
     stages.wrap(controller.state, "update", "kinematics_dynamics")
-    stages.wrap(avoidance._monitor, "find_closest_points", "distances")
+    stages.wrap(avoidance._monitor, "find_nearest", "distances")
     for finder in avoidance._finders.values():
         stages.wrap(finder, "find_acting_point", "acting_point")
     stages.wrap(avoidance, "update", "avoidance")

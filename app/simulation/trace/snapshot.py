@@ -158,7 +158,7 @@ def _pairs() -> Quantity:
         )
 
     def row(_: Session, step: Step) -> Sequence[float]:
-        return [*step.distances, *(pair.beta for pair in step.output.avoidance.pairs)]
+        return [*step.distances, *step.output.avoidance.beta]
 
     def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
         of_pairs = list(zip(*pairs, strict=True))[2:]  # without name and kind
@@ -269,10 +269,11 @@ def _force_bound() -> Quantity:
 
 
 def _least_force_bound(session: Session, step: Step) -> float:
-    near = [pair.closest for pair in step.output.avoidance.mobile if pair.beta > 0.0]
+    avoidance, state = step.output.avoidance, session.controller.state
+    near = [i for i in range(avoidance.n_mobile) if avoidance.beta[i] > 0.0]
     if not (step.pulls and near):
         return NAN
-    return min(force_bound(session.controller.state, closest) for closest in near)
+    return min(force_bound(state, avoidance.near.of(slice(i, i + 1))) for i in near)
 
 
 @dataclass(frozen=True)

@@ -241,8 +241,7 @@ class Recorder:
 
     def _begin(self, session: Session, step: Step) -> None:
         base = session.model.body_names[0]
-        closest = [state.closest.pair for state in step.output.avoidance.pairs]
-        pairs = {pair.name: pair.a == base for pair in closest}
+        pairs = {pair.name: pair.a == base for pair in step.output.avoidance.nearest.pairs}
         meta = TraceMeta.of(
             session.model,
             pairs,
