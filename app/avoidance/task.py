@@ -61,7 +61,7 @@ class Distances(NamedTuple):
 
     def beyond(self, kept: Array | float) -> Distances:
         """What is left of them beyond the distances that are kept, (k,) or one [m]."""
-        return self._replace(d=self.d - kept)
+        return Distances(self.d - kept, *self[1:])
 
 
 def distances_of(state: RobotState, joints: Array, nearest: Nearest) -> Distances:

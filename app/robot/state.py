@@ -129,7 +129,7 @@ def _reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Ar
     return reduced, h_r, g_r
 
 
-@compiled("Tuple((f8[:,::1], f8[:,::1]))(f8[:,:], f8[:])")
+@compiled()
 def _chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist and acceleration of the body on each joint, at the origin of the world.
 
@@ -240,7 +240,7 @@ def _pair_motions(
     return rows, accelerations, speeds
 
 
-@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])")
+@compiled()
 def _tip_motion(
     J: Array, B: Array, twists: Array, biases: Array, p: Array
 ) -> tuple[Array, Array, Array]:
@@ -264,6 +264,16 @@ def _tip_motion(
     return J_p, v, Jdqd
 
 
+@compiled(
+    "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:], f8[:])"
+)
+def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """`_chain_motion`, and `_tip_motion` of a frame at p (3,)."""
+    twists, biases = _chain_motion(J, v)
+    J_p, v_p, Jdqd = _tip_motion(J, B, twists, biases, p)
+    return twists, biases, J_p, v_p, Jdqd
+
+
 class RobotState:
     """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
@@ -285,11 +295,12 @@ class RobotState:
     def __init__(self, model: RobotModel) -> None:
         self.model = model
         self.data = model.pin.createData()
-        self._root = self.data.oMi[1]  # as pinocchio keeps it: asking for it anew costs more
+        # As pinocchio keeps them: asking for them anew costs more.
+        root, data = self.data.oMi[1], self.data
+        self.R_world_base, self.p_o = root.rotation, root.translation
+        self._dynamics, self._J = (data.M, data.nle, data.g), data.J
         self._pin = model.pin
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
-        self.R_world_base = np.eye(3)
-        self.p_o = np.zeros(3)
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def scale_arm_inertias(self, factor: float) -> None:
@@ -310,9 +321,8 @@ class RobotState:
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
         q, v = self._take(measurement)
-        data = self.data
-        pin.computeAllTerms(self._pin, data, q, v)
-        self.M, self.h, self.g = _reduced_dynamics(data.M, data.nle, data.g, self._B)
+        pin.computeAllTerms(self._pin, self.data, q, v)
+        self.M, self.h, self.g = _reduced_dynamics(*self._dynamics, self._B)
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
@@ -328,14 +338,11 @@ class RobotState:
 
     def _update_motion(self, v: Array) -> None:
         """Placements, velocities and accelerations, with the Jacobians already there."""
-        data, frame = self.data, self.model.ee_frame
-        self._J = data.J
-        self._twists, self._biases = _chain_motion(self._J, v)
-        self.T_world_ee = pin.updateFramePlacement(self._pin, data, frame)
-        self.J_ee, self.v_ee, self.Jdqd_ee = _tip_motion(
-            self._J, self._B, self._twists, self._biases, self.T_world_ee.translation
+        self.T_world_ee = pin.updateFramePlacement(self._pin, self.data, self.model.ee_frame)
+        p_ee = self.T_world_ee.translation
+        self._twists, self._biases, self.J_ee, self.v_ee, self.Jdqd_ee = _motion(
+            self._J, self._B, v, p_ee
         )
-        self.R_world_base, self.p_o = self._root.rotation, self._root.translation
 
     def to_base(self, p_world: Array) -> Array:
         """(3,) a point of the world in the base's frame."""
