@@ -15,12 +15,8 @@ import pytest
 from app.onboarding import new_robot
 from app.onboarding.check import check_robot
 from app.onboarding.fit import grouping
-from app.onboarding.fit.collision_sampling import (
-    Meetings,
-    make_units,
-    nested_links,
-    sample_meetings,
-)
+from app.onboarding.fit.collision_sampling import Meetings, nested_links, sample_meetings
+from app.onboarding.fit.units import make_units
 from app.onboarding.new_robot import compiled, description, parse
 from app.onboarding.request import Request
 from app.robot.description import RobotDescription

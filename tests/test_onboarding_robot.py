@@ -37,18 +37,12 @@ from app.onboarding.check import (
 )
 from app.onboarding.fit import grouping, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import (
-    Meetings,
-    Poses,
-    make_units,
-    meshes_meet,
-    sample_meetings,
-    units_of_links,
-)
+from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import Side, line_from
 from app.onboarding.fit.stops import with_stops
+from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.report import draw, report_html

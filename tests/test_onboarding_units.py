@@ -10,19 +10,12 @@ import pinocchio as pin
 import pytest
 import trimesh
 
-from app.onboarding.fit import collision_sampling
+from app.onboarding.fit import units
 from app.onboarding.fit.bodies import ArmFitter
-from app.onboarding.fit.collision_sampling import (
-    Meetings,
-    Part,
-    Poses,
-    Unit,
-    group_distances,
-    neighbours,
-    units_of_links,
-)
+from app.onboarding.fit.collision_sampling import Meetings, Poses
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
+from app.onboarding.fit.units import Part, Unit, group_distances, neighbours, units_of_links
 from app.onboarding.read.links import LinkGeometry, LinkShape
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from tests.robots import husky_panda
@@ -112,7 +105,7 @@ def test_groups_are_as_near_as_the_library_says_up_to_half_a_metre(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Beyond it, it is only certain that they are beyond it."""
-    monkeypatch.setattr(collision_sampling, "_MANY", 0)
+    monkeypatch.setattr(units, "_MANY", 0)
     model = husky_panda()
     names, every = model.body_names, candidate_pairs(model)
     geometry = model.geometry.copy()

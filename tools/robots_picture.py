@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
-from app.onboarding.fit.collision_sampling import moved, units_of_links
+from app.onboarding.fit.units import moved, units_of_links
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree

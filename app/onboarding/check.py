@@ -16,9 +16,10 @@ from app.border.config import SamplingConfig
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
-from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches, units_of_links
+from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
 from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
+from app.onboarding.fit.units import units_of_links
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot

@@ -21,7 +21,7 @@ from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import SIDES
 from app.onboarding.fit.bodies import FittedBody
-from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, make_units, sample_meetings
+from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
@@ -33,6 +33,7 @@ from app.onboarding.fit.postures import (
     line_from,
 )
 from app.onboarding.fit.stops import with_stops
+from app.onboarding.fit.units import make_units
 from app.onboarding.numbers import (
     Limits,
     Reach,

@@ -17,7 +17,7 @@ from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import radial_profile
-from app.onboarding.fit.collision_sampling import moved
+from app.onboarding.fit.units import moved
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.studies.page import Grid, Part, page_html

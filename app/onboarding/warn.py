@@ -15,8 +15,9 @@ from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, HandConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
-from app.onboarding.fit.collision_sampling import ALWAYS, moved
+from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import MOST_UNSEEN
+from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import ARM_ON_BASE
 from app.onboarding.read.wheels import turns_round

@@ -11,8 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import Meetings, Unit, moved
+from app.onboarding.fit.collision_sampling import Meetings
 from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume, lean_corners
+from app.onboarding.fit.units import Unit, moved
 from app.robot.model import RobotModel, kept_per_model
 
 Array = np.ndarray

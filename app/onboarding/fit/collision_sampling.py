@@ -7,29 +7,31 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations, compress, product
 from typing import NamedTuple
 
-import coal
 import numpy as np
 import pinocchio as pin
-import trimesh
 
 from app.jobs.pool import ALONE, Workers
-from app.onboarding.fit.convex import directions, hull_corners
+from app.onboarding.fit.convex import directions
+from app.onboarding.fit.units import (
+    Pairs,
+    Unit,
+    hull_distances,
+    link_shapes,
+    moved,
+    neighbours,
+    shape_distances,
+    units_of_links,
+)
 from app.onboarding.read.links import LinkGeometry
-from app.onboarding.read.tree import Arm
-from app.onboarding.write import ROOT
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
-from app.robot.shapes import convex_hull
 
 Array = np.ndarray
-Pairs = Sequence[tuple[int, int]]
 
 ALWAYS = 0.6
 """[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
 MARGIN = 0.015
 """[m] within which a point counts as met."""
-_ALONG = 0.999  # [-] cosine between two lines that count as parallel
-_THIN_OUT = 500  # [-] points on a unit's surface that are looked at, beside the outermost
 _BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
 NESTED = _BUILT_IN**2
 """[-] share of random poses in which nested links touch at least: in so many do their units, and in
@@ -42,227 +44,9 @@ ENOUGH = 600
 """[-] poses with a collision that tell what share of them is seen, to half a percent."""
 _MORE, _MOST = 1000, 40_000  # [-] poses looked at for them at a time, and altogether
 _PARTS = 4  # [-] of random poses, for each process to have its share
-_EXACT = 0.5  # [m] up to which distances are computed where there are many shapes
-_MANY = 150  # [-] pairs of shapes, from which on it is faster to look at their spheres first
 _FAR = 0.3  # [m] between two units at the nearest, beyond which none are
 _NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each
 _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] of a joint's range by which they are varied
-
-
-class Part(NamedTuple):
-    """One hull of a unit."""
-
-    link: str
-    corners: Array
-    """(N, 3) [m] of its hull, in the joint's frame."""
-    reach: Array
-    """(K,) [m] its support along `directions(2)`."""
-
-
-class Unit(NamedTuple):
-    """Links that move as one."""
-
-    index: int
-    """0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves."""
-    frame: str
-    """The link whose frame is the joint's; the floor point for the first two."""
-    links: tuple[str, ...]
-    joint: int
-    """pinocchio's."""
-    parts: tuple[Part, ...]
-    surface: Array
-    """(N, 3) [m] points on the hulls, in the joint's frame."""
-
-
-def make_units(
-    model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
-) -> tuple[Unit, ...]:
-    """The base, the arm's fixed part, and one unit a joint of the arm."""
-    frames = [ROOT, ROOT, *(joint.child for joint in arm.joints)]
-    links = [arm.base_links, *arm.segments]
-    return tuple(
-        _unit(model, k, frame, names, max(k, 1), geometry)
-        for k, (frame, names) in enumerate(zip(frames, links, strict=True))
-    )
-
-
-def units_of_links(
-    model: RobotModel, geometry: Mapping[str, LinkGeometry]
-) -> dict[str, list[Unit]]:
-    """The links that each body of a description stands for, by joint, by the body's name.
-
-    The units' indices are those of all of them in a row.
-    """
-    found: dict[str, list[Unit]] = {}
-    for body in model.description.bodies:
-        by_joint: dict[int, list[str]] = {}
-        for link in body.covers:
-            joint = model.pin.frames[model.pin.getFrameId(link)].parentJoint
-            by_joint.setdefault(joint, []).append(link)
-        first = sum(map(len, found.values()))
-        found[body.name] = [
-            _unit(model, first + k, body.frame, tuple(links), joint, geometry)
-            for k, (joint, links) in enumerate(by_joint.items())
-        ]
-    return found
-
-
-def _unit(
-    model: RobotModel,
-    index: int,
-    frame: str,
-    links: tuple[str, ...],
-    joint: int,
-    geometry: Mapping[str, LinkGeometry],
-) -> Unit:
-    parts, surface = [], [np.zeros((0, 3))]
-    D = directions(2)
-    for link in links:
-        T = model.pin.frames[model.pin.getFrameId(link)].placement
-        for shape in geometry[link].shapes:
-            corners = hull_corners(moved(np.asarray(shape.hull.vertices), T))
-            parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
-        surface.append(moved(geometry[link].surface, T))
-    points = np.vstack(surface)
-    if len(points) > _THIN_OUT:  # the outermost ones stay: a body has to hold fingertips too
-        some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
-        points = points[np.union1d(some, (points @ D.T).argmax(axis=0))]
-    return Unit(index, frame, links, joint, tuple(parts), points)
-
-
-def moved(points: Array, T: pin.SE3) -> Array:
-    """(N, 3) points of a frame as seen from the one in which it stands at T."""
-    return points @ T.rotation.T + T.translation
-
-
-def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
-    """Whether two units may touch by design.
-
-    One joint or none lies between them, or only joints that slide along one line: the parts of a
-    telescope stand in each other, and only its joints' limits can keep them apart.
-    """
-    first, last = sorted((a.joint, b.joint))
-    if last - first <= 1:
-        return True
-    data = model.pin.createData()
-    pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))
-    joints = model.pin.joints[first + 1 : last + 1]
-    columns = data.J[:, [joint.idx_v for joint in joints]]
-    parallel = np.abs(columns[:3].T @ columns[:3, 0]) > _ALONG
-    return not columns[3:].any() and bool(parallel.all())
-
-
-Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
-"""A shape: pinocchio's joint that carries it, where it stands on that, and the shape."""
-
-
-def shape_distances(
-    model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
-) -> Array:
-    """(N, pairs) [m] as `group_distances`, between groups of shapes that no model has."""
-    geometry, ids = pin.GeometryModel(), []
-    for group in groups:
-        first = geometry.ngeoms
-        for k, (joint, T, shape) in enumerate(group, first):
-            geometry.addGeometryObject(pin.GeometryObject(f"shape_{k}", joint, 0, T, shape))
-        ids.append(range(first, geometry.ngeoms))
-    return group_distances(model, geometry, ids, pairs, q_m)
-
-
-def group_distances(
-    model: RobotModel,
-    geometry: pin.GeometryModel,
-    groups: Sequence[Sequence[int]],
-    pairs: Pairs,
-    q_m: Array,
-) -> Array:
-    """(N, pairs) [m] signed distances between groups of shapes, each as near as its nearest shape.
-
-    With many shapes, of those above 0.5 m only that is certain: the spheres around them are so far
-    apart.
-
-    Groups are indices of shapes, pairs those of groups, q_m (N, n_m) [rad or m] the arm's joints,
-    the base at the origin. The geometry has no collision pairs yet: those of the groups are added.
-    """
-    starts, shapes = [], []
-    for a, b in pairs:
-        starts.append(len(shapes))
-        shapes += [(i, j) for i in groups[a] for j in groups[b]]
-    for i, j in shapes:
-        geometry.addCollisionPair(pin.CollisionPair(i, j))
-    found = np.empty((len(q_m), len(pairs)))
-    if not shapes:
-        return found
-    placed, data = pin.GeometryData(geometry), model.pin.createData()
-    results = [placed.distanceResults[k] for k in range(len(shapes))]
-    joints, centres, radii = _spheres(geometry)
-    first, second = np.array(shapes).T
-    ends = [*starts[1:], len(shapes)]
-    for row, pose in zip(found, q_m, strict=True):
-        q = model.configuration((0.0, 0.0, 0.0), pose)
-        pin.updateGeometryPlacements(model.pin, data, geometry, placed, q)
-        if len(shapes) < _MANY:
-            pin.computeDistances(geometry, placed)
-            row[:] = np.minimum.reduceat([r.min_distance for r in results], starts)
-            continue
-        T = np.array([each.homogeneous for each in data.oMi])[joints]
-        at = np.einsum("nij,nj->ni", T[:, :3, :3], centres) + T[:, :3, 3]
-        least = np.linalg.norm(at[first] - at[second], axis=1) - radii[first] - radii[second]
-        row[:] = np.minimum.reduceat(least, starts)
-        for k in np.flatnonzero(row < _EXACT):
-            nearest = np.inf
-            for i in starts[k] + np.argsort(least[starts[k] : ends[k]]):
-                if least[i] >= min(nearest, _EXACT):
-                    break
-                nearest = min(nearest, pin.computeDistance(geometry, placed, int(i)).min_distance)
-            row[k] = nearest
-    return found
-
-
-def meshes_meet(
-    model: RobotModel, a: Unit, b: Unit, geometry: Mapping[str, LinkGeometry], q_m: Array
-) -> Array:
-    """(N,) whether the meshes of two units' links touch at poses (N, n_m), by their triangles."""
-    data, request = model.pin.createData(), coal.CollisionRequest()
-    first, second = (
-        [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
-        for u in (a, b)
-    )
-    found = np.zeros(len(q_m), dtype=bool)
-    for row, pose in enumerate(q_m):
-        q = model.configuration((0.0, 0.0, 0.0), pose)
-        pin.framesForwardKinematics(model.pin, data, q)
-        for (i, shape), (j, other) in product(first, second):
-            T = data.oMf[i].actInv(data.oMf[j])
-            at = coal.Transform3s(T.rotation, T.translation)
-            met = coal.collide(
-                shape, coal.Transform3s(), other, at, request, coal.CollisionResult()
-            )
-            if met:
-                found[row] = True
-                break
-    return found
-
-
-def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
-    """A mesh as coal takes it."""
-    made = coal.BVHModelOBBRSS()
-    made.beginModel(len(mesh.faces), len(mesh.vertices))
-    made.addVertices(np.asarray(mesh.vertices, dtype=float))
-    made.addTriangles(np.asarray(mesh.faces, dtype=np.int64))
-    made.endModel()
-    return made
-
-
-def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
-    """The joints (K,) of shapes, and centres (K, 3) [m] in them and radii (K,) [m] around them."""
-    centres, radii = [], []
-    for shape in geometry.geometryObjects:
-        shape.geometry.computeLocalAABB()
-        centres.append(shape.placement.act(shape.geometry.aabb_center))
-        radii.append(shape.geometry.aabb_radius)
-    joints = np.array([shape.parentJoint for shape in geometry.geometryObjects])
-    return joints, np.array(centres), np.array(radii)
 
 
 class Poses(NamedTuple):
@@ -413,7 +197,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
-    own, other = (_link_shapes([found.units[k]]) for k in (u, v))
+    own, other = (link_shapes([found.units[k]]) for k in (u, v))
     pairs = [*product(range(len(own)), range(len(own), len(own) + len(other)))]
     shapes = [*own.values(), *other.values()]
     gaps = shape_distances(model, shapes, pairs, found.random.q_m[:ENOUGH])
@@ -431,7 +215,7 @@ def nested_touches(
     Of those that `nested_links` finds it is `NESTED` at least; of one without a shape it is 0.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
-    shapes = _link_shapes(units)
+    shapes = link_shapes(units)
     named = sorted((min(pair), max(pair)) for pair in model.description.nested)
     shaped, number = [pair for pair in named if shapes.keys() >= {*pair}], list(shapes).index
     pairs = [(number(a), number(b)) for a, b in shaped]
@@ -439,25 +223,6 @@ def nested_touches(
     gaps = shape_distances(model, list(shapes.values()), pairs, q_m)
     shares = (gaps <= 0.0).mean(axis=0).tolist()
     return dict.fromkeys(named, 0.0) | dict(zip(shaped, shares, strict=True))
-
-
-def _link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
-    """The hulls of each link that has some."""
-    shapes: dict[str, list[Placed]] = {}
-    for unit in units:
-        for part in unit.parts:
-            placed = unit.joint, pin.SE3.Identity(), convex_hull(part.corners)
-            shapes.setdefault(part.link, []).append(placed)
-    return shapes
-
-
-def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
-    """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
-    shapes = [
-        [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
-        for unit in units
-    ]
-    return shape_distances(model, shapes, pairs, q_m)
 
 
 def _rare_poses(

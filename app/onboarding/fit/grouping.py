@@ -21,12 +21,10 @@ from app.onboarding.fit.collision_sampling import (
     ALWAYS,
     ENOUGH,
     Meetings,
-    meshes_meet,
     nested_links,
     sample_meetings,
-    shape_distances,
-    units_of_links,
 )
+from app.onboarding.fit.units import meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel

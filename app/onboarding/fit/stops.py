@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import MARGIN, Meetings, hull_distances
+from app.onboarding.fit.collision_sampling import MARGIN, Meetings
+from app.onboarding.fit.units import hull_distances
 from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
 from app.robot.link_pairs import sample_joints
