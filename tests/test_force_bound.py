@@ -38,7 +38,7 @@ class Near:
         """That pair's in the state as it is now."""
         found = self._monitor.find_nearest(Config().activation.blend)
         rows = slice(self._nearest, self._nearest + 1)
-        return distances_of(self.state, self._monitor.joints, found).of(rows)
+        return distances_of(self.state, found).of(rows)
 
     def bound(self) -> float:
         """[N]"""

@@ -33,6 +33,8 @@ class Nearest(NamedTuple):
     """
 
     pairs: Sequence[Pair]
+    joints: Array
+    """(k, 2) that carry `a` and `b`."""
     rows: Sequence[Sequence[int]]
     """Of each pair: its own, and those of its parts where it has several."""
     d: Array
@@ -54,8 +56,6 @@ class DistanceMonitor:
         self._state = state
         self._distances = PairDistances(state.model, pairs)
         self._smooth = SmoothPoints(state, pairs)
-        self.joints = self._smooth.joints
-        """(k, 2) joints that carry `a` and `b` of each row of `Nearest`."""
         self.rows = self._smooth.rows
         """Of each pair, its own row, and those of its parts where `a` has several."""
 
@@ -74,7 +74,8 @@ class DistanceMonitor:
         points = self._smooth.find(blend)
         by_part = [self._distances.distance_by_part(i) for i in range(len(self._distances.pairs))]
         d = [by[0] for by in by_part] + [part for by in by_part for part in by[1:]]
-        return Nearest(self._distances.pairs, self.rows, np.array(d), points)
+        pairs, joints = self._distances.pairs, self._smooth.joints
+        return Nearest(pairs, joints, self.rows, np.array(d), points)
 
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""

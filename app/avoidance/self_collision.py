@@ -72,11 +72,11 @@ class Avoidance(NamedTuple):
     rows_links: tuple[TaskRows, ...]
     """The arm's active rows between its own links, (22) and (23)."""
     near: Distances
-    """Those of the pairs of L_m."""
+    """How far the pairs of L_m are."""
     convex: Distances
-    """Those of all pairs, of each convex part of a body by itself: of L_m, then of L_m^c."""
+    """The same of all pairs, of each convex part of a body by itself: of L_m, then of L_m^c."""
     n_convex: int
-    """How many of the latter are of L_m."""
+    """How many of these are of L_m."""
     d_b: float
     """[m] the buffer distance in force."""
 
@@ -151,7 +151,7 @@ class SelfCollisionAvoidance:
         n_mobile, way = len(self._pairs.mobile), BUFFER_RATE * dt
         self._d_b = self.d_b + min(max(self._config.border.d_b - self.d_b, -way), way)
         nearest = self._monitor.find_nearest(self._config.activation.blend)
-        distances = task.distances_of(self._state, self._monitor.joints, nearest)
+        distances = task.distances_of(self._state, nearest)
         d_full, model = self._config.activation.d_full, self._state.model
         d = nearest.d[: len(nearest.pairs)].tolist()
         beta = tuple([task.activation(each, self.d_b, d_full) for each in d])

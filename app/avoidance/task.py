@@ -64,8 +64,8 @@ class Distances(NamedTuple):
         return Distances(self.d - kept, *self[1:])
 
 
-def distances_of(state: RobotState, joints: Array, nearest: Nearest) -> Distances:
-    """J = uᵀ(J_b - J_a) at the core of l_b, with u fixed to l_a; `joints` (k, 2) carry l_a and l_b.
+def distances_of(state: RobotState, nearest: Nearest) -> Distances:
+    """J = uᵀ(J_b - J_a) at the core of l_b, with u fixed to l_a, of each row.
 
     u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips in
     penetration. A face keeps its normal while the closest points of a round link slide along it,
@@ -74,16 +74,16 @@ def distances_of(state: RobotState, joints: Array, nearest: Nearest) -> Distance
 
     Paper: Eq. (21).
     """
-    points = nearest.points
-    return Distances(nearest.d, *state.pair_motions(joints, points[:, 3], points[:, 2]))
+    n, core = nearest.points[:, 2], nearest.points[:, 3]
+    return Distances(nearest.d, *state.pair_motions(nearest.joints, core, n))
 
 
 def distance_of(state: RobotState, closest: ClosestPoints) -> Distances:
     """The same of one pair by its closest points."""
-    joints = [[state.model.body_joints[body] for body in closest.pair]]
+    joints = np.array([[state.model.body_joints[body] for body in closest.pair]])
     points = np.array([[closest.p_a, closest.p_b, closest.n, closest.core]])
-    nearest = Nearest((closest.pair,), ((0,),), np.array([closest.d]), points)
-    return distances_of(state, np.array(joints), nearest)
+    d = np.array([closest.d])
+    return distances_of(state, Nearest((closest.pair,), joints, ((0,),), d, points))
 
 
 class TaskRows(NamedTuple):
