@@ -72,10 +72,8 @@ class DistanceMonitor:
         """The same as they move continuously, at the library's distances; τ [m] is `blend`."""
         self._distances.update_from(self._state.data)
         points = self._smooth.find(blend)
-        by_part = [self._distances.distance_by_part(i) for i in range(len(self._distances.pairs))]
-        d = [by[0] for by in by_part] + [part for by in by_part for part in by[1:]]
-        pairs, joints = self._distances.pairs, self._smooth.joints
-        return Nearest(pairs, joints, self.rows, np.array(d), points)
+        d, pairs = np.array(self._distances.distances_by_part()), self._distances.pairs
+        return Nearest(pairs, self._smooth.joints, self.rows, d, points)
 
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""

@@ -116,6 +116,8 @@ class PairDistances:
         results = self._placed.distanceResults
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
         """Of each pair, and of each part of its body `a` by itself where that has several."""
+        self._by_part = [whole for whole, *_ in self._results]
+        self._by_part += [part for _, *parts in self._results for part in parts]
 
     def update(self, q: Array) -> None:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
@@ -135,6 +137,10 @@ class PairDistances:
         """[m] signed distances of all pairs."""
         return tuple(self.distance(i) for i in range(len(self.pairs)))
 
+    def distances_by_part(self) -> list[float]:
+        """[m] the same, then those of each part of a body `a` by itself, where it has several."""
+        return [_nearest(results).min_distance for results in self._by_part]
+
     def sampled(self, q_m: Array) -> Array:
         """(N, pairs) [m] signed distances at joint positions (N, n_m), the base at the origin."""
         found = np.empty((len(q_m), len(self.pairs)))
@@ -142,10 +148,6 @@ class PairDistances:
             self.update(self._model.configuration((0.0, 0.0, 0.0), pose))
             row[:] = self.distances()
         return found
-
-    def distance_by_part(self, i: int) -> list[float]:
-        """[m] the same, and that of each part of its body `a` by itself, where it has several."""
-        return [_nearest(results).min_distance for results in self._results[i]]
 
     def closest(self, i: int) -> ClosestPoints:
         """The closest points of the i-th pair; copies, safe to keep."""
