@@ -21,6 +21,7 @@ from app.strict import Array
 _BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
 _MAX_NEWTON = 30
 _AT_END = 1e-9  # [m] of the distance at a ray's end
+_FLAT = 1e-9  # [m] by which rounding may part what lies in a plane
 
 
 class ConvexPart:
@@ -144,17 +145,16 @@ class Shapes(NamedTuple):
 
 
 def _triangles(geometry: coal.CollisionGeometry) -> Array:
-    """(T, 4, 3) of `Shapes`, without those that have no area."""
+    """(T, 4, 3) of `Shapes`, without slivers whose plane rounding has turned into the hull."""
     points = geometry.points()
     found = (geometry.polygons(i) for i in range(geometry.num_polygons))
     corners = points[[[each[k] for k in range(3)] for each in found]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    twice_area = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(twice_area, _NO_AREA)[:, None]
-    return np.concatenate([corners, normals[:, None]], axis=1)[twice_area > _NO_AREA]
-
-
-_NO_AREA = 1e-15  # [m²]
+    with np.errstate(invalid="ignore"):  # without an area: not a number, and left out
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+    offsets = (normals * corners[:, 0]).sum(axis=1)
+    outermost = np.array([(points @ n).max() for n in normals])
+    return np.concatenate([corners, normals[:, None]], axis=1)[outermost - offsets < _FLAT]
 
 
 @compiled()
@@ -193,15 +193,15 @@ def _hull_distance(
         over = n[0] * (x - a[0]) + n[1] * (y - a[1]) + n[2] * (z - a[2])
         if over > deepest:
             deepest, face = over, k
-        if over > 0.0 and over * over < least:
+        if over > -_FLAT and over * over < least:
             u, v, w = _on_triangle(triangles[k], x, y, z, over)
             far = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
             if far < least:
                 least, nearest = far, (u, v, w)
-    if deepest <= 0.0 or least == 0.0:
-        n = triangles[face, 3]
-        return min(deepest, 0.0), n[0], n[1], n[2]
     far = math.sqrt(least)
+    if deepest <= 0.0 or far < _FLAT:
+        n = triangles[face, 3]
+        return (deepest if deepest <= 0.0 else far), n[0], n[1], n[2]
     return far, (x - nearest[0]) / far, (y - nearest[1]) / far, (z - nearest[2]) / far
 
 
