@@ -179,30 +179,54 @@ def _on_triangle(
 
 
 @compiled()
+def _over(triangle: Array, x: float, y: float, z: float) -> float:
+    """[m] by which a point is over the plane of a triangle of `Shapes`."""
+    a, n = triangle[0], triangle[3]
+    return n[0] * (x - a[0]) + n[1] * (y - a[1]) + n[2] * (z - a[2])
+
+
+@compiled()
+def _reach(triangle: Array, p: float, q: float, r: float) -> float:
+    """The largest product of (p, q, r) with a corner of a triangle of `Shapes`."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    return max(
+        a[0] * p + a[1] * q + a[2] * r,
+        max(b[0] * p + b[1] * q + b[2] * r, c[0] * p + c[1] * q + c[2] * r),
+    )
+
+
+@compiled()
 def _hull_distance(
     triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
     """Signed distance [m] of a point to a hull, and its gradient there.
 
-    From outside the nearest point lies on one of the triangles that are seen from there, none of
-    which is nearer than its plane; inside the nearest plane counts.
+    Inside the nearest plane counts. Outside, what is nearer than some point of the hull lies in
+    front of the plane through that point, square to the way from it: few triangles reach there.
     """
-    deepest, face, least, nearest = -np.inf, 0, np.inf, (x, y, z)
+    deepest, face = -np.inf, 0
     for k in range(len(triangles)):
-        a, n = triangles[k, 0], triangles[k, 3]
-        over = n[0] * (x - a[0]) + n[1] * (y - a[1]) + n[2] * (z - a[2])
+        over = _over(triangles[k], x, y, z)
         if over > deepest:
             deepest, face = over, k
-        if over > -_FLAT and over * over < least:
-            u, v, w = _on_triangle(triangles[k], x, y, z, over)
-            far = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
-            if far < least:
-                least, nearest = far, (u, v, w)
+    n = triangles[face, 3]
+    if deepest <= 0.0:
+        return deepest, n[0], n[1], n[2]
+    u, v, w = _on_triangle(triangles[face], x, y, z, deepest)
+    p, q, r = x - u, y - v, z - w
+    level, least = p * u + q * v + r * w, p * p + q * q + r * r
+    for k in range(len(triangles)):
+        if _reach(triangles[k], p, q, r) <= level:
+            continue
+        a, b, c = _on_triangle(triangles[k], x, y, z, _over(triangles[k], x, y, z))
+        far = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
+        if far < least:
+            p, q, r = x - a, y - b, z - c
+            level, least = p * a + q * b + r * c, far
     far = math.sqrt(least)
-    if deepest <= 0.0 or far < _FLAT:
-        n = triangles[face, 3]
-        return (deepest if deepest <= 0.0 else far), n[0], n[1], n[2]
-    return far, (x - nearest[0]) / far, (y - nearest[1]) / far, (z - nearest[2]) / far
+    if far < _FLAT:
+        return far, n[0], n[1], n[2]
+    return far, p / far, q / far, r / far
 
 
 @compiled()
