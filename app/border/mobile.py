@@ -1,7 +1,7 @@
 """Exact distance of points to a convex shape, and to the mobile robot's (DistanceToMobile).
 
-A kernel measures them, with the same answers as the collision library, fifty times faster: so a
-border for another d_b is there at once.
+A kernel measures them, with the same answers as the collision library, boxes and round shapes fifty
+times faster: so a border for another d_b is there at once. A hull takes a time for each triangle.
 """
 
 from __future__ import annotations
