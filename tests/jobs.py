@@ -33,6 +33,11 @@ def add_slowly(context: int, job: int, on_progress: Callable[[float], None]) -> 
     return context + job
 
 
+def add_twice_over(context: int, job: int, on_progress: Callable[[float], None]) -> int:
+    on_progress(2.0)
+    return context + job
+
+
 def touch(context: int, file: str) -> None:
     Path(file).touch()
 

@@ -177,3 +177,32 @@ def test_a_flat_hull_and_a_point_of_its_surface_have_a_distance():
     assert d == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(n, [0.0, 0.0, 1.0], atol=1e-9)
     np.testing.assert_allclose(part.distances(np.array([[2.0, 2, 0]])), np.sqrt(2), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [0.001, 0.3, 10.0])
+def test_a_point_of_a_hulls_surface_has_the_face_as_its_nearest_plane(size: float):
+    """Rounding parts the planes of a face's triangles: over one of them, p may be under its own."""
+    rng = np.random.default_rng(0)
+    turned = pin.exp3(rng.normal(size=3))
+    corners = size * np.array([*np.ndindex(2, 2, 2)]) @ turned.T
+    part = ConvexPart(convex_hull(corners), pin.SE3.Identity())
+    for axis, side in np.ndindex(3, 2):
+        at = rng.uniform(0.05, 0.95, (200, 3))
+        at[:, axis] = side
+        for p in size * at @ turned.T:
+            d, n = part.distance_and_normal(p)
+            assert d == pytest.approx(0.0, abs=1e-12)
+            assert n @ turned[:, axis] == pytest.approx(2 * side - 1)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_corners_that_rounding_parts_do_not_change_a_hull(seed: int):
+    """Between them lie triangles without a height, whose planes may be any."""
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-0.5, 0.5, (30, 3))
+    several = np.concatenate([corners + rng.normal(size=corners.shape) * 1e-14 for _ in range(3)])
+    (once, again), p = (
+        [ConvexPart(convex_hull(each), pin.SE3.Identity()) for each in (corners, several)],
+        rng.uniform(-0.7, 0.7, (500, 3)),
+    )
+    np.testing.assert_allclose(again.distances(p), once.distances(p), atol=1e-9)

@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from tests.readme import PROJECT
 
 PART = """
@@ -36,6 +38,21 @@ print(kernel(2.0), len(kernel.signatures), len(kernel.stats.cache_misses))
 NOWHERE = """
 from numba.core import caching
 caching.CacheImpl._locator_classes = []  # as where neither program nor home can be written
+"""
+
+CHECKED = """
+from types import SimpleNamespace
+import numpy as np
+from app.errors import MeasurementError
+from app.robot.state import Measurement, checked
+
+two = SimpleNamespace(n_b=2, n_m=2, n_d=0)
+taken = checked(Measurement([0, 0, 0], [0, 0], [0, 0], np.zeros(2, "f4")), two)
+print({each.dtype.name for each in taken[:4]})
+try:
+    checked(Measurement(np.zeros((3, 1)), *np.zeros((3, 2))), two)
+except MeasurementError as error:
+    print(error)
 """
 
 
@@ -74,3 +91,11 @@ def test_where_no_kernel_can_be_kept_it_is_compiled_all_the_same(tmp_path):
     assert printed == "4.0 1 1"
     assert "each time: set NUMBA_CACHE_DIR" in said
     assert "once" not in said
+
+
+@pytest.mark.parametrize("disabled", ["0", "1"])
+def test_a_measurement_is_checked_with_and_without_compiled_kernels(tmp_path, disabled):
+    (tmp_path / "checked.py").write_text(CHECKED, encoding="utf-8")
+    kinds, refused = run(tmp_path, "checked.py", NUMBA_DISABLE_JIT=disabled)[0].splitlines()
+    assert kinds == "{'float64'}"
+    assert refused.startswith("measurement.base_pose must be 3 numbers")

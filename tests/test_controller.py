@@ -1,5 +1,6 @@
 """Laws of Algorithm 2 as a whole, on the paper's robot."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.optimize import lsq_linear
 
 from app.border.cache import BorderData
 from app.config import Config, slowed
+from app.control import CONTROLLERS
 from app.control.admittance import response
 from app.control.controller import Controller, ControlOutput
 from app.control.limits import base_limits, robot_limits
@@ -104,6 +106,19 @@ def test_far_from_everything_a_guided_arm_gives_gravity_compensation_and_damping
     np.testing.assert_allclose(output.u_a, free_arm_torque(controller.state), atol=1e-6)
     np.testing.assert_array_equal(output.base_acceleration, np.zeros(2))
     assert output.activation == 0.0
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_an_arm_that_meets_nothing_has_nothing_to_avoid(
+    robot: RobotModel, border_data: BorderData, name: str
+) -> None:
+    data = replace(border_data, pairs=replace(border_data.pairs, mobile=(), manipulator=()))
+    controller = Controller(robot, data, AT_ONCE, name=name)
+    m = measured(robot, np.array(robot.description.arm.ready_position))
+    for reference in (None, reference_at(robot, m)):
+        output = controller.step(m, reference)
+        assert output.solved
+        assert output.avoidance.pairs == ()
 
 
 @pytest.mark.parametrize("seed", range(5))

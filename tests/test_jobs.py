@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from app.jobs.pool import Workers
-from tests.jobs import add, add_slowly, touch
+from tests.jobs import add, add_slowly, add_twice_over, touch
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -188,6 +188,15 @@ def test_a_pool_tells_the_share_of_all_jobs_while_they_are_done(processes: int) 
     assert {*shares} >= {k / 16 for k in range(13, 17)}  # those of the last job, and its end
     assert len({*shares}) == 16
     assert {thread for _, thread in told} == {threading.current_thread()}  # which hears Ctrl-C
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_no_job_counts_for_more_than_itself(processes: int) -> None:
+    shares: list[float] = []
+    with Workers(int, processes) as workers:
+        results = workers.map(add_twice_over, [1, 2], shares.append, tells=True)
+        assert [*results] == [1, 2]
+    assert {*shares} == {0.5, 1.0}
 
 
 @pytest.mark.parametrize("processes", [1, 2])

@@ -122,7 +122,7 @@ class SmoothPoints:
 
     def find(self, blend: float) -> Array:
         """(k, 4, 3) of `Nearest`; `blend` [m] is τ."""
-        placed = np.concatenate(self._placed)
+        placed = np.concatenate([np.empty((0, 3)), *self._placed])
         return mean_nearest(*self._shapes, self._nodes, self._firsts, self._sought, placed, blend)
 
 

@@ -67,7 +67,7 @@ class Distances(NamedTuple):
 def distances_of(state: RobotState, nearest: Nearest) -> Distances:
     """J = uᵀ(J_b - J_a) at the core of l_b, with u fixed to l_a, of each row.
 
-    u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips in
+    u is the signed normal out of l_a: the printed (p_b - p_a)/‖p_b - p_a‖ flips in
     penetration. A face keeps its normal while the closest points of a round link slide along it,
     and the point of the link's core, its radius behind p_b, stays: there d̈ is exact. The curvature
     |v_⊥|²/d of the distance of two fixed points would be ten times as wrong as none.

@@ -153,7 +153,7 @@ class _Shares:
 
     def take(self, number: int, share: float) -> None:
         """Take the share of a job, which may have begun again, and pass on that of all of them."""
-        self._of[number] = max(self._of[number], share)
+        self._of[number] = max(self._of[number], min(share, 1.0))
         self._on_progress(sum(self._of) / len(self._of))
 
 

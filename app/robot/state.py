@@ -10,7 +10,6 @@ for (B q̇_b, q̇_m).
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from app.errors import MeasurementError
 from app.robot.model import RobotModel
 
 Array = np.ndarray
+_FLOAT = np.dtype(float)
 
 
 class Measurement(NamedTuple):
@@ -45,11 +45,11 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     Raises:
         MeasurementError: One of them is not that many numbers; the message names it.
     """
-    with suppress(TypeError):  # no arrays of floats
-        if _fits(*measurement, model.n_b, model.n_m, model.n_d):
-            return measurement
     n_d = model.n_d if np.size(measurement.drive) else 0
     sizes = (3, model.n_b, model.n_m, model.n_m, n_d)
+    pairs = zip(measurement, sizes, strict=True)
+    if all(type(a) is Array and a.dtype == _FLOAT and a.shape == (size,) for a, size in pairs):
+        return measurement
     found: dict[str, Array] = {}
     for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
         try:
@@ -92,12 +92,6 @@ def _coordinates(
         q[4 + i] = q_m[i]
         qd[n_b + i] = v[3 + i] = qd_m[i]
     return qd, q, v
-
-
-@compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:], i8, i8, i8)")
-def _fits(a: Array, b: Array, c: Array, d: Array, e: Array, n_b: int, n_m: int, n_d: int) -> bool:
-    sizes = len(b) == n_b and len(c) == len(d) == n_m and (len(e) == n_d or len(e) == 0)
-    return len(a) == 3 and sizes
 
 
 @compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
