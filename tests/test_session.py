@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from app.config import Config
 from app.control.admittance import AdmittanceLaw
 from app.control.controller import Controller
 from app.control.drive import Drive
-from app.errors import TargetError, UnknownNameError
+from app.errors import DescriptionError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.scenarios import LINES
@@ -242,6 +243,14 @@ def test_a_pull_below_the_floor_is_refused(make):
 def test_an_unknown_name_lists_those_that_exist(make, option):
     with pytest.raises(UnknownNameError, match="choose from"):
         make(**option)
+
+
+def test_a_robot_without_anything_to_avoid_is_refused_by_name(
+    robot: RobotModel, border_data: BorderData
+):
+    data = replace(border_data, pairs=replace(border_data.pairs, mobile=()))
+    with pytest.raises(DescriptionError, match=r"husky_panda: no part of the arm can meet"):
+        Session(robot, data, Config())
 
 
 @pytest.mark.parametrize("reading", ["base_pose", "base_velocity", "q_m", "qd_m"])

@@ -16,7 +16,7 @@ from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.control_loop import ControlLoop
 from app.control.controller import Controller, ControlOutput
 from app.control.tasks import Reference
-from app.errors import TargetError
+from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, PersonForces, PullReading
@@ -95,7 +95,13 @@ class Session:
         Raises:
             UnknownNameError: No controller or plant has that name.
             ConfigError: The plant has no doors.
+            DescriptionError: No part of the arm can meet the base.
         """
+        if not data.pairs.mobile:
+            raise DescriptionError(
+                f"{model.description.name}: no part of the arm can meet the base: there is nothing "
+                "to avoid; look in its report whether the bodies hold the links"
+            )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         """Kind of plant; of everything random; the door that the hand holds, and how far it is open
