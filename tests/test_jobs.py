@@ -237,5 +237,13 @@ def test_processes_that_help_to_make_a_robot_begin_before_their_parent_imports_w
     """Both imports take seconds; else they came one after the other."""
     script = tmp_path / "script.py"
     script.write_text(NEW_ROBOT)
+    (tmp_path / "robot.urdf").touch()
     _, errors = (process := start(script, tmp_path)).communicate(timeout=60)
     assert (process.returncode, errors) == (0, "")
+
+
+def test_a_urdf_that_is_not_there_is_told_before_they_begin(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(NEW_ROBOT)
+    _, errors = start(script, tmp_path).communicate(timeout=60)
+    assert "robot.urdf: no such file" in errors

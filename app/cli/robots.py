@@ -122,6 +122,11 @@ def new_robot(
     """
     asked = Request(**request)
     check_request(asked)
+    # Imported here: it would make every other command start later.
+    from app.onboarding.read.source import locate
+
+    for source in filter(None, (asked.urdf, asked.arm_urdf)):
+        locate(source)  # what is not there is told at once, before any process begins
     begin = perf_counter()
     with helpers() as workers, ExitStack() as step:
         # Imported here: matplotlib, scipy and trimesh would make every other command start later.
