@@ -47,8 +47,10 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """
     n_d = model.n_d if np.size(measurement.drive) else 0
     sizes = (3, model.n_b, model.n_m, model.n_m, n_d)
-    pairs = zip(measurement, sizes, strict=True)
-    if all(type(a) is Array and a.dtype == _FLOAT and a.shape == (size,) for a, size in pairs):
+    for each, size in zip(measurement, sizes, strict=True):
+        if type(each) is not Array or each.dtype is not _FLOAT or each.shape != (size,):
+            break
+    else:
         return measurement
     found: dict[str, Array] = {}
     for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
@@ -185,16 +187,29 @@ def _point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, floa
     return x + w_y * v_z - w_z * v_y, y + w_z * v_x - w_x * v_z, z + w_x * v_y - w_y * v_x
 
 
+@compiled()
+def _carrying(joint: int) -> int:
+    """How many velocities move a joint's body: the first ones; none moves the world."""
+    return joint + 2 if joint > 0 else 0
+
+
+@compiled()
+def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
+    """Velocity of a point at p (3,) [m] of what the k-th velocity moves, for each unit of that."""
+    return (
+        J[0, k] + J[4, k] * p[2] - J[5, k] * p[1],
+        J[1, k] + J[5, k] * p[0] - J[3, k] * p[2],
+        J[2, k] + J[3, k] * p[1] - J[4, k] * p[0],
+    )
+
+
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
     """(3, n) Jacobian of the point of a joint's body that is now at p (3,) [m]."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
-    column = np.empty(3)
-    for k in range(joint + 2 if joint > 0 else 0):
-        column[0] = J[0, k] + J[4, k] * p[2] - J[5, k] * p[1]
-        column[1] = J[1, k] + J[5, k] * p[0] - J[3, k] * p[2]
-        column[2] = J[2, k] + J[3, k] * p[1] - J[4, k] * p[0]
+    for k in range(_carrying(joint)):
+        column = _column(J, k, p)
         for i in range(3):
             if k < 3:
                 for j in range(n_b):
@@ -216,10 +231,16 @@ def _pair_motions(
     accelerations, speeds = np.empty(count), np.empty(count)
     for k in range(count):
         a, b, p, n = joints[k, 0], joints[k, 1], at[k], normals[k]
-        relative = _point_jacobian(J, B, b, p) - _point_jacobian(J, B, a, p)
-        for j in range(rows.shape[1]):
-            for i in range(3):
-                rows[k, j] += n[i] * relative[i, j]
+        # What carries both moves neither against the other.
+        sign = 1.0 if a < b else -1.0
+        for l in range(_carrying(min(a, b)), _carrying(max(a, b))):
+            u, v, w = _column(J, l, p)
+            along = sign * (n[0] * u + n[1] * v + n[2] * w)
+            if l < 3:
+                for j in range(B.shape[1]):
+                    rows[k, j] += along * B[l, j]
+            else:
+                rows[k, B.shape[1] + l - 3] = along
         v_b, v_a = _point_velocity(twists[b], p), _point_velocity(twists[a], p)
         a_b = _point_bias(twists[b], biases[b], p)
         a_a = _point_bias(twists[a], biases[a], p)
