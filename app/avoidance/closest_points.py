@@ -274,7 +274,7 @@ def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
         rim = shape.radius_m * np.column_stack([np.cos(turns), np.sin(turns)])
         heights = np.repeat([-0.5, 0.5], len(rim)) * shape.length_m
         return np.column_stack([np.vstack([rim, rim]), heights])
-    return np.array([geometry.point(i) for i in range(geometry.num_points)])
+    return np.array(geometry.points())
 
 
 def _farthest_out(corners: Array) -> Array:

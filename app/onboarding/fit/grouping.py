@@ -8,7 +8,7 @@ is not watched, as neighbours are not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations, compress, pairwise, product
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from app.errors import RobotFileError
 from app.jobs.pool import ALONE, Workers
+from app.jobs.progress import OnProgress
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     ALWAYS,
@@ -80,7 +81,7 @@ def find_grouping(
     *,
     d_b: float,
     count: int | None = None,
-    on_progress: Callable[[float], None] = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
@@ -134,7 +135,7 @@ def _arm_grouping(
     mobile: tuple[int, ...],
     d_b: float,
     count: int | None,
-    on_progress: Callable[[float], None],
+    on_progress: OnProgress,
 ) -> Grouping:
     """The best grouping around an l_m of given units."""
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
