@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from app.control.control_loop import Command as Command
     from app.control.control_loop import ControlLoop as ControlLoop
     from app.control.controller import Controller as Controller
-    from app.control.controller import ControlOutput as ControlOutput
+    from app.control.quantities import ControlStep as ControlStep
     from app.control.tasks import Reference as Reference
     from app.errors import DbbError as DbbError
     from app.errors import MeasurementError as MeasurementError
@@ -49,7 +49,7 @@ _MODULES = {
     "Command": "app.control.control_loop",
     "Config": "app.config",
     "ControlLoop": "app.control.control_loop",
-    "ControlOutput": "app.control.controller",
+    "ControlStep": "app.control.quantities",
     "Controller": "app.control.controller",
     "DbbError": "app.errors",
     "Measurement": "app.robot.state",

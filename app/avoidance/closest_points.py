@@ -100,7 +100,8 @@ class SmoothPoints:
         names = list(dict.fromkeys(body for pair in pairs for body in pair))
         bodies = [_Body.of(model, name) for name in names]
         # Views of pinocchio's own placements: asking for them anew would cost as much again.
-        placed = [oMi[model.body_joints[name]] for name in names]
+        self._body_joints = np.array([model.body_joints[name] for name in names], dtype=int)
+        placed = [oMi[joint] for joint in self._body_joints.tolist()]
         self._placed = [part for T in placed for part in (T.rotation, T.translation[None])]
         self._shapes = Shapes.together([body.shapes for body in bodies])
         self._nodes = np.concatenate([np.empty((0, 4)), *(body.nodes for body in bodies)])
@@ -119,6 +120,18 @@ class SmoothPoints:
         joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
         self.joints = np.array(joints, dtype=int).reshape(-1, 2)
         """(k, 2) that carry `a` and `b` of each row."""
+
+    def arrays(self) -> dict[str, Array]:
+        """What `mean_nearest` takes besides poses, by the names of `app.control.inputs.ROBOT`."""
+        return {
+            "shapes": self._shapes.rows,
+            "triangles": self._shapes.triangles,
+            "nodes": self._nodes,
+            "firsts": self._firsts,
+            "sought": self._sought,
+            "body_joints": self._body_joints,
+            "pair_joints": self.joints,
+        }
 
     def find(self, blend: float) -> Array:
         """(k, 4, 3) of `Nearest`; `blend` [m] is τ."""

@@ -1,60 +1,174 @@
-"""The border on which the acting point is searched: as a surface, or as the paper has it.
+"""The border on which the acting point is searched: as a surface, or as points as in the paper.
 
-The surface is the exact offset of l_m, which the cloud samples: a point and its nearest point on it
-move together, at a cost that does not depend on the cloud. It is closed: where the arm never is,
-nobody asks, and near there the reachability in the score leads away. `BorderPoints` is the border
-as the paper has it: the sampled points alone.
+The surface is the exact offset of l_m, which the points sample: a point and its nearest point on it
+move together, at a cost that does not depend on the number of points. It is closed: where the arm
+never is, no point is searched, and near there the reachability in the score leads away.
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
+from numba.core.typing.templates import Signature
 
-from app.border.contours import Foot, NearestBorder
-from app.border.dbb import Border, Cloud, construct_dbb
+from app.border.contours import Foot, Table, nearest_point
+from app.border.dbb import SAME_HEIGHT, Border, Cloud, construct_dbb
 from app.border.offset import OffsetContours, offset_contours
+from app.compiled import compiled
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
+from app.structs import assemble, struct_type
 
 
-class BorderPoints:
-    """DBB_i as points; where a height has none, the exact offset of l_m takes their place."""
+class _Values(NamedTuple):
+    """The border as compiled functions take it: the `Table` of the offset, then the points."""
 
-    def __init__(self, border: Border, offset: OffsetContours) -> None:
-        """The sampled border of one pair, and the exact offset of l_m for the same d_b."""
-        self._border, self._offset = border, offset
+    firsts: Array
+    heights: Array
+    vertices: Array
+    tangents: Array
+    shown: Array
+    spans: Array
+    as_points: bool
+    """Whether the points are searched."""
+    points: Array
+    """(N, 3) [m] of all pairs, those of each by ascending height."""
+    sampled: Array
+    """(pairs + 1,) the first point of each pair, and N."""
+    eps: float
+    """[m] ε of (3)."""
+
+
+_f8, _c16, _i8 = types.f8, types.c16, types.i8
+BORDER = struct_type(
+    _Values,
+    {
+        "firsts": types.Array(_i8, 1, "C"),
+        "heights": types.Array(_f8, 1, "C"),
+        "vertices": types.Array(_c16, 2, "C"),
+        "tangents": types.Array(_c16, 2, "C"),
+        "shown": types.Array(_f8, 2, "C"),
+        "spans": types.Array(_f8, 2, "C"),
+        "as_points": types.b1,
+        "points": types.Array(_f8, 2, "C"),
+        "sampled": types.Array(_i8, 1, "C"),
+        "eps": _f8,
+    },
+)
+"""The struct of a border, for signatures of compiled functions."""
+
+
+@compiled(BORDER.made_from)
+def _make(values: Any) -> Any:
+    return assemble(values)
+
+
+@compiled("Tuple((f8[::1], f8[::1], b1))(f8[:,:], i8, i8, f8[:], f8)")
+def nearest_sample(
+    points: Array, first: int, end: int, p: Array, eps: float
+) -> tuple[Array, Array, bool]:
+    """FindSameHeight and FindMinDistancePoint among sampled border points.
+
+    The tangent is perpendicular to the line from p to the point. Where p lies on the border, which
+    is known to within ε, that line has no direction.
+
+    Paper: Algorithm 3, lines 1 to 4.
+
+    Args:
+        points: (N, 3) [m] border points of all pairs, of each pair by ascending height.
+        first: The first point of the pair.
+        end: One after its last point.
+        p: (3,) [m]
+        eps: [m] ε of (3).
+
+    Returns:
+        (3,) [m] the point at the height of p, (3,) the tangent there or NaN where it has no
+        direction, and whether the height has points.
+    """
+    low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
+    heights = points[first:end, 2]
+    i, j = np.searchsorted(heights, low, side="left"), np.searchsorted(heights, high, side="right")
+    least, p_n, t = np.inf, np.array([0.0, 0.0, p[2]]), np.full(3, np.nan)
+    for k in range(first + i, first + j):
+        far = (points[k, 0] - p[0]) ** 2 + (points[k, 1] - p[1]) ** 2
+        if far < least:
+            least, p_n[0], p_n[1] = far, points[k, 0], points[k, 1]
+    length = math.sqrt(least)
+    if eps < length < np.inf:
+        t[0], t[1], t[2] = (p[1] - p_n[1]) / length, (p_n[0] - p[0]) / length, 0.0
+    return p_n, t, least < np.inf
+
+
+@compiled()
+def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
+    """The border's point nearest to p (3,) [m] at its height, and the unit tangent there.
+
+    Of a border as points; where a height has none, and of a border as a surface, of the exact
+    offset of l_m. NaN if l_m has no border at all.
+    """
+    if border.as_points:
+        first, end = border.sampled[pair], border.sampled[pair + 1]
+        p_n, t, found = nearest_sample(border.points, first, end, p, border.eps)
+        if found and math.isnan(t[0]):
+            exact = _nearest_offset(border, p_n)
+            t = exact[1] if not math.isnan(exact[1, 0]) else np.array([0.0, 1.0, 0.0])
+        if found:
+            return p_n, t
+    exact = _nearest_offset(border, p)
+    return exact[0], exact[1]
+
+
+@compiled()
+def _nearest_offset(border: Any, p: Array) -> Array:
+    if len(border.heights) == 0:
+        return np.full((2, 3), np.nan)
+    return nearest_point(
+        border.firsts,
+        border.heights,
+        border.vertices,
+        border.tangents,
+        border.shown,
+        border.spans,
+        p,
+    )
+
+
+@compiled(
+    Signature(
+        types.UniTuple(types.Array(_f8, 1, "C"), 2),
+        (BORDER.type, types.Array(_f8, 1, "C")),
+        None,
+    )
+)
+def _nearest(border: Any, p: Array) -> tuple[Array, Array]:
+    return nearest_border(border, np.int64(0), p)
+
+
+class BorderSearch:
+    """A border, as points where there are any, in the form that compiled functions take."""
+
+    def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
+        """The exact offset of l_m, and the sampled border of each pair for the same d_b."""
+        table = Table(*map(np.ascontiguousarray, offset.table))
+        points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
+        sampled = np.cumsum([0, *map(len, borders)])
+        eps = borders[0].eps if borders else 0.0
+        self.struct = _make(_Values(*table, bool(borders), points, sampled, eps))
+        """`BORDER` of it."""
 
     def nearest(self, p: Array) -> Foot | None:
-        """FindSameHeight and FindMinDistancePoint: the point nearest to p, (3,) [m], at its height.
-
-        The tangent is at right angles to the way from p to that point. Where p lies on the border,
-        which is known to within ε, that way has no direction: there it is the offset's tangent.
-        None only if l_m has no border at all.
-
-        Paper: Algorithm 3, lines 1 to 4.
-        """
-        exact = None
-        points = self._border.same_height(float(p[2]))
-        if len(points):
-            ways = points[:, :2] - p[:2]
-            x, y, _ = points[np.einsum("ij,ij->i", ways, ways).argmin()].tolist()
-        elif (exact := self._offset.nearest(p)) is not None:
-            x, y, _ = exact.p.tolist()
-        else:
-            return None
-        p_n = np.array([x, y, p[2]])
-        length = math.hypot(x - float(p[0]), y - float(p[1]))
-        if length > self._border.eps:
-            return Foot(p_n, np.array([(p[1] - y) / length, (x - p[0]) / length, 0.0]))
-        exact = exact or self._offset.nearest(p_n)
-        return Foot(p_n, np.array([0.0, 1.0, 0.0]) if exact is None else exact.t)
+        """The point nearest to p, (3,) [m], at its height, of the first pair; None without any."""
+        foot = Foot(*_nearest(self.struct, np.ascontiguousarray(p, dtype=float)))
+        return None if math.isnan(foot.p[0]) else foot
 
 
 @kept_per_model(8)
-def border_of(model: RobotModel, cloud: Cloud, config: BorderConfig) -> NearestBorder:
-    """The border of a cloud's pair, of the configured kind; made once: each controller asks."""
+def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
+    """The border of the clouds' pairs, of the configured kind; made once per model."""
     offset = offset_contours(model, config.d_b)
     if config.kind == "surface":
-        return offset
-    return BorderPoints(construct_dbb(cloud, config.d_b, config.eps), offset)
+        return BorderSearch(offset)
+    return BorderSearch(offset, [construct_dbb(each, config.d_b, config.eps) for each in clouds])

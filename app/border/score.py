@@ -86,9 +86,13 @@ class ScoreField:
         """(…, 3) ∇S by the point; zero on the axis of a differential base's wheels."""
         return self._fields(p)[..., 2:]
 
-    def at_point(self, p: Array) -> tuple[float, Array]:
-        """S and ∇S (3,) at one point (3,): `score` and `gradient` together, at little cost."""
-        return _field_at(p, self.base.singularity_at(p), self.p_base, self.A, self.B, self.C)
+    def coefficients(self) -> Array:
+        """(9,) what `score_at` takes: the base's measure and its unit, p_base, A, B and C."""
+        constant, per_square_metre = self.base.measure
+        unit = self.base.score_unit
+        return np.array(
+            [constant, per_square_metre, unit, *self.p_base.tolist(), self.A, self.B, self.C]
+        )
 
     def _fields(self, p: Array) -> Array:
         """(…, 5) R, S and ∇S."""
@@ -129,12 +133,13 @@ def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C
     return found
 
 
-@compiled("Tuple((f8, f8[::1]))(f8[:], UniTuple(f8, 3), f8[:], f8, f8, f8)")
-def _field_at(
-    p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
-) -> tuple[float, Array]:
-    """S and ∇S (3,) at one point (3,)."""
-    _, score, x, y, z = _field(p, measure, p_base, A, B, C)
+@compiled("Tuple((f8, f8[::1]))(f8[:], f8[:])")
+def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
+    """S and ∇S (3,) at one point (3,) [m], with `ScoreField.coefficients`."""
+    constant, quadratic = coefficients[0], coefficients[1]
+    measure = (constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0]), 0.0)
+    A, B, C = coefficients[6], coefficients[7], coefficients[8]
+    _, score, x, y, z = _field(p, measure, coefficients[3:6], A, B, C)
     return score, np.array([x, y, z])
 
 

@@ -6,12 +6,9 @@ import numpy as np
 
 from app.config import Config
 from app.control.admittance import largest_command
-from app.control.controller import ControlOutput, Workings
 from app.control.limits import position_bounds, velocity_bounds
-from app.control.qp import Limits
-from app.robot.link_pairs import convex
+from app.control.quantities import ControlStep
 from app.robot.model import RobotModel
-from app.robot.state import RobotState
 from app.strict import Array
 
 BoundKind = Literal[
@@ -41,25 +38,27 @@ class Bound(NamedTuple):
     """Whether it is the upper of the two bounds."""
 
 
-def active_bounds(
-    state: RobotState, output: ControlOutput, workings: Workings, config: Config
-) -> list[Bound]:
+def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bound]:
     """The limits that the controller met in a step, those of the arm first."""
-    n_m = state.model.n_m
-    low, high = met(workings.limits, workings.qdd)
-    joints = state.model.description.arm.joints
-    bounds, kept = [], convex(pair.closest for pair in output.avoidance.pairs)
+    n_m = model.n_m
+    low, high = met(w)
+    joints = model.description.arm.joints
+    bounds: list[Bound] = []
+    convex = [
+        pair.name for pair, rows in zip(w.pairs, w.rows, strict=True) for _ in rows[1:] or rows
+    ]
     for i in np.flatnonzero(low | high).tolist():
         upper = bool(high[i])
         if i < n_m:
-            at = workings.torque[int(upper), i]
-            most = abs(at) >= state.model.tau_max[i] - TOLERANCE
+            at = (w.u_max if upper else w.u_min)[i]
+            most = abs(at) >= model.tau_max[i] - TOLERANCE
             bounds.append(Bound(joints[i], "torque" if most else "torque rate", upper))
         elif i < 2 * n_m:
-            bounds.append(Bound(joints[i - n_m], _joint_kind(state, config, i - n_m, upper), upper))
+            kind = _joint_kind(model, w, config, i - n_m, upper)
+            bounds.append(Bound(joints[i - n_m], kind, upper))
         else:
-            bounds.append(Bound(kept[i - 2 * n_m].pair.name, "barrier", upper))
-    return [*dict.fromkeys(bounds), *_base_bounds(state.model, output, workings)]
+            bounds.append(Bound(convex[i - 2 * n_m], "barrier", upper))
+    return [*dict.fromkeys(bounds), *_base_bounds(model, w)]
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
@@ -73,27 +72,30 @@ def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list
     ]
 
 
-def met(limits: Limits, qdd: Array) -> tuple[Array, Array]:
-    """(m,) whether q̈ is at the lower, and (m,) at the upper bound of each row.
+def met(w: ControlStep) -> tuple[Array, Array]:
+    """(m,) whether q̈ is at the lower, and (m,) at the upper limit of each row of the arm's QP.
 
-    A soft row at its bound is beyond it by up to its share of what the tasks asked.
+    A soft row at its limit is beyond it by up to its share of the tasks' demand.
     """
-    reached = limits.C @ qdd
-    room = TOLERANCE + limits.softness
-    return reached <= limits.l + room, reached >= limits.u - room
+    m = int(w.n_limits)
+    reached = w.C[:m] @ w.qdd
+    room = TOLERANCE + w.slack_weight[:m]
+    return reached <= w.l[:m] + room, reached >= w.u[:m] - room
 
 
-def _joint_kind(state: RobotState, config: Config, joint: int, upper: bool) -> BoundKind:
-    """What makes the tighter bound of a joint's acceleration, its position or its velocity."""
-    at = int(upper)
-    position = position_bounds(state, config.limit)[at][joint]
-    velocity = velocity_bounds(state, config.limit)[at][joint]
+def _joint_kind(
+    model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
+) -> BoundKind:
+    """Which bound of a joint's acceleration is the tighter one, that of position or velocity."""
+    at, rates = int(upper), config.limit
+    position = position_bounds(w.q_m, w.qd_m, model.q_limits, rates.position_rate)[at, joint]
+    velocity = velocity_bounds(w.qd_m, model.qd_limits, rates.velocity_rate)[at, joint]
     return "position" if (position < velocity) == upper else "velocity"
 
 
-def _base_bounds(model: RobotModel, output: ControlOutput, workings: Workings) -> list[Bound]:
-    asked, most = output.base_acceleration, model.base_acceleration_max
-    missing = workings.base_wanted - asked  # may be missing for the hand's sake, too
+def _base_bounds(model: RobotModel, w: ControlStep) -> list[Bound]:
+    asked, most = w.a_base_cmd, model.base_acceleration_max
+    missing = w.a_base_des - asked  # may be missing so that the end-effector is held, too
     at_limit = np.sign(missing) * asked > most - TOLERANCE
     return [
         Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))

@@ -1,88 +1,86 @@
 """The base's velocity command: an admittance law at the base's own slow rate (§4.1)."""
 
-from typing import NamedTuple
-
 import numpy as np
 
+from app.compiled import compiled
 from app.config import AdmittanceConfig
 from app.robot.bases.kind import BaseKind
 from app.strict import Array
 
 
-class AdmittanceLaw:
-    """M_a v̇ + D_a v = F, solved from one command to the next; F = M_a q̈_b.
+@compiled("f8(f8)")
+def _gain(decay: float) -> float:
+    """(1 − e^{−x}) / x, which is 1 at x = 0."""
+    return -np.expm1(-decay) / decay if decay > 1e-12 else 1.0
 
-    The input is the desired acceleration times the virtual mass, not the base's part of u, which is
-    not zero at q̈_b = 0 and would let the base drift. It is averaged over a command's period, so
-    that nothing that the 1 kHz controller asks is lost between two commands.
+
+@compiled("f8[::1](f8[:], f8[:], f8, f8[:], f8[:], f8[:], f8[:])")
+def next_command(
+    acceleration: Array,
+    command: Array,
+    period: float,
+    mass: Array,
+    damping: Array,
+    a_max: Array,
+    v_max: Array,
+) -> Array:
+    """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a q̈_b, solved exactly.
+
+    The input is the commanded acceleration times the virtual mass, not the base's part of u, which
+    is not zero at q̈_b = 0 and would let the base drift. It is the mean over the period, so that
+    nothing that the 1 kHz controller commands is lost between two commands.
+
+    Args:
+        acceleration: (n_b,) [m/s² or rad/s²] mean of the commanded one.
+        command: (n_b,) [m/s or rad/s] the last command.
+        period: [s]
+        mass: (n_b,) [kg or kg m²] diagonal of M_a.
+        damping: (n_b,) [N s/m or N m s] diagonal of D_a.
+        a_max: (n_b,) largest accelerations of the base.
+        v_max: (n_b,) largest commands.
     """
-
-    def __init__(self, base: BaseKind, config: AdmittanceConfig) -> None:
-        self._base = base
-        self._a_max = np.array(base.max_acceleration)
-        self.config = config
-        self.reset()
-
-    def reset(self) -> None:
-        """Command rest and forget what was asked."""
-        self.command = np.zeros(self._base.n_b)
-        """(n_b,) [m/s or rad/s] along the base's axes, as last sent."""
-        self._sum = np.zeros(self._base.n_b)
-        self._time = 0.0
-
-    def update(self, acceleration: Array, dt: float) -> Array:
-        """Take the acceleration (n_b,) [m/s² or rad/s²] that one control step of dt [s] asks for.
-
-        Returns:
-            (n_b,) the velocity command in force, renewed when it is due.
-        """
-        self._sum += acceleration * dt
-        self._time += dt
-        if self._time >= self.config.period - dt / 2:
-            self.command = self._next_command(self._sum / self._time, self._time)
-            self._sum[:] = 0.0
-            self._time = 0.0
-        return self.command
-
-    def _next_command(self, acceleration: Array, period: float) -> Array:
-        """The law's exact solution after one period of constant F, within the base's limits."""
-        c = self.config
-        mass = by_axis(self._base, c.mass, c.inertia)
-        damping = by_axis(self._base, c.damping, c.angular_damping)
-        gain = _gain(damping / mass * period)
-        F = mass * acceleration
-        change = gain * (F - damping * self.command) / mass * period
-        change = np.clip(change, -self._a_max * period, self._a_max * period)
-        v_max = largest_command(self._base, c)
-        wanted = np.clip(self.command + change, -v_max, v_max)
-        found = self._base.admissible(wanted, self.command)
-        # A base whose axes depend on each other may get more of one; its direction stays.
-        over = float(np.max(np.abs(found) / v_max))
-        return found / over if over > 1.0 else found
+    found = np.empty(len(command))
+    for i in range(len(command)):
+        gain = _gain(damping[i] / mass[i] * period)
+        F = mass[i] * acceleration[i]
+        change = gain * (F - damping[i] * command[i]) / mass[i] * period
+        change = min(max(change, -a_max[i] * period), a_max[i] * period)
+        found[i] = min(max(command[i] + change, -v_max[i]), v_max[i])
+    return found
 
 
-class Response(NamedTuple):
-    """Of an acceleration a the law makes gain (a - drag ν) on average, ν being the velocity."""
+def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
+    """The command (n_b,) nearest to one that the base can have; its direction stays.
 
-    gain: Array
-    """(n_b,) [-]"""
-    drag: Array
-    """(n_b,) [1/s]"""
-
-
-def response(base: BaseKind, config: AdmittanceConfig) -> Response:
-    """The law's response of each axis, within its limits."""
-    drag = by_axis(base, config.damping / config.mass, config.angular_damping / config.inertia)
-    return Response(_gain(drag * config.period), drag)
+    A base whose axes depend on each other may get more of one than its limit: then all are scaled.
+    """
+    found = base.admissible(command, before)
+    over = float(np.max(np.abs(found) / v_max))
+    return found / over if over > 1.0 else found
 
 
-def _gain(decay: Array) -> Array:
-    """(1 - e^{-x}) / x, which is 1 at x = 0."""
-    return np.where(decay > 1e-12, -np.expm1(-decay) / np.maximum(decay, 1e-12), 1.0)
+def virtual_mass(base: BaseKind, config: AdmittanceConfig) -> Array:
+    """(n_b,) [kg or kg m²] the diagonal of M_a."""
+    return by_axis(base, config.mass, config.inertia)
+
+
+def virtual_damping(base: BaseKind, config: AdmittanceConfig) -> Array:
+    """(n_b,) [N s/m or N m s] the diagonal of D_a."""
+    return by_axis(base, config.damping, config.angular_damping)
+
+
+def response(base: BaseKind, config: AdmittanceConfig) -> tuple[Array, Array]:
+    """The law's mean response to an acceleration a within its limits: gain (a − drag ν).
+
+    Returns:
+        (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the velocity.
+    """
+    drag = virtual_damping(base, config) / virtual_mass(base, config)
+    return np.array([_gain(each * config.period) for each in drag]), drag
 
 
 def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:
-    """(n_b,) [m/s or rad/s] up to which the law commands each axis."""
+    """(n_b,) [m/s or rad/s] the largest command of each axis."""
     return np.minimum(base.max_velocity, by_axis(base, config.v_max, config.omega_max))
 
 

@@ -2,13 +2,13 @@
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
-from app.avoidance.closest_points import ClosestPoints
 from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
+from app.control.quantities import ControlStep
 from app.robot.bases.kind import BaseKind
+from app.robot.link_pairs import ClosestPoints
 from app.robot.state import RobotState
 
 _SAMPLE = 10  # control steps between two readings of the speed
@@ -60,16 +60,16 @@ class BufferWatch:
         self._speed_max = self._needed_max = 0.0
 
     def update(
-        self, state: RobotState, pairs: Sequence[ClosestPoints], dt: float, *, gives_way: bool
+        self, state: RobotState, control: ControlStep, dt: float, *, gives_way: bool
     ) -> BufferReading:
-        """Take one control step of dt [s] with the pairs of L_m at the robot's state.
+        """Take one control step of dt [s] at the robot's state.
 
         `gives_way` says whether the controller lets the base give way.
         """
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0
-            for pair in pairs:
-                self._sample(state, pair, look=look)
+            for i in range(control.n_mob):
+                self._sample(state, control.closest(i), look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
             self._speed = max((v for _, v, _ in self._recent), default=0.0)

@@ -1,104 +1,48 @@
-"""Algorithm 2: state in, arm torques and base acceleration out. Knows no simulator, no screen."""
+"""The controller: measurement in, one control step out. Knows no simulator and no screen.
 
-from typing import NamedTuple
+Between the two compiled parts of a step stand the calls into pinocchio, for kinematics, dynamics
+and distances.
+"""
 
-from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
-from app.avoidance.task import TaskRows
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+
+from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData
+from app.border.nearest import border_of
 from app.border.score import ScoreField
 from app.config import Config, slowed
 from app.control import CONTROLLERS
-from app.control.admittance import response
-from app.control.estimate import ArmEstimate
-from app.control.kernels import base_blend, clipped, torque_range
-from app.control.limits import ArmNow, base_limits, robot_limits
-from app.control.methods import METHODS, Inserted
-from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
-from app.control.tasks import (
-    EndEffectorError,
-    EqualityTask,
-    Reference,
-    base_rest_acceleration,
-    base_with_hand,
-    carried,
-    end_effector_error,
-    end_effector_task,
-    free_arm_torque,
-    guided_objective,
-    posture_objective,
-    tracking_objective,
-    with_base_at_rest,
+from app.control.admittance import admissible_command, largest_command
+from app.control.algorithm import (
+    BASE_AS_COMMANDED,
+    BASE_MEASURED,
+    DRIVE_MODEL,
+    run_algorithm_2,
+    update_estimate,
 )
+from app.control.inputs import gains_struct, robot_struct
+from app.control.quantities import QUANTITIES, ControlStep
+from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
+from app.control.tasks import Reference
 from app.errors import check_name
+from app.robot.bases.kind import BaseKind
+from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState, checked, is_finite
+from app.robot.state import Measurement, RobotState, checked, pinocchio_views
 from app.strict import Array
 
-
-class Stack(NamedTuple):
-    """The tasks below self-collision avoidance, over q̈ (n,)."""
-
-    objective: Objective
-    """All of them."""
-    lowest: Objective
-    """The posture alone, or what a guided arm does by itself."""
-    ee_task: EqualityTask | None
-    """T_ee, or None where the arm is guided."""
-
-
-class Workings(NamedTuple):
-    """How a control step came to its answer; what explains it is made from this, when asked for."""
-
-    base_wanted: Array
-    """(n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits."""
-    base_given: Array
-    """(n_b,) the same that the base really has, with which the arm's part is solved."""
-    rows: tuple[TaskRows, ...]
-    """Rows above the tasks: the method's against the base, then those between links."""
-    stack: Stack
-    limits: Limits
-    """On q̈, the hard torques first, then joints, then barriers."""
-    torque: Array
-    """(2, n_m) the smallest and the largest torque [N m or N] that the step allowed, by the limits
-    of the torques and of their change."""
-    qdd: Array
-    """(n,) q̈ of base and arm."""
-
-
-class ControlOutput(NamedTuple):
-    """What one control step gives."""
-
-    u_a: Array
-    """(n_m,) [N m or N] torques of the arm."""
-    base_acceleration: Array
-    """(n_b,) [m/s² or rad/s²] for the base's admittance law: v̇ and ω̇."""
-    avoidance: Avoidance
-    """The avoidance task of this step, whether or not the method inserts it."""
-    inserted: Inserted
-    """What the method put above the stack or among its limits."""
-    solved: bool
-    """False if a QP had no solution and this is the safe command."""
-    tracking: bool = False
-    """Whether there was a reference."""
-    workings: Workings | None = None
-    """How it came about, or None with the safe command."""
-
-    @property
-    def activation(self) -> float:
-        """[-] the largest activation of the rows that were inserted, 0 if none was."""
-        return self.inserted.activation
+_MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
+_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture")  # NaN until they are known
 
 
 class Controller:
-    """Reactive self-collision avoidance over a task stack.
+    """Reactive self-collision avoidance: Algorithm 2, with everything that a step needs.
 
-    With a reference the stack is T_ee above posture and damping; without one the arm is guided by
-    hand: gravity compensation, joint damping and what avoidance asks.
-
-    The base obeys velocity commands at a slow rate, so its acceleration is not the one that (29)
-    asks for. The arm's torques are therefore solved with the acceleration that the base really has;
-    the one asked for goes to the admittance law. What the base is asked besides T_sca's own rows is
-    asked with gains that its rate can follow, else it and the arm would fight.
+    With a reference the end-effector tracks it; without one the arm is guided by hand: gravity
+    compensation, joint damping and the avoidance task.
     """
 
     def __init__(
@@ -112,23 +56,26 @@ class Controller:
     ) -> None:
         """Prepare the controller.
 
-        `name` is one of `CONTROLLERS`, `dt` [s] between two steps; `configure` changes the
+        `name` is one of `CONTROLLERS`, `dt` [s] the control period; `configure` changes the
         parameters.
 
         Raises:
             UnknownNameError: No controller has that name.
         """
-        self.use(name)
+        self._model, self._data, self._dt, self._config = model, data, dt, config
+        self._base = model.description.base
+        self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
-        """The robot's state at the last good measurement."""
-        self._model = model
-        self._base_limits = base_limits(model)
-        self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
-        self.configure(config)
-        self._solver = TaskQP()
-        self.estimate = ArmEstimate(model.n_m)
-        """Where the arm is, and who pushes it."""
-        self._dt = dt
+        """The robot's state at the last valid measurement."""
+        smooth = SmoothPoints(self.state, data.pairs.all)
+        self._robot = robot_struct(model, data, smooth)
+        views, sizes = pinocchio_views(self.state.data), _sizes(model, data, smooth)
+        self.last = ControlStep(sizes, views, data.pairs.all, smooth.rows)
+        """The table of quantities of the last step."""
+        self.state.share(self.last)
+        self.use(name)
+        self._own_drive = _overrides(self._base, "drive_acceleration")
+        self._own_commands = _overrides(self._base, "admissible")
         self.reset()
 
     def use(self, name: str) -> None:
@@ -139,30 +86,31 @@ class Controller:
         """
         check_name("controller", name, CONTROLLERS)
         self.name = name
-        self._method = METHODS[name]
+        self.configure(self._config)
+
+    def configure(self, config: Config) -> None:
+        """Use other parameters from the next step on.
+
+        A new d_b or ε selects another border from the same samples; the buffer distance in force
+        approaches the new one at `algorithm.BUFFER_RATE`, because a jump would throw an arm that is
+        inside the buffer.
+        """
+        self._config = config
+        clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
+        self._border = border_of(self._model, clouds, config.border).struct
+        self._gains = gains_struct(config, self._base, self.name, self._dt)
+        self._slow = gains_struct(slowed(config), self._base, self.name, self._dt)
+        self._largest_command = largest_command(self._base, config.admittance)
 
     def reset(self) -> None:
-        """Forget the posture, the last torques, who pushes, and the counts of failures."""
-        self._u_a: Array | None = None
-        self.estimate.reset()
-        self._avoidance.reset()
-        self.q_posture: Array | None = None
-        """(n_m,) the posture that the arm is drawn to, that of the first good measurement."""
-        self.failures = self.given_up = 0
-        """Steps so far in which the arm got the safe command, for want of a good measurement or a
-        solution, and in which the base's own part had no solution; it was braked."""
+        """Forget posture, torques, estimate, commands and the counts of failures."""
+        for name in _MEMORY:
+            getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0
 
     @property
     def d_b(self) -> float:
-        """[m] the buffer distance in force, which follows another one step by step."""
-        return self._avoidance.d_b
-
-    def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on."""
-        self._config = config
-        self._avoidance.configure(config)
-        self._slow = slowed(config)
-        self._response = response(self._model.description.base, config.admittance)
+        """[m] the buffer distance in force."""
+        return self._config.border.d_b if np.isnan(self.last.d_b) else float(self.last.d_b)
 
     def step(
         self,
@@ -170,161 +118,98 @@ class Controller:
         reference: Reference | None = None,
         *,
         base_acceleration: Array | None = None,
-    ) -> ControlOutput:
-        """One pass of Algorithm 2.
+    ) -> ControlStep:
+        """One pass of Algorithm 2 with a base that does what is commanded, or what is measured.
 
-        Paper: Algorithm 2.
-
-        Without a reference the end-effector is guided by hand. `base_acceleration` (n_b,) [m/s² or
-        rad/s²] is what the base really has now; None means that it does what is asked.
+        Args:
+            measurement: The sensors' readings.
+            reference: Desired motion of the end-effector, or None while a person guides it.
+            base_acceleration: (n_b,) [m/s² or rad/s²] that the base really has now.
 
         Returns:
-            Torques of the arm and acceleration of the base; never without an answer. Where the
-            measurement or the reference is not finite, gravity compensation with damping at the
-            last good one, before the first at the arm's ready posture, and a base that is braked.
+            The quantities of this step, overwritten by the next one. There is always a command:
+            where the readings are not finite or a QP has no solution, the fallback command is
+            gravity compensation with damping at the last valid state, before the first at the arm's
+            ready posture, and a base that brakes.
 
         Raises:
-            MeasurementError: A reading is not that many numbers.
+            MeasurementError: A reading has another number of entries.
         """
+        if base_acceleration is None:
+            return self._step(measurement, reference, BASE_AS_COMMANDED)
+        self.last.a_base_meas[:] = base_acceleration
+        return self._step(measurement, reference, BASE_MEASURED)
+
+    def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
+        """The same with the base's acceleration from the model of its drive, and the last command.
+
+        `step.v_cmd` is the velocity command.
+        """
+        if not self._own_drive:
+            return self._step(measurement, reference, DRIVE_MODEL)
         measurement = checked(measurement, self._model)
-        good = is_finite(measurement)
-        if good:
-            u_a, filtering = self._u_a, self._config.estimate
-            here = self.estimate.update(measurement, self.state, u_a, filtering, self._dt)
-            self.state.update(here)
-        else:
-            self.estimate.begin_anew()
-        if good and self.q_posture is None:
-            self.q_posture = measurement.q_m.copy()
-        last = free_arm_torque(self.state) if self._u_a is None else self._u_a
-        slew = self._config.limit.torque_rate * self._dt
-        torque, workings = torque_range(last, self._model.tau_max, slew), None
-        avoidance = self._avoidance.update(self._dt)
-        inserted = self._method(self.state, avoidance, self._config)
-        try:
-            if not good:
-                raise NoSolutionError("the measurement is not finite")
-            error = None if reference is None else end_effector_error(self.state, reference)
-            stack = self._stack(inserted, error)
-            wanted, asked = self._base_part(inserted, error, stack)
-            asked = self._possible(asked)
-            given = asked if base_acceleration is None else base_acceleration
-            workings = self._arm_part(wanted, given, inserted, stack, torque)
-            n_b = self._model.n_b
-            u_a = self.state.M[n_b:] @ workings.qdd + self.state.h[n_b:]
-        except NoSolutionError:
-            self.failures += 1
-            u_a = free_arm_torque(self.state)
-            asked = base_rest_acceleration(self.state, self._config.task)
-        u_a = clipped(u_a, *torque)
-        if self.q_posture is not None:  # else the torques are those of no pose that was measured
-            self._u_a = u_a
-        solved, tracking = workings is not None, reference is not None
-        return ControlOutput(u_a.copy(), asked, avoidance, inserted, solved, tracking, workings)
+        drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
+        v, v_cmd = measurement.base_velocity, self.last.v_cmd
+        self.last.a_base_meas[:] = self._base.drive_acceleration(v, drive, v_cmd)
+        return self._step(measurement, reference, BASE_MEASURED)
 
     def score_field(self, pair: str) -> ScoreField:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
-        return self._avoidance.field(pair)
+        body = next(each.b for each in self._data.pairs.mobile if each.name == pair)
+        return ScoreField.of(self._model, body)
 
-    def _base_part(
-        self, inserted: Inserted, error: EndEffectorError | None, stack: Stack
-    ) -> tuple[Array, Array]:
-        """The base's acceleration of (29), (n_b,), and what of it the arm can make up for.
+    def _step(
+        self, measurement: Measurement, reference: Reference | None, base_source: int
+    ) -> ControlStep:
+        w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
+        measurement = checked(measurement, self._model)
+        update_estimate(robot, gains, w.struct, *measurement)
+        if w.valid:
+            self.state.drive = measurement.drive
+            pin.computeAllTerms(self.state.pin, data, w.q_pin, w.v_pin)
+            self._distances.update_from(data)
+            w.d[:] = self._distances.distances_by_part()
+        if reference is not None:
+            pose, w.v_ref[:], w.a_ref[:] = reference
+            w.x_ref[:3], w.x_ref[3] = pose.rotation.T, pose.translation
+        w.qp_tried[:] = 0.0
+        problem = robot, gains, self._slow, self._border, w.struct, base_source
+        run_algorithm_2(*problem, reference is not None)
+        while w.qp_open:
+            self._rescue(int(w.qp_open) - 1)
+            run_algorithm_2(*problem, reference is not None)
+        if self._own_commands and w.command_due:
+            w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
+        return w
 
-        The rows fix it once the solution without them is known, in which the arm's own rows against
-        the base have no part: there the base's rows say how it helps. Loops are as slow as the base
-        is; it is braked where there is no solution.
+    def _rescue(self, which: int) -> None:
+        """Let ProxQP solve the open QP."""
+        w, m = self.last, int(self.last.qp_rows)
+        fixed = {0: 0, 1: self._model.n_b, 2: self._model.n_b}[which]
+        limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
+        qp = OpenQP(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
+        w.qp_x[which] = changed_by_proxqp(qp) if which == 1 else solved_by_proxqp(qp)
+        w.qp_tried[which] = 1.0
 
-        Paper: Eq. (29), the base's rows.
-        """
-        state, slow, lowest = self.state, self._slow, stack.lowest
-        rest = base_rest_acceleration(state, slow.task)
-        if error is None and not inserted.base_too:
-            return self._by_rows(rest, inserted.rows_m)
-        k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
-        links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
-        kept = inserted.kept if inserted.base_too else None
-        limits = robot_limits(state, self._config, kept)
-        if error is None:
-            T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
-        else:  # an error that is left damps nothing here: the base drives there
-            T_ee = end_effector_task(state, error, slow.task)
-            objective = tracking_objective(lowest, T_ee._replace(give=0.0), slow.task.ee_weight)
-        try:
-            whole = insert_rows(objective, links, softness)
-            qdd = self._solver.solve(whole, limits.and_also(self._base_limits))
-            free = self._model.J_m @ qdd[: self._model.n_b]
-            wanted, asked = self._by_rows(free, inserted.rows_m)
-            if T_ee is None:
-                return wanted, asked
-            return wanted, asked + self._relief(asked, T_ee, lowest, inserted)
-        except NoSolutionError:
-            self.given_up += 1
-            return rest, rest
 
-    def _by_rows(self, free: Array, rows_m: TaskRows | None) -> tuple[Array, Array]:
-        """The blend of (29) for the base, (n_b,), and what of it does not take the hand along."""
-        if rows_m is None:
-            return free, free
-        (gain, drag), (_, low, high, _) = self._response, self._base_limits
-        velocity, beta = self.state.measurement.base_velocity, rows_m.beta
-        wanted, possible, held = base_blend(free, rows_m.xdd, beta, low, high, gain, drag, velocity)
-        holding = self._config.holding
-        taken, weight = carried(self.state, holding.speed) * gain, beta * holding.weight
-        return wanted, base_with_hand(self.state, possible, held, weight, taken)
+def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:
+    """The dimensions of a step's quantities."""
+    pairs, mobile, rows = len(data.pairs.all), len(data.pairs.mobile), len(smooth.joints)
+    return {
+        "n": model.n,
+        "n_b": model.n_b,
+        "n_m": model.n_m,
+        "n_j": model.pin.njoints,
+        "n_q": model.pin.nq,
+        "n_v": model.pin.nv,
+        "n_p": pairs,
+        "n_mob": mobile,
+        "n_r": rows,
+        "n_s": model.n_b + pairs - mobile + 3 * mobile,
+        "n_l": 2 * model.n_m + rows + model.n_b,
+    }
 
-    def _possible(self, acceleration: Array) -> Array:
-        """The base's, (n_b,), within its limits."""
-        return clipped(acceleration, *self._base_limits[1:3])
 
-    def _relief(
-        self, asked: Array, T_ee: EqualityTask, posture: Objective, inserted: Inserted
-    ) -> Array:
-        """The least change of what the base is asked, (n_b,), with which the arm holds T_ee.
-
-        That is, of what base and arm would do if the arm had no limits, T_ee being far costlier,
-        and the base's rows as far as they are active. The limits are all that the arm puts above
-        T_ee: joints, distances, and the buffers of its own links. They are approached as slowly as
-        the base answers, so that it looks ahead as far as it needs: a wrist that comes to its limit
-        while the base makes room turns the base in time.
-        """
-        task, (gain, drag) = self._slow.task, self._response
-        lost = drag * self.state.measurement.base_velocity
-        tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
-        rows = [] if inserted.rows_m is None else [inserted.rows_m]
-        tasks = insert_rows(tasks, rows, task.softness)
-        qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
-        limits = robot_limits(self.state, self._slow, inserted.ahead)
-        return self._model.J_m @ self._solver.change(tasks, limits, qdd_b) / gain
-
-    def _arm_part(
-        self,
-        wanted: Array,
-        given: Array,
-        inserted: Inserted,
-        stack: Stack,
-        torque: Array,
-    ) -> Workings:
-        """The arm's part of (29) for the acceleration that the base really has.
-
-        Raises:
-            NoSolutionError: There is none.
-        """
-        config, softness = self._config, self._config.task.softness
-        rows = (*inserted.rows_arm, *inserted.rows_links)
-        qdd_b = self._model.J_m_inv @ given
-        now = ArmNow(qdd_b, torque, self.estimate.pushed)
-        limits = robot_limits(self.state, config, inserted.kept, arm=now)
-        whole = insert_rows(stack.objective, rows, softness, given=len(qdd_b))
-        qdd = self._solver.solve(whole, limits, qdd_b)
-        return Workings(wanted, given, rows, stack, limits, torque, qdd)
-
-    def _stack(self, inserted: Inserted, error: EndEffectorError | None) -> Stack:
-        if error is None:
-            guided = guided_objective(self.state, free_arm_torque(self.state) + inserted.u_a)
-            return Stack(guided, guided, None)
-        assert self.q_posture is not None
-        task = self._config.task
-        posture = posture_objective(self.state, self.q_posture, task)
-        T_ee = end_effector_task(self.state, error, task)
-        return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
+def _overrides(base: BaseKind, method: str) -> bool:
+    """Whether a kind of base has a method of its own."""
+    return getattr(type(base), method) is not getattr(BaseKind, method)

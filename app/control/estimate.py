@@ -1,129 +1,99 @@
-"""Where the arm is, how it moves and who pushes it, from readings with noise and known torques."""
+"""Where the arm is, how it moves and which external forces act, from noisy readings.
 
-from __future__ import annotations
+A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
+Torques and the base's motion predict a joint's acceleration; the rest is a random walk. The noise
+of the readings is learnt from them: the third differences of the unpredicted motion are noise of
+the positions, with 20 times its variance. A velocity is trusted as far as it agrees with the
+difference of the last two positions, but it is never free of their noise, because drives compute it
+from the same positions. Readings without noise are thus followed at once, noisy ones do not shake
+the arm, and velocities that are late, wrongly scaled or missing have no effect.
+
+Tasks do not see the external acceleration: a guided end-effector stays free. Limits do, so that
+joint speeds and distances are kept while a person pulls.
+"""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from app.compiled import compiled
-from app.config import EstimateConfig
-from app.control.active_sets import backward, cholesky, forward, times
-from app.robot.state import Measurement, RobotState
+from app.control.qp import backward, forward, times
 from app.strict import Array
-
-
-class ArmEstimate:
-    """A Kalman filter of each joint: its position, its velocity, and how others accelerate it.
-
-    Torques and the base's motion say what a joint does by itself; what it does besides is a random
-    walk. How far readings are trusted is learnt from them. The third differences of what is not
-    known of a motion are noise of the positions, with 20 times its variance. A velocity is as good
-    as it agrees with the way since the last reading, but never free of the positions' noise: drives
-    make it of the same ones. So readings without noise are followed at once, noisy ones do not
-    shake the arm, and velocities that are late, wrongly scaled or none at all are left to the
-    positions.
-
-    Tasks never see who pushes: a guided hand stays free. Limits do, so that a joint's speed and a
-    distance are kept while a person pulls.
-    """
-
-    def __init__(self, n_m: int) -> None:
-        """Prepare for an arm of `n_m` joints."""
-        self._n_m = n_m
-        self.reset()
-
-    def reset(self) -> None:
-        """Nobody touches the robot, and its readings have no noise that is known."""
-        self.pushed = np.zeros(self._n_m)
-        """(n_m,) [rad/s² or m/s²] M_aa⁻¹ r, with r the torques that others exert on the joints."""
-        self._samples, self._variances = 0, np.zeros((2, self._n_m))
-        self._last = np.zeros((3, self._n_m))
-        self._x, self._P = np.zeros((3, self._n_m)), np.zeros((self._n_m, 3, 3))
-        self.begin_anew()
-
-    def begin_anew(self) -> None:
-        """Take the next readings as they come; noise and who pushes stay."""
-        self._base_velocity: Array | None = None
-
-    @property
-    def noise(self) -> Array:
-        """(2, n_m) standard deviations as learnt so far: [rad or m] of the positions, and [rad/s or
-        m/s] of the velocities.
-        """
-        return np.sqrt(self._variances)
-
-    def update(
-        self,
-        measured: Measurement,
-        state: RobotState,
-        u_a: Array | None,
-        config: EstimateConfig,
-        dt: float,
-    ) -> Measurement:
-        """The readings with the arm's estimated positions and velocities in their place.
-
-        Args:
-            measured: The readings at the end of a period.
-            state: The robot's state at its begin, of which M and h are taken.
-            u_a: (n_m,) [N m or N] torques given within it; None if there was no period yet.
-            config: How noise and pushes are told apart.
-            dt: [s] how long it lasted.
-        """
-        q, qd = measured.q_m, measured.qd_m
-        then, self._base_velocity = self._base_velocity, measured.base_velocity
-        if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
-            self._last[:] = q - dt * qd, q, np.full_like(q, np.nan)
-            return self._as_read(measured, self._trusted(config, dt), config)
-        gained, J_m_inv = measured.base_velocity - then, state.model.J_m_inv
-        known = _known(state.M, state.h, u_a, J_m_inv, gained, dt)
-        self._samples += not math.isnan(self._last[2, 0])
-        share = max(1.0 / max(self._samples, 1), -math.expm1(-dt / config.window))
-        _learn(self._variances, self._last, known, q, qd, share, dt)
-        variances = self._trusted(config, dt)
-        if self._samples < _FEWEST:
-            return self._as_read(measured, variances, config)
-        _follow(self._x, self._P, known, q, qd, variances, config.push_change, dt)
-        self.pushed = self._x[2].copy()
-        return measured._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
-
-    def _trusted(self, config: EstimateConfig, dt: float) -> Array:
-        """(2, n_m) variances of positions and velocities, none below what is possible."""
-        return _at_least(self._variances, config.least_noise, config.velocity_noise, dt)
-
-    def _as_read(
-        self, measured: Measurement, variances: Array, config: EstimateConfig
-    ) -> Measurement:
-        """Begin the filter at readings, which are as good as their noise."""
-        self._x[:] = measured.q_m, measured.qd_m, self.pushed
-        self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
-        self._P[:, 0, 0], self._P[:, 1, 1] = variances
-        return measured
-
 
 _FEWEST = 8  # samples of the noise with which the filter begins
 _FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved while nobody looked
 
 
-@compiled("b1(f8[:,:], f8[:], f8[:], f8)")
-def _elsewhere(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
-    """Whether positions q (n_m,) are none that x (3, n_m), a period dt [s] ago, can have led to."""
+@compiled()
+def _jumped(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
+    """Whether the arm cannot have moved from x (3, n_m) to q (n_m,) within a period dt [s]."""
     for i in range(len(q)):
         if abs(q[i] - x[0, i] - dt * x[1, i]) > _FARTHEST * dt * qd_max[i]:
             return True
     return False
 
 
-@compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:,:], f8[:], f8)")
-def _known(M: Array, h: Array, u_a: Array, J_m_inv: Array, gained: Array, dt: float) -> Array:
-    """M_aa⁻¹ (u_a - h_a - M_ab q̈_b) (n_m,), the base having gained a velocity (n_b,) in dt [s]."""
-    n_b = len(gained)
-    acting = u_a - h[n_b:] - times(M[n_b:, :n_b], times(J_m_inv, gained / dt))
-    L = cholesky(M[n_b:, n_b:])
-    return backward(L, forward(L, acting))
+@compiled("f8[::1](f8[:,:], f8[:], f8[:,:], f8[:], f8[:])")
+def predicted_joint_acceleration(
+    M: Array, h: Array, L_aa: Array, u_a: Array, qdd_b: Array
+) -> Array:
+    """M_aa⁻¹ (u_a − h_a − M_ab q̈_b) (n_m,): of the joints without external forces."""
+    n_b = len(qdd_b)
+    return backward(L_aa, forward(L_aa, u_a - h[n_b:] - times(M[n_b:, :n_b], qdd_b)))
 
 
-@compiled("void(f8[:,::1], f8[:,::1], f8[:], f8[:], f8[:], f8, f8)")
+@compiled()
+def estimate_arm(
+    x: Array,
+    P: Array,
+    variances: Array,
+    last: Array,
+    samples: Array,
+    predicted: Array,
+    q: Array,
+    qd: Array,
+    qd_max: Array,
+    gains: Any,
+) -> None:
+    """Update the estimate (x, P) by one reading of positions and velocities.
+
+    After a gap, and where the arm cannot have moved to the reading, the filter begins anew at it.
+
+    Args:
+        x: (3, n_m) position, velocity and external acceleration; updated.
+        P: (n_m, 3, 3) covariances; updated.
+        variances: (2, n_m) of the noise of positions and velocities; updated.
+        last: (3, n_m) as of `_learn`; updated.
+        samples: () number of samples of the noise; updated.
+        predicted: (n_m,) of `predicted_joint_acceleration`, or NaN after a gap.
+        q: (n_m,) [rad or m] positions.
+        qd: (n_m,) [rad/s or m/s] velocities.
+        qd_max: (n_m,) joint speed limits.
+        gains: `GAINS`.
+    """
+    dt = gains.dt
+    continued = not math.isnan(predicted[0]) and not _jumped(x, q, qd_max, dt)
+    if continued:
+        samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
+        share = max(1.0 / max(samples[()], 1.0), -math.expm1(-dt / gains.noise_window))
+        _learn(variances, last, predicted, q, qd, share, dt)
+    else:
+        for i in range(len(q)):
+            last[0, i], last[1, i], last[2, i] = q[i] - dt * qd[i], q[i], math.nan
+    trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, dt)
+    if continued and samples[()] >= _FEWEST:
+        _follow(x, P, predicted, q, qd, trusted, gains.external_drift, dt)
+        return
+    for i in range(len(q)):
+        x[0, i], x[1, i] = q[i], qd[i]
+        for j in range(3):
+            for k in range(3):
+                P[i, j, k] = 0.0
+        P[i, 0, 0], P[i, 1, 1], P[i, 2, 2] = trusted[0, i], trusted[1, i], gains.external_drift**2
+
+
+@compiled()
 def _learn(
     variances: Array, last: Array, known: Array, q: Array, qd: Array, share: float, dt: float
 ) -> None:
@@ -148,7 +118,7 @@ def _learn(
             variances[0, i] += share * (of_q - variances[0, i])
 
 
-@compiled("f8[:,::1](f8[:,:], f8, f8, f8)")
+@compiled()
 def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
     """(2, n_m) variances of positions and velocities, not below what agrees by construction.
 
@@ -181,7 +151,7 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float) -> Non
     x[2] += gain_2 * error
 
 
-@compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:,:], f8, f8)")
+@compiled()
 def _follow(
     x: Array,
     P: Array,

@@ -8,12 +8,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
-from app.avoidance.self_collision import PairState
+from app.avoidance.acting_point import resultant_force
 from app.config import Config
 from app.control.active_bounds import Bound, active_bounds, admittance_bounds
-from app.control.controller import Controller, ControlOutput, Workings
-from app.control.qp import Objective
+from app.control.controller import Controller
+from app.control.quantities import ControlStep
 from app.robot.bases.kind import Axis, BaseKind
 from app.strict import Array
 
@@ -130,67 +129,68 @@ class Explanation(NamedTuple):
 
 
 def explain(
-    controller: Controller, output: ControlOutput, config: Config, base_command: Array
+    controller: Controller, w: ControlStep, config: Config, base_command: Array
 ) -> Explanation:
-    """Explain the controller's last step, in the state of which it still is.
+    """Explain the controller's last step.
 
     `base_command` (n_b,) [m/s or rad/s] is the admittance law's in force.
     """
-    state, avoidance, workings = controller.state, output.avoidance, output.workings
-    bounds = [] if workings is None else active_bounds(state, output, workings, config)
+    model, solved = controller.state.model, bool(w.solved)
+    bounds = active_bounds(model, w, config) if solved else []
     held = {bound.where for bound in bounds if bound.kind == "barrier"}
-    near = [
-        _near_pair(controller, output, pair, config, held=pair.closest.pair.name in held)
-        for pair in avoidance.pairs
-    ]
-    closest = min((pair.closest for pair in avoidance.mobile), key=lambda c: c.d)
+    near = [_near_pair(controller, w, i, held=pair.name in held) for i, pair in enumerate(w.pairs)]
+    nearest = int(np.argmin(w.d[: w.n_mob]))
     known = [pair for pair in near if pair is not None]
     known.sort(key=lambda p: (p.mobile, max(p.beta, p.arm_beta), -p.d), reverse=True)
-    asked, base = output.base_acceleration, state.model.description.base
+    base = model.description.base
     return Explanation(
         controller=controller.name,
-        mode="tracking" if output.tracking else "guiding",
-        solved=output.solved,
-        chain=tuple(state.model.body_names),
+        mode="tracking" if w.tracking else "guiding",
+        solved=solved,
+        chain=tuple(model.body_names),
         near=tuple(known),
-        nearest=(closest.pair.a, closest.pair.b, float(closest.d)),
+        nearest=(w.pairs[nearest].a, w.pairs[nearest].b, float(w.d[nearest])),
         axes=base.axes,
-        base_avoidance=_tuple_of(output.inserted.base_acceleration),
-        base_asked=_tuple_of(asked),
-        base_given=_tuple_of(asked if workings is None else workings.base_given),
-        levels=() if workings is None else level_readings(base, output, workings),
-        bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
+        base_avoidance=_tuple_of(w.base_avoidance),
+        base_asked=_tuple_of(w.a_base_cmd),
+        base_given=_tuple_of(w.a_base_meas if solved else w.a_base_cmd),
+        levels=level_readings(base, w) if solved else (),
+        bounds=(*bounds, *admittance_bounds(model, config, base_command)),
         base_kind=base.kind,
     )
 
 
-def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
-    """The tasks of a step, what weighs most first: w_sca* and w_2 of (29)."""
-    stack, inserted, qdd = workings.stack, output.inserted, workings.qdd
-    levels = []
-    if inserted.rows_m is not None:
-        missing = workings.base_wanted - output.base_acceleration
-        levels.append(Level("base", *linear_and_angular(base, missing)))
-    avoiding = _row_slacks(workings, base.n_b)
-    count = len(inserted.rows_arm)
-    if inserted.rows_arm:
-        levels.append(Level("arm", _norm(*avoiding[:count]), None))
-    if inserted.rows_links:
-        levels.append(Level("links", _norm(*avoiding[count:]), None))
-    if stack.ee_task is not None:
-        w = stack.ee_task.b - stack.ee_task.J @ qdd
-        levels.append(Level("hand", _norm(w[:3]), _norm(w[3:])))
-    lowest = _norm(objective_slack(stack.lowest, qdd, base.n_b))
-    return (*levels, Level("posture" if output.tracking else "free", None, lowest))
+def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
+    """The slack of each task of a step, what weighs most first: w_sca* and w_2 of (29)."""
+    levels, n_b = [], base.n_b
+    if w.B[0] > 0.0:
+        levels.append(Level("base", *linear_and_angular(base, w.a_base_des - w.a_base_cmd)))
+    slack, links = row_slacks(w), slice(n_b, n_b + len(w.pairs) - w.n_mob)
+    if (w.B[links.stop :] > 0.0).any():
+        levels.append(Level("arm", _norm(slack[links.stop :]), None))
+    if (w.B[links] > 0.0).any():
+        levels.append(Level("links", _norm(slack[links]), None))
+    if w.tracking:
+        e = w.b_ee - w.J_ee @ w.qdd
+        levels.append(Level("hand", _norm(e[:3]), _norm(e[3:])))
+    lowest = _norm(objective_slack(w.H_low, w.c_low, w.qdd, n_b))
+    return (*levels, Level("posture" if w.tracking else "free", None, lowest))
 
 
-def objective_slack(objective: Objective, qdd: Array, n_b: int) -> Array:
-    """(n_m,) [rad/s² or m/s²] the arm's q̈ less the one that the objective alone would choose.
+def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
+    """(n_m,) [rad/s² or m/s²] the arm's q̈ less the one that an objective alone would choose.
 
     The base's q̈, the first n_b, is taken as it is.
     """
-    H, c = objective
     return qdd[n_b:] + np.linalg.solve(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd[:n_b])
+
+
+def row_slacks(w: ControlStep) -> Array:
+    """(n_s,) the demand of each row of T_sca, in the blend of (29), less its result; 0 if β = 0."""
+    without = w.qdd.copy()
+    without[w.n_b :] -= objective_slack(w.H, w.c, w.qdd, w.n_b)
+    blend = w.B * w.b_sca + (1.0 - w.B) * (w.J_sca @ without)
+    return np.where(w.B > 0.0, blend - w.J_sca @ w.qdd, 0.0)
 
 
 def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
@@ -199,20 +199,8 @@ def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
     return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
 
 
-def _row_slacks(workings: Workings, n_b: int) -> list[Array]:
-    """What each group of rows asked, in the blend of (29), less what it got."""
-    if not workings.rows:
-        return []
-    without = workings.qdd.copy()
-    without[n_b:] -= objective_slack(workings.stack.objective, workings.qdd, n_b)
-    return [
-        row.beta * row.b + (1.0 - row.beta) * (row.J @ without) - row.J @ workings.qdd
-        for row in workings.rows
-    ]
-
-
-def _norm(*vectors: Array) -> float:
-    return float(np.linalg.norm(np.concatenate(vectors)))
+def _norm(vector: Array) -> float:
+    return float(np.linalg.norm(vector))
 
 
 def split(f: Array, n: Array) -> tuple[Array, Array]:
@@ -229,47 +217,42 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
     return away, f - away
 
 
-def _near_pair(
-    controller: Controller, output: ControlOutput, pair: PairState, config: Config, *, held: bool
-) -> NearPair | None:
-    """What there is to say of a pair, or None if nothing acts on it."""
-    closest, state = pair.closest, controller.state
-    mobile = closest.pair.a == state.model.body_names[0]
-    arm_beta = pair.beta if mobile and output.inserted.rows_arm else 0.0
-    if pair.beta == 0.0 and arm_beta == 0.0 and not held:
+def _near_pair(controller: Controller, w: ControlStep, i: int, *, held: bool) -> NearPair | None:
+    """The i-th pair, or None if nothing acts on it."""
+    mobile, beta, n = i < w.n_mob, float(w.beta[i]), w.normal[i]
+    pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
+    arm_beta = beta if pushed else 0.0
+    if beta == 0.0 and arm_beta == 0.0 and not held:
         return None
     return NearPair(
-        *closest.pair,
+        *w.pairs[i],
         mobile,
-        float(closest.d),
-        pair.beta,
-        n=tuple((state.R_world_base.T @ closest.n).tolist()),
-        above=1.0 - math.hypot(*closest.n[:2].tolist()) if mobile else 0.0,
+        float(w.d[i]),
+        beta,
+        n=tuple((w.R_base.T @ n).tolist()),
+        above=1.0 - math.hypot(*n[:2].tolist()) if mobile else 0.0,
         arm_beta=arm_beta,
         held=held,
-        force=_force_split(controller, output, pair),
+        force=_force_split(controller, w, i) if mobile else None,
     )
 
 
-def _force_split(
-    controller: Controller, output: ControlOutput, pair: PairState
-) -> ForceSplit | None:
+def _force_split(controller: Controller, w: ControlStep, i: int) -> ForceSplit | None:
     """The force on the base for a pair, or None if the method does not move the base for it."""
-    rows_m, acting, state = output.inserted.rows_m, pair.acting, controller.state
-    if rows_m is None or acting is None:
+    if not w.B[0] > 0.0 or np.isnan(w.p_act[i, 0]):
         return None
-    field, points = controller.score_field(pair.closest.pair.name), (acting.p_act, acting.p_n)
-    score, score_near = field.score(np.array(points)).tolist()
-    base = state.model.description.base
-    away, turn = split(pair.f, state.R_world_base.T @ pair.closest.n)
+    field = controller.score_field(w.pairs[i].name)
+    score, score_near = field.score(np.array([w.p_act[i], w.p_n[i]])).tolist()
+    base = controller.state.model.description.base
+    away, turn = split(w.f[i], w.R_base.T @ w.normal[i])
     away_acc, turn_acc = (
-        rows_m.beta * generate_mob_acc([PairForce(f, acting.p_act)], base) for f in (away, turn)
+        w.B[0] * (base.A_b @ resultant_force(f[None], w.p_act[i : i + 1])) for f in (away, turn)
     )
     return ForceSplit(
-        *(_pair_of(v) for v in (pair.f, away, turn)),
+        *(_pair_of(v) for v in (w.f[i], away, turn)),
         *(_tuple_of(v) for v in (away_acc, turn_acc)),
-        determinant=float(field.singularity(acting.p_act)),
-        reachability=float(field.reachability(acting.p_act)),
+        determinant=float(field.singularity(w.p_act[i])),
+        reachability=float(field.reachability(w.p_act[i])),
         score=score,
         score_near=score_near,
     )

@@ -1,140 +1,209 @@
-"""What the robot keeps whatever its tasks ask: torques, joints' ranges and speeds, distances.
+"""The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
-All of it bounds accelerations of a QP. Torques are hard; joints and distances give in where they
-contradict each other. What others exert on the arm moves it too, so the latter are kept by the
-acceleration that the arm will have.
+Torques are hard. Joint limits and distances are soft, so that they never contradict each other.
+External forces move the arm as well; joint limits and distances hold for the acceleration that
+the arm will have, with the estimated external part in it.
 """
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.task import Distances
-from app.config import BarrierConfig, Config, LimitConfig
-from app.control import kernels
-from app.control.qp import Limits
-from app.robot.model import RobotModel
-from app.robot.state import RobotState
+from app.compiled import compiled
+from app.control.qp import backward, cholesky, forward, times
 from app.strict import Array
 
 
-def barrier_bounds(left: Distances, config: BarrierConfig) -> Array:
-    """(k,) lower bounds [m/s²] on J q̈, so that no distance falls below 0, (k,) of them left.
-
-    It asks for ḧ + 2 λ ḣ + λ² h ≥ 0, with h what is left: a pair that begins with ḣ + λ h ≥ 0
-    never comes nearer, and one that begins nearer, in penetration too, leaves at the rate λ, at
-    `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
-    the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
-    """
-    return kernels.second_order(left.Jdqd, left.speed, left.d, config.rate, config.leaving)
-
-
-def position_bounds(state: RobotState, config: LimitConfig) -> Array:
-    """(2, n_m) bounds on q̈_m from the position limits, the lower and the upper [rad/s² or m/s²].
-
-    A joint at distance e from its limit may accelerate towards it at most by λ² e - 2 λ q̇, which
-    lets it reach the limit without overshoot.
-    """
-    m = state.measurement
-    return kernels.position_bounds(m.q_m, m.qd_m, state.model.q_limits, config.position_rate)
-
-
-def velocity_bounds(state: RobotState, config: LimitConfig) -> Array:
-    """(2, n_m) κ (±q̇_max - q̇), towards the lower and the upper velocity limit [rad/s² or m/s²]."""
-    return kernels.velocity_bounds(
-        state.measurement.qd_m, state.model.qd_limits, config.velocity_rate
-    )
-
-
-class ArmNow(NamedTuple):
-    """What bounds the arm's part of a step, beside the robot's state."""
-
-    qdd_b: Array
-    """(n_b,) q̈ of the base."""
-    torque: Array
-    """(2, n_m) the smallest and the largest torque [N m or N] of this step."""
-    pushed: Array
-    """(n_m,) [rad/s² or m/s²] what others who push the arm add to q̈_m."""
-
-
-def robot_limits(
-    state: RobotState,
-    config: Config,
-    kept: Distances | None = None,
-    *,
-    arm: ArmNow | None = None,
-) -> Limits:
-    """Limits on q̈ of base and arm: torques, then joints, then barriers.
-
-    With ε = `task.softness` of a row of T_sca each kind gives way to the next: tasks to rows, rows
-    (ε) to joints' limits and distances (ε²), and these to torques. Where torques do not suffice for
-    both, joints and distances share what is missed: neither is bought by throwing the other away.
-    The arm's part asks of no joint what its own torque does not give, in this step, or in time to
-    end below its velocity limit.
+@compiled("UniTuple(f8[::1], 2)(f8[:], f8[:], f8)")
+def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
+    """The smallest and the largest torque (n_m,) of a step: within limits and slew rate.
 
     Args:
-        state: The robot's state.
-        config: How fast limits may be approached.
-        kept: Distances that are kept, as what is left of them.
-        arm: For the arm's part; else any torque up to the joints' own may act in this step, and
-            nobody pushes.
+        u_last: (n_m,) [N m or N] torque of the last step.
+        tau_max: (n_m,) torque limits.
+        change: [N m or N] largest change in one step.
     """
-    model, M, h = state.model, state.M, state.h
-    J, least = np.zeros((0, model.n)), np.zeros(0)
-    if kept is not None:
-        J, least = kept.J, barrier_bounds(kept, config.barrier)
-    m, limit, rate = state.measurement, config.limit, config.limit.torque_rate
-    moving = (
-        m.q_m,
-        m.qd_m,
-        model.q_limits,
-        model.qd_limits,
-        limit.position_rate,
-        limit.velocity_rate,
-    )
-    if arm is None:
-        arm = ArmNow(np.zeros(model.n_b), model.tau_limits, np.zeros(model.n_m))
-        rate = math.inf
-    qdd_b, torque, pushed = arm
-    return Limits(
-        *kernels.limit_rows(M, h, torque, rate, *moving, qdd_b, pushed, J, least),
-        _softness(model.n_m, len(least), config.task.softness),
-    )
+    low, high = np.empty(len(u_last)), np.empty(len(u_last))
+    for i in range(len(u_last)):
+        at = min(max(u_last[i], -tau_max[i]), tau_max[i])
+        low[i], high[i] = max(at - change, -tau_max[i]), min(at + change, tau_max[i])
+    return low, high
 
 
-@lru_cache(maxsize=32)
-def _softness(n_m: int, barriers: int, softness: float) -> Array:
-    """(m,) [-] of torques, joints and barriers, not to be written to."""
-    return np.repeat([0.0, softness**2], [n_m, n_m + barriers])
+@compiled()
+def position_bounds(q: Array, qd: Array, limits: Array, rate: float) -> Array:
+    """(2, n_m) λ² (q_limit − q) − 2 λ q̇, bounds on q̈_m from the lower and upper position limits.
 
-
-def base_limits(model: RobotModel) -> Limits:
-    """Limits on q̈ of the base's accelerations, hard."""
-    most = model.base_acceleration_max
-    return Limits(model.base_rows, -most, most, np.zeros(model.n_b))
-
-
-def force_bound(state: RobotState, distance: Distances) -> float:
-    """[N] a push on the arm's closest point towards the other body that the arm can bear.
-
-    A force F against the normal asks each joint for the torque g_i + J_i F, with J_i how the joint
-    moves the distance. It stands while none of them is at its limit, up to
-
-        F = min_i (τ_i - g_i sgn J_i) / |J_i|,
-
-    of which a pair that comes nearer at the speed v needs v²/(2 d) / (J M⁻¹ Jᵀ) to stop within d.
-    Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds. It is 0
-    where it cannot stop in time even if nobody pushes, and at contact.
+    A joint at the distance e from its limit may accelerate towards it by λ² e − 2 λ q̇ at most, and
+    so reaches the limit without overshoot.
     """
-    n_b, ((d,), (row,), _, (speed,)) = state.model.n_b, distance
-    J, g = row[n_b:], state.g[n_b:]
-    moved = np.abs(J) > 1e-9  # [m/rad or -]
-    if d <= 0.0 or not moved.any():
+    return rate**2 * (limits - q) - 2 * rate * qd
+
+
+@compiled()
+def velocity_bounds(qd: Array, limits: Array, rate: float) -> Array:
+    """(2, n_m) κ (q̇_limit − q̇), bounds on q̈_m from the lower and upper velocity limits."""
+    return rate * (limits - qd)
+
+
+@compiled("f8(f8, f8, f8, f8, f8)")
+def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: float) -> float:
+    """The lower bound [m/s²] on J q̈ with which h = d − d_min does not become negative.
+
+    ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never comes nearer than d_min; one
+    that begins nearer, even in penetration, separates at the rate λ and no faster than `max_speed`,
+    because h counts down to −max_speed/λ only. It is the second-order form of the barriers
+    ḣ + λ h ≥ 0 that libraries at velocity level use.
+
+    Args:
+        Jdqd: [m/s²] acceleration of the distance at q̈ = 0.
+        d_dot: [m/s] speed of the distance.
+        h: [m]
+        rate: [1/s] λ.
+        max_speed: [m/s] largest speed of separation.
+    """
+    return -2.0 * rate * d_dot - rate**2 * max(h, -max_speed / rate) - Jdqd
+
+
+@compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8[:,:], f8, f8)")
+def joint_bounds(
+    q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
+) -> Array:
+    """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity."""
+    position = position_bounds(q, qd, q_limits, position_rate)
+    velocity = velocity_bounds(qd, qd_limits, speed_rate)
+    found = np.empty_like(position)
+    for i in range(len(q)):
+        lower = max(position[0, i], velocity[0, i])
+        upper = min(position[1, i], velocity[1, i])
+        found[0, i], found[1, i] = min(lower, upper), max(lower, upper)
+    return found
+
+
+@compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8, f8[:,:], f8[:,:], f8[:], f8[:])")
+def torque_reachable_bounds(
+    M: Array,
+    h: Array,
+    L_aa: Array,
+    u_min: Array,
+    u_max: Array,
+    torque_rate: float,
+    bounds: Array,
+    room: Array,
+    qdd_b: Array,
+    qdd_ext: Array,
+) -> Array:
+    """Bounds (2, n_m) on q̈_m, relaxed to what each joint's own torque can achieve.
+
+    No joint demands more than its own torque achieves in this step with the other torques in the
+    middle of their ranges. If one joint demanded more, the other torques would saturate in
+    alternation and destabilise an arm whose torque limits are exceeded. A joint also gains no speed
+    faster than it can stop gaining: at the rate r of its torque q̈_i changes by (M⁻¹)_ii r, so that
+    it may be √(2 (M⁻¹)_ii r v) with v left to the velocity limit.
+
+    Args:
+        M: (n, n) inertia matrix.
+        h: (n,) Coriolis and gravity terms.
+        L_aa: (n_m, n_m) Cholesky factor of the arm's part of M.
+        u_min: (n_m,) smallest torques of this step.
+        u_max: (n_m,) largest torques.
+        torque_rate: [N m/s] r.
+        bounds: (2, n_m) on q̈_m.
+        room: (2, n_m) of q̇_m to its lower and upper limit.
+        qdd_b: (n_b,) acceleration of the base's coordinates.
+        qdd_ext: (n_m,) external acceleration of the joints.
+    """
+    found = np.empty_like(bounds)
+    n_b, n_m = len(qdd_b), len(qdd_ext)
+    acting = 0.5 * (u_min + u_max) - h[n_b:] - times(M[n_b:, :n_b], qdd_b)
+    qdd = qdd_ext + backward(L_aa, forward(L_aa, acting))
+    for i in range(n_m):
+        unit = np.zeros(n_m)
+        unit[i] = 1.0
+        moved = (forward(L_aa, unit) ** 2).sum()
+        own = 0.5 * moved * (u_max[i] - u_min[i])
+        slower = math.sqrt(2.0 * moved * torque_rate * max(-room[0, i], 0.0))
+        faster = math.sqrt(2.0 * moved * torque_rate * max(room[1, i], 0.0))
+        lower = max(bounds[0, i], min(-slower, bounds[1, i]))
+        upper = min(bounds[1, i], max(faster, bounds[0, i]))
+        found[0, i], found[1, i] = min(lower, qdd[i] + own), max(upper, qdd[i] - own)
+    return found
+
+
+@compiled("void(f8[:,::1], f8[::1], f8[:], f8[:], f8[:,::1], f8[::1], f8[::1])")
+def torque_rows(
+    M: Array, h: Array, u_min: Array, u_max: Array, C: Array, l: Array, u: Array
+) -> None:
+    """Write M_a q̈ + h_a within the torques into the first n_m rows of C (m, n), l and u (m,)."""
+    n_m = len(u_min)
+    n_b = len(h) - n_m
+    for i in range(n_m):
+        for j in range(len(h)):
+            C[i, j] = M[n_b + i, j]
+        l[i], u[i] = u_min[i] - h[n_b + i], u_max[i] - h[n_b + i]
+
+
+@compiled("void(f8[:,::1], f8[:], f8[:], f8[:,::1], f8[::1], f8[::1])")
+def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u: Array) -> None:
+    """Write the bounds (2, n_m) on q̈_m into rows of C (n_m, n), in units (n_m,) of each joint.
+
+    The unit is the largest joint speed, so that a violation costs the same for every joint.
+    """
+    n_m = len(unit)
+    n_b = C.shape[1] - n_m
+    for i in range(n_m):
+        for j in range(C.shape[1]):
+            C[i, j] = 0.0
+        C[i, n_b + i] = 1.0 / unit[i]
+        l[i], u[i] = (bounds[0, i] - qdd_ext[i]) / unit[i], (bounds[1, i] - qdd_ext[i]) / unit[i]
+
+
+@compiled("void(f8[:,::1], f8[::1], i8[::1], f8[:], f8[:,::1], f8[::1], f8[::1])")
+def distance_rows(
+    J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
+) -> None:
+    """Write J q̈ ≥ least for some rows (k,) of J into rows of C (k, n), l and u (k,)."""
+    n_m = len(qdd_ext)
+    n_b = C.shape[1] - n_m
+    for i in range(len(rows)):
+        moved = 0.0
+        for j in range(C.shape[1]):
+            C[i, j] = J[rows[i], j]
+        for j in range(n_m):
+            moved += J[rows[i], n_b + j] * qdd_ext[j]
+        l[i], u[i] = least[i] - moved, np.inf
+
+
+@compiled("f8(f8, f8[:], f8, f8[:,:], f8[:], f8[:])")
+def force_bound(d: float, J: Array, d_dot: float, M: Array, g: Array, tau_max: Array) -> float:
+    """[N] the largest push on the arm's closest point towards the other body that the arm can bear.
+
+    A force F against the normal demands the torque g_i + J_i F of each joint, with J_i how the
+    joint moves the distance. No torque is at its limit up to
+
+        F = min_i (τ_i − g_i sgn J_i) / |J_i|,
+
+    less v²/(2 d) / (J M⁻¹ Jᵀ) for a pair that approaches at the speed v, which it needs to stop
+    within d. Beyond it the arm holds for a moment by its inertia, and joints may exceed their speed
+    limits. It is 0 where the arm cannot stop in time even without a push, and at contact.
+
+    Args:
+        d: [m] distance of the pair.
+        J: (n,) its Jacobian.
+        d_dot: [m/s] its speed.
+        M: (n, n) inertia matrix.
+        g: (n,) gravity terms.
+        tau_max: (n_m,) torque limits.
+    """
+    n_m, static = len(tau_max), np.inf
+    n_b = len(J) - n_m
+    for i in range(n_m):
+        moved = J[n_b + i]
+        if abs(moved) > 1e-9:  # [m/rad or -]
+            static = min(static, (tau_max[i] - g[n_b + i] * np.sign(moved)) / abs(moved))
+    if d <= 0.0 or static == np.inf:
         return 0.0
-    static = np.min((state.model.tau_max - g * np.sign(J))[moved] / np.abs(J)[moved])
-    stopping = min(speed, 0.0) ** 2 / (2.0 * d)
-    return max(float(static - stopping / (J @ np.linalg.solve(state.M[n_b:, n_b:], J))), 0.0)
+    a = forward(cholesky(M[n_b:, n_b:]), J[n_b:])
+    return float(max(static - min(d_dot, 0.0) ** 2 / (2.0 * d) / (a**2).sum(), 0.0))

@@ -1,146 +1,248 @@
-"""Continuous task transition (§3.4): a strictly convex QP in the place of strict levels.
+"""A strictly convex QP with soft limits, by the dual active-set method of Goldfarb and Idnani.
 
-Rows of T_sca join the tasks below by their activations, limits give in where they contradict each
-other. The solution is continuous in its data, whatever enters or leaves: nothing in it can jump.
+On matrices of ten rows LAPACK's calls cost more than the sums.
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import NamedTuple
+import math
 
 import numpy as np
-from proxsuite import proxqp
 
-from app.avoidance.task import TaskRows, generate_avoidance_task
-from app.control.active_sets import change_within, compliances, least_within, with_rows
+from app.compiled import compiled
 from app.strict import Array
 
-_EPS = 1e-10  # by which ProxQP may miss limits
-_ENOUGH = 1e-6  # accuracy of ProxQP
-_NONE = np.zeros(0)  # of q̈ is given
+_EPS = 1e-12  # of a bound, by which it may be missed
+_MISSED = 1e-10  # by which limits may be
 
 
-class Objective(NamedTuple):
-    """min ½ q̈ᵀ H q̈ + cᵀ q̈, strictly convex."""
-
-    H: Array
-    """(n, n) symmetric positive definite."""
-    c: Array
-    """(n,)."""
-
-
-class Limits(NamedTuple):
-    """l ≤ C q̈ ≤ u."""
-
-    C: Array
-    """(m, n)."""
-    l: Array
-    """(m,) lower bounds."""
-    u: Array
-    """(m,) upper bounds."""
-    softness: Array
-    """(m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are in one
-    unit."""
-
-    def and_also(self, others: Limits) -> Limits:
-        """These and others."""
-        return Limits(*map(np.concatenate, zip(self, others, strict=True)))
+@compiled("f8[:,::1](f8[:,:])")
+def cholesky(H: Array) -> Array:
+    """L, lower triangular, with H = L Lᵀ; not a number if H is not positive definite."""
+    L = np.zeros(H.shape)
+    for j in range(len(H)):
+        for i in range(j, len(H)):
+            value = H[i, j]
+            for l in range(j):
+                value -= L[i, l] * L[j, l]
+            L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
+    return L
 
 
-class NoSolutionError(Exception):
-    """The QP has no solution: what it is given is not finite, or its solver failed."""
+@compiled("f8[::1](f8[:,:], f8[:])")
+def forward(L: Array, b: Array) -> Array:
+    """L⁻¹ b."""
+    x = b.copy()
+    for i in range(len(x)):
+        for l in range(i):
+            x[i] -= L[i, l] * x[l]
+        x[i] /= L[i, i]
+    return x
 
 
-def insert_rows(
-    objective: Objective, rows: Sequence[TaskRows], softness: float, given: int = 0
-) -> Objective:
-    """The tasks below with the rows of T_sca above them, each as far as its own activation says.
+@compiled("f8[::1](f8[:,:], f8[:])")
+def backward(L: Array, b: Array) -> Array:
+    """L⁻ᵀ b."""
+    x = b.copy()
+    for i in range(len(x) - 1, -1, -1):
+        for l in range(i + 1, len(x)):
+            x[i] -= L[l, i] * x[l]
+        x[i] /= L[i, i]
+    return x
 
-    Row i joins as a spring between J_i q̈ and b_i = ẍ_i - J̇_i q̇ whose compliance is (1 - β_i)/β_i
-    times that of the tasks below, J_i H⁻¹ J_iᵀ. Alone it then yields
 
-        J_i q̈ = β_i b_i + (1 - β_i) J_i q̈_2*,
+@compiled()
+def _minimum(L: Array, c: Array) -> Array:
+    """-H⁻¹ c (n,) with H = L Lᵀ."""
+    return backward(L, forward(L, -c))
 
-    the blend of (29). With others, at β_i = 0 it is not there, whatever the others do, and at
-    β_i = 1 it holds but for the softness [-], the least share of a row's compliance: the printed
-    blend of all rows with the one solution without any of them jumps where a row enters beside
-    another one. A row costs the same whether it is the first or the tenth. The first entries of q̈
-    may be given, so many: J_i H⁻¹ J_iᵀ is of the others.
 
-    Paper: Eq. (29).
+@compiled("f8[::1](f8[:,:], f8[:])")
+def times(A: Array, x: Array) -> Array:
+    """A x, its sums in a fixed order: those of BLAS depend on where the memory lies."""
+    found = np.zeros(len(A))
+    for i in range(len(A)):
+        for j in range(len(x)):
+            found[i] += A[i, j] * x[j]
+    return found
+
+
+@compiled()
+def _holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
+    """Whether l ≤ C x ≤ u within a tolerance; never for what is not a number."""
+    reached = times(C, x)
+    return bool((np.maximum(l - reached, reached - u) <= tolerance).all())
+
+
+@compiled()
+def _within(K: Array, active: Array, r: Array) -> Array:
+    """The y of K y = r over some of its rows and columns."""
+    size = len(active)
+    W = np.empty((size, size))
+    for i in range(size):
+        for j in range(size):
+            W[i, j] = K[active[i], active[j]]
+    factor = cholesky(W)
+    return backward(factor, forward(factor, r))
+
+
+@compiled("Tuple((i8, b1))(i8, f8, f8, f8[:,::1], f8[::1], i8[::1], i8)")
+def _activate_row(
+    p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
+) -> tuple[int, bool]:
+    """Bring row p to its bound, changing y and the rows that are kept there.
+
+    Returns:
+        How many rows are kept, and whether it came there; else the hard rows contradict each other.
     """
-    active = [row for row in rows if row.beta > 0.0]
-    if not active:
-        return objective
-    b, J, beta = generate_avoidance_task(active)
-    return Objective(*with_rows(*objective, J, b, beta, softness, given))
+    m = len(y)
+    while True:
+        active, turn = kept[:size], np.zeros(m)
+        if size > 0:
+            turn[active] = -side * _within(K, active, K[active, p])
+        turn[p] = side
+        rise = side * (K[p] * turn).sum()  # towards the bound, for each unit of y_p
+        step = miss / rise if rise > _EPS * K[p, p] else np.inf
+        blocking = -1
+        for k in range(size):
+            i = active[k]
+            if y[i] * turn[i] < 0.0 and -y[i] / turn[i] < step:
+                step, blocking = -y[i] / turn[i], k
+        if not step < np.inf:
+            return size, False
+        y += step * turn
+        if blocking < 0:
+            kept[size] = p
+            return size + 1, True
+        miss -= step * rise
+        y[active[blocking]] = 0.0
+        kept[blocking : size - 1] = kept[blocking + 1 : size].copy()
+        size -= 1
 
 
-class TaskQP:
-    """Finds the least of an objective within limits.
+@compiled("f8[::1](f8[:], f8[:])")
+def compliances(slack_weight: Array, length: Array) -> Array:
+    """(m,) those of rows of length one: of all that are soft, each as for the stiffest.
 
-    Where no limit is met the least is known in closed form. Else, with H = L Lᵀ and z = Lᵀ (q̈ -
-    q̈*) from the free optimum q̈*, the answer is the z nearest to 0 that keeps the limits. A soft
-    limit has a slack that costs 1/(ε c), with c the least C_j H⁻¹ C_jᵀ of the soft ones: so it
-    gives in by ε at most of what the tasks alone would have asked beyond it, and no soft limit, nor
-    two that contradict each other, can leave the problem without an answer. Where active sets do
-    not settle on it, ProxQP finds it.
+    A slack s then costs s² times the same for all of them. If each cost what its own row weighs, a
+    light wrist would be thrown about to brake a heavy shoulder.
+
+    Args:
+        slack_weight: (m,) [-] ε.
+        length: (m,) √(C_i H⁻¹ C_iᵀ).
     """
-
-    def solve(self, objective: Objective, limits: Limits, given: Array = _NONE) -> Array:
-        """The q̈ (n,) of the least objective within limits, its first entries (k,) given.
-
-        Raises:
-            NoSolutionError: The data are not finite, or the hard limits contradict each other.
-        """
-        qdd, found = least_within(*objective, *limits, given)
-        return qdd if found else _by_proxqp(objective, limits, given)
-
-    def change(self, objective: Objective, limits: Limits, given: Array) -> Array:
-        """The change (k,) of what is given of q̈ that costs least with all within limits.
-
-        It is counted from the least objective with what is given and without limits.
-
-        Raises:
-            NoSolutionError: As `solve`.
-        """
-        change, found = change_within(*objective, *limits, given)
-        if found:
-            return change
-        H, free = objective.H, _without_limits(objective, limits, given)
-        return self.solve(Objective(H, -H @ free), limits)[: len(given)] - given
+    least = np.inf
+    for i in range(len(slack_weight)):
+        if slack_weight[i] > 0.0:
+            least = min(least, length[i])
+    found = np.zeros(len(slack_weight))
+    for i in range(len(slack_weight)):
+        if slack_weight[i] > 0.0:
+            found[i] = slack_weight[i] * (least / length[i]) ** 2
+    return found
 
 
-def _without_limits(objective: Objective, limits: Limits, given: Array) -> Array:
-    none = Limits(*(each[:0] for each in limits))
-    return least_within(*objective, *none, given)[0]
+@compiled("Tuple((f8[::1], b1))(f8[::1], f8[:,::1], f8[:,:], f8[:], f8[:], f8[:])")
+def _nearest_within(
+    x: Array, L: Array, C: Array, l: Array, u: Array, slack_weight: Array
+) -> tuple[Array, bool]:
+    """The least within limits, by the dual active-set method of Goldfarb and Idnani (1983).
+
+    It is x itself where that keeps them. With a_i = L⁻¹ C_iᵀ, each of length one, and
+    z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its multipliers y solve l ≤ K y ≤ u with
+    K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one and 0 between. One row after
+    the other, the most missed first, is brought to its bound, while those that are there stay,
+    until one of their multipliers is 0 and it is let go.
+
+    Args:
+        x: (n,) the free optimum.
+        L: (n, n) of the objective.
+        C: (m, n) rows of the limits.
+        l: (m,)
+        u: (m,)
+        slack_weight: (m,) [-] ε of `compliances`.
+
+    Returns:
+        (n,) the least, and whether there is one.
+    """
+    if _holds(C, l, u, x, _MISSED):
+        return x, True
+    n, m = len(x), len(l)
+    a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
+    for i in range(m):
+        a[i] = forward(L, C[i])
+        length[i] = math.sqrt((a[i] ** 2).sum()) + 1e-12
+        a[i] /= length[i]
+        reached = (C[i] * x).sum()
+        below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
+    K = np.diag(compliances(slack_weight, length))
+    for i in range(m):
+        for j in range(m):
+            K[i, j] += (a[i] * a[j]).sum()
+    y, kept = np.zeros(m), np.empty(m, np.int64)
+    size, found = 0, False
+    for _ in range(10 * m):
+        s = (K * y).sum(axis=1)
+        miss = np.maximum(below - s, s - above)
+        miss[kept[:size]] = 0.0
+        p = int(miss.argmax())
+        if not miss[p] > _EPS * (1.0 + abs(s[p])):
+            found = math.isfinite(miss[p])
+            break
+        side = 1.0 if s[p] < below[p] else -1.0
+        size, reached_it = _activate_row(p, side, miss[p], K, y, kept, size)
+        if not reached_it:
+            break
+    z = (a.T * y).sum(axis=1)
+    # Beside a soft row's multiplier, as large as 1/ε, a hard one's is lost in rounding; z is not.
+    hard = kept[:size][slack_weight[kept[:size]] == 0.0]
+    bound = np.where(y > 0.0, below, above)
+    z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
+    found_x = x + backward(L, z)
+    return found_x, bool(found and np.isfinite(found_x).all())
 
 
-def _by_proxqp(objective: Objective, limits: Limits, given: Array) -> Array:
-    """The same by ProxQP, for where the active sets do not settle; its v is z and slacks."""
-    x, k = _without_limits(objective, limits, given)[len(given) :], len(given)
-    if not np.isfinite(x).all():
-        raise NoSolutionError("the tasks are not finite")
-    L, there = np.linalg.cholesky(objective.H[k:, k:]), limits.C[:, :k] @ given
-    limits = Limits(limits.C[:, k:], limits.l - there, limits.u - there, limits.softness)
-    C, l, u, softness = limits
-    if not (np.isfinite(C).all() and (l < np.inf).all() and (u > -np.inf).all()):
-        raise NoSolutionError("the limits are not finite")
-    a, reached = np.linalg.solve(L, C.T).T, C @ x
-    length = np.sqrt((a**2).sum(axis=1)) + 1e-12
-    slack = np.diag(np.sqrt(compliances(softness, length)))[:, softness > 0.0]
-    A = np.hstack([a / length[:, None], slack])
-    l, u = (l - reached) / length, (u - reached) / length
-    far = max(l.max(), -u.min())  # in units of the farthest bound from 0
-    m, n = A.shape
-    qp = proxqp.dense.QP(n, 0, m)
-    qp.settings.eps_abs, qp.settings.eps_rel = _EPS, 0.0
-    qp.settings.eps_primal_inf = 1e-12  # the default calls feasible problems infeasible
-    qp.settings.max_iter = 1000
-    qp.init(np.eye(n), np.zeros(n), None, None, A, l / far, u / far)
-    qp.solve()
-    info = qp.results.info
-    if info.status != proxqp.PROXQP_SOLVED and not max(info.pri_res, info.dua_res) < _ENOUGH:
-        raise NoSolutionError(f"ProxQP ended with {info.status.name}")
-    return np.concatenate([given, x + np.linalg.solve(L.T, far * qp.results.x[: len(x)])])
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+def solve_qp(
+    H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
+) -> tuple[Array, bool]:
+    """Min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
+
+    Where no limit is met the solution is known in closed form. Else, with H = L Lᵀ and
+    z = Lᵀ (x − x*) from the free optimum x*, it is the z nearest to 0 within the limits. A soft
+    limit has a slack that costs 1/(ε c), with c the least C_j H⁻¹ C_jᵀ of the soft ones: it yields
+    by at most ε of what the tasks alone would violate it by, and no soft limits, nor two that
+    contradict each other, leave the problem without a solution.
+
+    Args:
+        H: (n, n) symmetric positive definite.
+        c: (n,)
+        C: (m, n)
+        l: (m,)
+        u: (m,)
+        slack_weight: (m,) [-] ε of each row; rows of 0 are hard.
+        fixed: (k,) the first entries of x.
+
+    Returns:
+        (n,) the solution, and whether the active sets found it.
+    """
+    k = len(fixed)
+    L, moved = cholesky(H[k:, k:]), times(C[:, :k], fixed)
+    free = _minimum(L, c[k:] + times(H[k:, :k], fixed))
+    rest, found = _nearest_within(free, L, C[:, k:], l - moved, u - moved, slack_weight)
+    return np.concatenate((fixed, rest)), found
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+def solve_qp_step(
+    H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
+) -> tuple[Array, bool]:
+    """The x within the limits nearest to the optimum with fixed entries and without limits.
+
+    Nearest in the metric H; the first entries may change, too.
+
+    Returns:
+        (n,) the solution, and whether the active sets found it.
+    """
+    k = len(fixed)
+    rest = _minimum(cholesky(H[k:, k:]), c[k:] + times(H[k:, :k], fixed))
+    x = np.concatenate((fixed, rest))
+    return _nearest_within(x, cholesky(H), C, l, u, slack_weight)

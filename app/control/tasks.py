@@ -1,20 +1,21 @@
-"""The stack below self-collision avoidance: what hand, posture and base do by themselves."""
+"""The tasks below self-collision avoidance: end-effector, posture, guided arm, base at rest.
 
-from functools import lru_cache
+Each is an objective ½ q̈ᵀ H q̈ + cᵀ q̈ over the reduced accelerations q̈ (n,), the base's n_b first.
+"""
+
+import math
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from app.config import TaskConfig
-from app.control import kernels
-from app.control.qp import Objective
-from app.robot.state import RobotState
+from app.compiled import compiled
+from app.control.qp import backward, forward
 from app.strict import Array
 
 
 class Reference(NamedTuple):
-    """Where the end-effector shall be, in the world."""
+    """Desired motion of the end-effector, in the world."""
 
     pose: pin.SE3
     """T_world_ee."""
@@ -24,159 +25,232 @@ class Reference(NamedTuple):
     """(6,) linear [m/s²] over angular [rad/s²]."""
 
 
-class EqualityTask(NamedTuple):
-    """J q̈ + w = b, to be met as closely as what comes before it allows."""
-
-    J: Array
-    """(k, n)."""
-    b: Array
-    """(k,) desired acceleration less J̇ q̇."""
-    give: float
-    """[m²] λ of `tracking_objective`."""
-    drag: Array
-    """(n,) [rad/s² or m/s²] k_v q̇."""
-
-
-class EndEffectorError(NamedTuple):
-    """How far the end-effector is from its reference."""
-
-    pose: Array
-    """(6,) x_d ⊖ x, linear [m] over angular [rad]."""
-    velocity: Array
-    """(6,) ẋ_d - ẋ."""
-    acceleration: Array
-    """(6,) ẍ_d - J̇_ee q̇, what J_ee q̈ is without any error."""
-
-
-def end_effector_error(state: RobotState, reference: Reference) -> EndEffectorError:
-    """The end-effector's, with rotations as rotation vectors in axes of the world."""
-    at, (wanted, velocity, acceleration) = state.T_world_ee, reference
-    turn = pin.log3(wanted.rotation @ at.rotation.T)
-    pose = np.concatenate((wanted.translation - at.translation, turn))
-    return EndEffectorError(pose, velocity - state.v_ee, acceleration - state.Jdqd_ee)
+@compiled()
+def rotation_vector(R: Array) -> Array:
+    """(3,) [rad] axis times angle of a rotation R (3, 3), the angle within [0, π]."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    q = np.empty(4)  # w, then the vector part, by the largest of the four
+    if trace > 0.0:
+        s = 2.0 * math.sqrt(1.0 + trace)
+        q[0] = 0.25 * s
+        q[1], q[2], q[3] = (R[2, 1] - R[1, 2]) / s, (R[0, 2] - R[2, 0]) / s, (R[1, 0] - R[0, 1]) / s
+    else:
+        i = 0
+        for k in range(1, 3):
+            i = k if R[k, k] > R[i, i] else i
+        j, k = (i + 1) % 3, (i + 2) % 3
+        s = 2.0 * math.sqrt(1.0 + R[i, i] - R[j, j] - R[k, k])
+        q[0] = (R[k, j] - R[j, k]) / s
+        q[1 + i], q[1 + j], q[1 + k] = 0.25 * s, (R[i, j] + R[j, i]) / s, (R[i, k] + R[k, i]) / s
+    if q[0] < 0.0:
+        q = -q
+    length = math.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    per = 2.0 / q[0] if length < 1e-9 else 2.0 * math.atan2(length, q[0]) / length
+    return per * q[1:]
 
 
+@compiled("f8[::1](f8[:], f8[:,:], f8[:], f8[:,:])")
+def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
+    """x_d ⊖ x, (6,): linear [m] over angular [rad], as a rotation vector in axes of the world."""
+    error = np.empty(6)
+    error[:3] = p_ref - p
+    turn = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            turn[i, j] = R_ref[i, 0] * R[j, 0] + R_ref[i, 1] * R[j, 1] + R_ref[i, 2] * R[j, 2]
+    error[3:] = rotation_vector(turn)
+    return error
+
+
+@compiled("Tuple((f8[::1], f8))(f8[:], f8[:], f8[:], f8, f8, f8)")
 def end_effector_task(
-    state: RobotState, error: EndEffectorError, config: TaskConfig
-) -> EqualityTask:
-    """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d - ẋ) + k_p (x_d ⊖ x).
+    pose: Array, velocity: Array, acceleration: Array, k_p: float, k_v: float, max_speed: float
+) -> tuple[Array, float]:
+    """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
-    The pull k_p (x_d ⊖ x) is at most k_v times the speed at which an error is taken back, of its
-    linear and of its angular part: a target however far away asks for no more than that speed.
+    The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times a speed: however far
+    away the target is, the end-effector approaches it no faster than that.
 
     Paper: Eq. (26), its task T_2.
-    """
-    k_p, k_v = config.ee_stiffness, config.ee_damping
-    b, left = kernels.to_reference(*error, k_p, k_v, k_v * config.ee_speed)
-    return EqualityTask(state.J_ee, b, left, k_v * state.qd)
-
-
-def tracking_objective(posture: Objective, task: EqualityTask, weight: float) -> Objective:
-    """T_ee above the posture: ½ w ‖J_ee q̈ - b‖² beside it, with a weight w [-] that decides.
-
-    A strict level would ask for unbounded accelerations where a limit or another task makes it
-    nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
-
-    An error that is left damps it, λ ‖q̈ + k_v q̇‖² in the posture's weights with λ its square
-    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
-
-    Paper: Eq. (26).
-    """
-    return Objective(*kernels.with_task(*posture, *task, weight))
-
-
-def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
-    """-k ν: what the base does while nothing moves it, (n_b,) [m/s² or rad/s²]."""
-    return -config.base_damping * state.measurement.base_velocity
-
-
-def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
-    """The arm towards a posture (n_m,), the base to rest, the base's acceleration far costlier.
-
-    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. A joint at the
-    share s of its way from the middle of its range to a limit is drawn back as if the way were s⁵:
-    hardly at all near the middle, and enough at a limit that no wrist ends in a corner while the
-    tasks above leave another way.
-    """
-    m, n_b = state.measurement, state.model.n_b
-    c = np.empty(state.model.n)
-    c[:n_b] = config.base_weight * config.base_damping * state.qd[:n_b]
-    c[n_b:] = kernels.towards_posture(
-        m.q_m,
-        m.qd_m,
-        q_posture,
-        state.model.q_limits,
-        config.posture_stiffness,
-        config.posture_damping,
-        config.centring,
-    )
-    return Objective(_posture_hessian(state.model.n, n_b, config.base_weight), c)
-
-
-@lru_cache(maxsize=8)
-def _posture_hessian(n: int, n_b: int, base_weight: float) -> Array:
-    """(n, n), not to be written to."""
-    return np.diag([base_weight] * n_b + [1.0] * (n - n_b))
-
-
-def free_arm_torque(state: RobotState) -> Array:
-    """u_0 = g_a - D q̇_a: gravity compensation and joint damping, (n_m,)."""
-    return state.g[state.model.n_b :] - state.model.joint_damping * state.measurement.qd_m
-
-
-def guided_objective(state: RobotState, u_0: Array) -> Objective:
-    """Min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
-
-    Here u_0 (n_m,) [N m or N] is what the arm does by itself. In q̈_a the Hessian is M_aa; with the
-    base's acceleration given and no rows it returns u_a = u_0, and with rows u_a = u_0 + J_rᵀ λ.
-    There is no posture: it would be felt.
-    """
-    n_b = state.model.n_b
-    c = np.zeros(state.model.n)
-    c[n_b:] = state.h[n_b:] - u_0
-    return Objective(state.M, c)
-
-
-def with_base_at_rest(state: RobotState, guided: Objective, config: TaskConfig) -> Objective:
-    """The same over base and arm: the base comes to rest at the cost of its weight."""
-    n_b, w = state.model.n_b, config.base_weight
-    M_ab, c = state.M[n_b:, :n_b], guided.c.copy()
-    share = np.linalg.solve(state.M[n_b:, n_b:], np.column_stack([M_ab, c[n_b:]]))
-    H = state.M.copy()
-    H[:n_b, :n_b] = w * np.eye(n_b) + M_ab.T @ share[:, :n_b]
-    c[:n_b] = w * config.base_damping * state.qd[:n_b] + M_ab.T @ share[:, n_b]
-    return Objective(H, c)
-
-
-def carried(state: RobotState, speed: float) -> Array:
-    """(3, n_b) R: what the hand's place moves by the base's axes, less what the arm makes up for.
-
-    The method moves the base and leaves the hand to the arm. An arm that lacks a joint for that, or
-    stands at full stretch, does not hold the hand: the base takes it along, the distance stays what
-    it was, and the base would drive on with the hand before it. Our extension:
-    R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b with J and J_b the arm's and the base's part of the hand's
-    Jacobian, Q the joints' largest speeds and v a speed [m/s]. Along a direction in which they move
-    the hand at v, half of the base's motion is left, and along one of twice that a seventeenth.
-    """
-    model = state.model
-    return kernels.carried(state.J_ee, model.qd_max, model.J_m_inv, speed)
-
-
-def base_with_hand(
-    state: RobotState, wanted: Array, held: Array, weight: float, taken: Array
-) -> Array:
-    """The base's acceleration nearest to the wanted one that does not take the hand along, (n_b,).
-
-    The least of (a - a_wanted)ᵀ I (a - a_wanted) + w m ‖R K (a - a_held)‖²: as if a mass hung on
-    the hand where the arm does not follow. Where it does, R = 0 and this is the wanted one.
 
     Args:
-        state: The robot's state.
-        wanted: (n_b,) [m/s² or rad/s²] of (29).
-        held: (n_b,) with which the hand does what its own task asks.
-        weight: [-] w, of the hand in masses of the base.
-        taken: (3, n_b) R of `carried` times K, what the admittance law makes of an acceleration.
+        pose: (6,) error of the pose, linear [m] over angular [rad].
+        velocity: (6,) error of the velocity.
+        acceleration: (6,) ẍ_d − J̇_ee q̇.
+        k_p: [1/s²] position gain.
+        k_v: [1/s] velocity gain.
+        max_speed: [m/s] and [rad/s] upper bound of the correction speed.
+
+    Returns:
+        (6,) the right-hand side of J_ee q̈ = b; and λ [m²], the square of the error that is left.
     """
-    model = state.model
-    mass = weight * model.description.base.mass_kg
-    return kernels.with_hand(wanted, held, model.base_inertia, mass, taken)
+    b, rest = np.empty(6), 0.0
+    for part in range(0, 6, 3):
+        pull, length = np.empty(3), 0.0
+        for i in range(3):
+            pull[i] = k_p * pose[part + i]
+            length += pull[i] ** 2
+        bound = k_v * max_speed
+        share = min(bound / max(math.sqrt(length), 1e-12), 1.0)
+        for i in range(3):
+            b[part + i] = acceleration[part + i] + k_v * velocity[part + i] + share * pull[i]
+            rest += (share * pull[i]) ** 2
+    return b, rest / max(k_p, 1e-12) ** 2
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8, f8[:], f8)")
+def add_tracking(
+    H: Array, c: Array, J: Array, b: Array, lm_damping: float, velocity: Array, weight: float
+) -> tuple[Array, Array]:
+    """T_ee above the posture (H, c): ½ w ‖J_ee q̈ − b‖² beside it, with a large weight w [-].
+
+    A strict level would demand unbounded accelerations where a limit or another task makes it
+    nearly dependent; the weighted task yields there, and is off by 1/w of the posture's pull.
+    A remaining error damps the posture, λ ‖q̈ + k_v q̇‖² in the metric H with λ the square of the
+    error (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
+
+    Paper: Eq. (26).
+
+    Args:
+        H: (n, n) of the posture.
+        c: (n,) of the posture.
+        J: (6, n) J_ee.
+        b: (6,) right-hand side of T_ee.
+        lm_damping: [m²] λ.
+        velocity: (n,) k_v q̇.
+        weight: [-] w.
+
+    Returns:
+        (n, n) and (n,): (1 + w λ) H + w JᵀJ, and c + w (λ H k_v q̇ − Jᵀ b).
+    """
+    n, (k, _) = len(c), J.shape
+    H_all, c_all = np.empty((n, n)), np.empty(n)
+    for i in range(n):
+        damped = driven = 0.0
+        for j in range(n):
+            both = 0.0
+            for l in range(k):
+                both += J[l, i] * J[l, j]
+            H_all[i, j] = H[i, j] + weight * (lm_damping * H[i, j] + both)
+            damped += H[i, j] * velocity[j]
+        for l in range(k):
+            driven += J[l, i] * b[l]
+        c_all[i] = c[i] + weight * (lm_damping * damped - driven)
+    return H_all, c_all
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8, f8, f8)")
+def posture_objective(
+    qd: Array,
+    q_m: Array,
+    q_posture: Array,
+    q_limits: Array,
+    stiffness: float,
+    damping: float,
+    centering: float,
+    base_weight: float,
+    base_damping: float,
+) -> tuple[Array, Array]:
+    """The arm towards a posture, the base to rest, with the base's acceleration far costlier.
+
+    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. A joint at the
+    share s of the way from the middle of its range to a limit is pulled back in proportion to s⁵:
+    hardly near the middle, and strongly at a limit, so that no wrist ends in a corner while the
+    tasks above leave another solution.
+
+    Args:
+        qd: (n,) q̇.
+        q_m: (n_m,) joint positions.
+        q_posture: (n_m,) the posture.
+        q_limits: (2, n_m) lower and upper joint limits.
+        stiffness: [1/s²] towards the posture.
+        damping: [1/s] of the joints.
+        centering: [1/s²] pull at a joint limit towards the middle.
+        base_weight: [-] cost of the base's acceleration.
+        base_damping: [1/s] of the base.
+    """
+    n, n_m = len(qd), len(q_m)
+    n_b = n - n_m
+    H, c = np.zeros((n, n)), np.empty(n)
+    for i in range(n_b):
+        H[i, i] = base_weight
+        c[i] = base_weight * base_damping * qd[i]
+    for i in range(n_m):
+        half = 0.5 * (q_limits[1, i] - q_limits[0, i])
+        share = (q_m[i] - q_limits[0, i]) / half - 1.0
+        H[n_b + i, n_b + i] = 1.0
+        c[n_b + i] = (
+            damping * qd[n_b + i]
+            - stiffness * (q_posture[i] - q_m[i])
+            + centering * half * share**5
+        )
+    return H, c
+
+
+@compiled("f8[::1](f8[:], f8[:], f8[:])")
+def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
+    """u_0 = g_a − D q̇_a (n_m,): gravity compensation and joint damping [N m or N].
+
+    Args:
+        g: (n,) gravity terms.
+        qd: (n,) q̇.
+        joint_damping: (n_m,) D.
+    """
+    n_b, u = len(g) - len(joint_damping), np.empty(len(joint_damping))
+    for i in range(len(u)):
+        u[i] = g[n_b + i] - joint_damping[i] * qd[n_b + i]
+    return u
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:])")
+def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
+    """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0): a guided arm applies only what avoidance demands.
+
+    u_0 (n_m,) [N m or N] is the torque without avoidance. In q̈_a the Hessian is M_aa: with the
+    base's acceleration fixed and no rows the solution is u_a = u_0, with rows u_a = u_0 + J_rᵀ λ.
+    There is no posture task, because the person would feel it.
+    """
+    n_b, c = len(h) - len(u_0), np.zeros(len(h))
+    for i in range(len(u_0)):
+        c[n_b + i] = h[n_b + i] - u_0[i]
+    return M.copy(), c
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8, f8, i8)")
+def add_base_rest_task(
+    H: Array, c: Array, L_aa: Array, qd: Array, weight: float, damping: float, n_b: int
+) -> tuple[Array, Array]:
+    """The guided objective over base and arm: the base comes to rest at the cost of its weight."""
+    n = len(c)
+    H, c = H.copy(), c.copy()
+    share = np.empty((n - n_b, n_b + 1))
+    for j in range(n_b):
+        share[:, j] = backward(L_aa, forward(L_aa, H[n_b:, j]))
+    share[:, n_b] = backward(L_aa, forward(L_aa, c[n_b:]))
+    M_ab = H[n_b:, :n_b].copy()
+    for i in range(n_b):
+        for j in range(n_b):
+            H[i, j] = weight if i == j else 0.0
+            for k in range(n - n_b):
+                H[i, j] += M_ab[k, i] * share[k, j]
+        c[i] = weight * damping * qd[i]
+        for k in range(n - n_b):
+            c[i] += M_ab[k, i] * share[k, n_b]
+    return H, c
+
+
+@compiled("f8[::1](f8[:], f8[:,:], f8, f8, i8)")
+def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array:
+    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's share of the force of pairs with the base.
+
+    Our extension: the force (14) acts on the base alone, so an arm that nobody holds would stay in
+    the buffer and drive the base on. `d` (k,) [m] and `J` (k, n) are of the pairs of L_m, f [N] is
+    the force at contact.
+    """
+    u = np.zeros(J.shape[1] - n_b)
+    for i in range(len(d)):
+        share = f * min(max(1.0 - d[i] / d_b, 0.0), 1.0)
+        if share > 0.0:
+            for j in range(len(u)):
+                u[j] += share * J[i, n_b + j]
+    return u

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from app.avoidance.task import distance_of
 from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, HandConfig
 from app.control.admittance import largest_command
@@ -356,7 +355,9 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
         distances.update_from(state.data)
         d = distances.distances()
         nearest = distances.closest(int(np.argmin(d)))
-        found.append(force_bound(state, distance_of(state, nearest)))
+        joints = np.array([[model.body_joints[body] for body in nearest.pair]])
+        J, _, d_dot = state.distance_motions(joints, nearest.core[None], nearest.n[None])
+        found.append(force_bound(nearest.d, J[0], d_dot[0], state.M, state.g, model.tau_max))
     return np.array(found)
 
 

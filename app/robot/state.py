@@ -10,7 +10,7 @@ for (B q̇_b, q̇_m).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -66,7 +66,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 def is_finite(measurement: Measurement) -> bool:
     """Whether no reading is infinite or not a number."""
-    return _all_finite(*measurement)
+    return all_finite(*measurement)
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
@@ -77,7 +77,7 @@ def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Me
 
 
 @compiled("Tuple((f8[::1], f8[::1], f8[::1]))(f8[:], f8[:], f8[:], f8[:], f8[:,:], f8[:,:])")
-def _coordinates(
+def coordinates(
     base_pose: Array, base_velocity: Array, q_m: Array, qd_m: Array, B: Array, J_m_inv: Array
 ) -> tuple[Array, Array, Array]:
     """Reduced velocity (n,), and pinocchio's configuration (4 + n_m,) and velocity (3 + n_m,)."""
@@ -97,12 +97,12 @@ def _coordinates(
 
 
 @compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
-def _all_finite(a: Array, b: Array, c: Array, d: Array, e: Array) -> bool:
+def all_finite(a: Array, b: Array, c: Array, d: Array, e: Array) -> bool:
     return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum() + e.sum())
 
 
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")
-def _reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Array, Array]:
+def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h (n,) and Sᵀ g (n,) of pinocchio's M, h and g."""
     n_b, nv = B.shape[1], len(h)
     n = n_b + nv - 3
@@ -125,8 +125,8 @@ def _reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Ar
     return reduced, h_r, g_r
 
 
-@compiled()
-def _chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
+@compiled("UniTuple(f8[:,::1], 2)(f8[:,:], f8[:])")
+def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist and acceleration of the body on each joint, at the origin of the world.
 
     The accelerations are those at q̈ = 0, J̇ q̇: each joint's axes turn with what carries it. The
@@ -161,14 +161,14 @@ def _chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
 
 
 @compiled("f8[::1](f8[:,:], f8[:], f8[:])")
-def _seen_from(R: Array, p: Array, at: Array) -> Array:
+def seen_from(R: Array, p: Array, at: Array) -> Array:
     """Rᵀ (at - p), (3,)."""
     x, y, z = at[0] - p[0], at[1] - p[1], at[2] - p[2]
     return R[0] * x + R[1] * y + R[2] * z
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
-def _point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
+def point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
     """Velocity [m/s] of a body's point at p (3,), from the body's twist (6,)."""
     w_x, w_y, w_z = twist[3], twist[4], twist[5]
     return (
@@ -179,16 +179,16 @@ def _point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
 
 
 @compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
-def _point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
+def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
     """Acceleration [m/s²] of a body's point at p (3,) at q̈ = 0, from twist and bias (6,)."""
-    x, y, z = _point_velocity(bias, p)
-    v_x, v_y, v_z = _point_velocity(twist, p)
+    x, y, z = point_velocity(bias, p)
+    v_x, v_y, v_z = point_velocity(twist, p)
     w_x, w_y, w_z = twist[3], twist[4], twist[5]
     return x + w_y * v_z - w_z * v_y, y + w_z * v_x - w_x * v_z, z + w_x * v_y - w_y * v_x
 
 
 @compiled()
-def _carrying(joint: int) -> int:
+def carrying(joint: int) -> int:
     """How many velocities move a joint's body: the first ones; none moves the world."""
     return joint + 2 if joint > 0 else 0
 
@@ -204,11 +204,11 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
-def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
+def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
     """(3, n) Jacobian of the point of a joint's body that is now at p (3,) [m]."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
-    for k in range(_carrying(joint)):
+    for k in range(carrying(joint)):
         column = _column(J, k, p)
         for i in range(3):
             if k < 3:
@@ -223,9 +223,31 @@ def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
     "Tuple((f8[:,::1], f8[::1], f8[::1]))"
     "(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8[:,:], f8[:,:], f8[:,:])"
 )
-def _pair_motions(
+def distance_motions(
     J: Array, B: Array, twists: Array, biases: Array, joints: Array, at: Array, normals: Array
 ) -> tuple[Array, Array, Array]:
+    """How points of bodies move along normals that are fixed to other bodies: ḋ and d̈.
+
+    J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a:
+    the printed (p_b − p_a)/‖p_b − p_a‖ flips in penetration. A face keeps its normal while the
+    closest points of a round link slide along it, and the point of the link's core, its radius
+    behind p_b, stays: there d̈ is exact. The curvature |v_⊥|²/d of the distance of two fixed points
+    would be ten times as wrong as none.
+
+    Paper: Eq. (21).
+
+    Args:
+        J: (6, 3 + n_m) as of this module.
+        B: (3, n_b) as of this module.
+        twists: (2 + n_m, 6) of `chain_motion`.
+        biases: (2 + n_m, 6) of `chain_motion`.
+        joints: (k, 2) that carry the body with the normal and the one with the point.
+        at: (k, 3) [m] the points, in the world.
+        normals: (k, 3) unit normals, in the world.
+
+    Returns:
+        (k, n) J_r; (k,) [m/s²] J̇_r q̇, with the turning of the normals; (k,) [m/s] J_r q̇.
+    """
     count = len(joints)
     rows = np.zeros((count, B.shape[1] + J.shape[1] - 3))
     accelerations, speeds = np.empty(count), np.empty(count)
@@ -233,7 +255,7 @@ def _pair_motions(
         a, b, p, n = joints[k, 0], joints[k, 1], at[k], normals[k]
         # What carries both moves neither against the other.
         sign = 1.0 if a < b else -1.0
-        for l in range(_carrying(min(a, b)), _carrying(max(a, b))):
+        for l in range(carrying(min(a, b)), carrying(max(a, b))):
             u, v, w = _column(J, l, p)
             along = sign * (n[0] * u + n[1] * v + n[2] * w)
             if l < 3:
@@ -241,9 +263,9 @@ def _pair_motions(
                     rows[k, j] += along * B[l, j]
             else:
                 rows[k, B.shape[1] + l - 3] = along
-        v_b, v_a = _point_velocity(twists[b], p), _point_velocity(twists[a], p)
-        a_b = _point_bias(twists[b], biases[b], p)
-        a_a = _point_bias(twists[a], biases[a], p)
+        v_b, v_a = point_velocity(twists[b], p), point_velocity(twists[a], p)
+        a_b = point_bias(twists[b], biases[b], p)
+        a_a = point_bias(twists[a], biases[a], p)
         x, y, z = v_b[0] - v_a[0], v_b[1] - v_a[1], v_b[2] - v_a[2]
         w_x, w_y, w_z = twists[a, 3], twists[a, 4], twists[a, 5]
         speeds[k] = n[0] * x + n[1] * y + n[2] * z
@@ -255,8 +277,8 @@ def _pair_motions(
     return rows, accelerations, speeds
 
 
-@compiled()
-def _tip_motion(
+@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])")
+def tip_motion(
     J: Array, B: Array, twists: Array, biases: Array, p: Array
 ) -> tuple[Array, Array, Array]:
     """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) on the last body.
@@ -265,7 +287,7 @@ def _tip_motion(
     """
     last, n_b = len(twists) - 1, B.shape[1]
     J_p = np.zeros((6, n_b + J.shape[1] - 3))
-    J_p[:3] = _point_jacobian(J, B, last, p)
+    J_p[:3] = point_jacobian(J, B, last, p)
     for i in range(3):
         for k in range(3):
             for j in range(n_b):
@@ -273,8 +295,8 @@ def _tip_motion(
         for k in range(3, J.shape[1]):
             J_p[3 + i, n_b + k - 3] = J[3 + i, k]
     v, Jdqd = np.empty(6), np.empty(6)
-    v[0], v[1], v[2] = _point_velocity(twists[last], p)
-    Jdqd[0], Jdqd[1], Jdqd[2] = _point_bias(twists[last], biases[last], p)
+    v[0], v[1], v[2] = point_velocity(twists[last], p)
+    Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twists[last], biases[last], p)
     v[3:], Jdqd[3:] = twists[last, 3:], biases[last, 3:]
     return J_p, v, Jdqd
 
@@ -283,23 +305,41 @@ def _tip_motion(
     "Tuple((f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:], f8[:])"
 )
 def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """`_chain_motion`, and `_tip_motion` of a frame at p (3,)."""
-    twists, biases = _chain_motion(J, v)
-    J_p, v_p, Jdqd = _tip_motion(J, B, twists, biases, p)
+    """`chain_motion`, and `tip_motion` of a frame at p (3,)."""
+    twists, biases = chain_motion(J, v)
+    J_p, v_p, Jdqd = tip_motion(J, B, twists, biases, p)
     return twists, biases, J_p, v_p, Jdqd
+
+
+def pinocchio_views(data: pin.Data) -> dict[str, Array]:
+    """Pinocchio's results as arrays that later calls overwrite, by their names in a control step.
+
+    Of each joint (n_j, 4, 3) `oMi` has the columns of its rotation and its origin [m]; pinocchio
+    stores them one after the other.
+    """
+    joints, first = len(data.oMi), data.oMi[0].rotation
+    oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
+    last = np.array(data.oMi[joints - 1].translation)
+    assert (oMi[-1, 3] == last).all(), "pinocchio stores placements in another way"
+    return {"M_pin": data.M, "h_pin": data.nle, "g_pin": data.g, "J_pin": data.J, "oMi": oMi}
+
+
+_SHARED = ("base_pose", "base_velocity", "q_m", "qd_m", "qd", "M", "h", "g", "twists", "biases")
+_SHARED += ("R_ee", "p_ee", "J_ee", "v_ee", "Jdqd_ee")
 
 
 class RobotState:
     """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
     Attributes:
-        measurement: What it was updated with.
+        base_pose, base_velocity, q_m, qd_m, drive: The measurement it was updated with.
         qd: (n,) reduced velocity q̇: the base's, wheel speeds [rad/s] of a differential one, then
             the arm's joints.
         M: (n, n) inertia matrix M of (26).
         h: (n,) C q̇ + g of (26).
         g: (n,) g of (26).
-        T_world_ee: Pose of the end-effector.
+        R_ee: (3, 3) rotation of the end-effector in the world.
+        p_ee: (3,) [m] position of the end-effector in the world.
         J_ee: (6, n) Jacobian of the end-effector, linear over angular, in axes of the world.
         v_ee: (6,) J_ee q̇.
         Jdqd_ee: (6,) J̇_ee q̇.
@@ -307,16 +347,58 @@ class RobotState:
         p_o: (3,) [m] the base's centre on the floor, in the world.
     """
 
+    base_pose: Array
+    base_velocity: Array
+    q_m: Array
+    qd_m: Array
+    qd: Array
+    M: Array
+    h: Array
+    g: Array
+    R_ee: Array
+    p_ee: Array
+    J_ee: Array
+    v_ee: Array
+    Jdqd_ee: Array
+    twists: Array
+    biases: Array
+
     def __init__(self, model: RobotModel) -> None:
         self.model = model
         self.data = model.pin.createData()
-        # As pinocchio keeps them: asking for them anew costs more.
+        # As pinocchio stores them: reading them anew costs more.
         root, data = self.data.oMi[1], self.data
         self.R_world_base, self.p_o = root.rotation, root.translation
         self._dynamics, self._J = (data.M, data.nle, data.g), data.J
-        self._pin = model.pin
+        self.pin = model.pin
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
+        self._shared = False
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
+
+    def share(self, step: Any) -> None:
+        """From now on live in the memory of a control step, which keeps it up to date."""
+        present = {name: getattr(self, name) for name in _SHARED}
+        for name in _SHARED:
+            setattr(self, name, getattr(step, name))
+        self._shared = True
+        self._store(**present)
+
+    def _store(self, **arrays: Array) -> None:
+        for name, value in arrays.items():
+            if self._shared:
+                getattr(self, name)[...] = value
+            else:
+                setattr(self, name, value)
+
+    @property
+    def measurement(self) -> Measurement:
+        """What it was updated with."""
+        return Measurement(self.base_pose, self.base_velocity, self.q_m, self.qd_m, self.drive)
+
+    @property
+    def T_world_ee(self) -> pin.SE3:
+        """Pose of the end-effector."""
+        return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
         """Compute with other masses and inertias of the arm from the next update on.
@@ -326,42 +408,44 @@ class RobotState:
         others share is not changed.
         """
         if factor == 1.0:
-            self._pin = self.model.pin
+            self.pin = self.model.pin
             return
-        self._pin = self.model.pin.copy()
-        for joint in range(2, self._pin.njoints):  # 1 is the planar joint of the base
+        self.pin = self.model.pin.copy()
+        for joint in range(2, self.pin.njoints):  # 1 is the planar joint of the base
             Y = self.model.pin.inertias[joint]
-            self._pin.inertias[joint] = pin.Inertia(factor * Y.mass, Y.lever, factor * Y.inertia)
+            self.pin.inertias[joint] = pin.Inertia(factor * Y.mass, Y.lever, factor * Y.inertia)
 
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
         q, v = self._take(measurement)
-        pin.computeAllTerms(self._pin, self.data, q, v)
-        self.M, self.h, self.g = _reduced_dynamics(*self._dynamics, self._B)
+        pin.computeAllTerms(self.pin, self.data, q, v)
+        M, h, g = reduced_dynamics(*self._dynamics, self._B)
+        self._store(M=M, h=h, g=g)
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
         """Recompute all but M, h and g, which stay those of the last `update`."""
         q, v = self._take(measurement)
-        pin.computeJointJacobians(self._pin, self.data, q)
+        pin.computeJointJacobians(self.pin, self.data, q)
         self._update_motion(v)
 
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
-        self.measurement = measurement
-        self.qd, q, v = _coordinates(*measurement[:4], self._B, self.model.J_m_inv)
+        base_pose, base_velocity, q_m, qd_m, self.drive = measurement
+        qd, q, v = coordinates(*measurement[:4], self._B, self.model.J_m_inv)
+        self._store(base_pose=base_pose, base_velocity=base_velocity, q_m=q_m, qd_m=qd_m, qd=qd)
         return q, v
 
     def _update_motion(self, v: Array) -> None:
         """Placements, velocities and accelerations, with the Jacobians already there."""
-        self.T_world_ee = pin.updateFramePlacement(self._pin, self.data, self.model.ee_frame)
-        p_ee = self.T_world_ee.translation
-        self._twists, self._biases, self.J_ee, self.v_ee, self.Jdqd_ee = _motion(
-            self._J, self._B, v, p_ee
-        )
+        T_ee = pin.updateFramePlacement(self.pin, self.data, self.model.ee_frame)
+        R_ee, p_ee = T_ee.rotation.copy(), T_ee.translation.copy()
+        twists, biases, J_ee, v_ee, Jdqd_ee = _motion(self._J, self._B, v, p_ee)
+        self._store(R_ee=R_ee, p_ee=p_ee, J_ee=J_ee, v_ee=v_ee, Jdqd_ee=Jdqd_ee)
+        self._store(twists=twists, biases=biases)
 
     def to_base(self, p_world: Array) -> Array:
         """(3,) a point of the world in the base's frame."""
-        return _seen_from(self.R_world_base, self.p_o, p_world)
+        return seen_from(self.R_world_base, self.p_o, p_world)
 
     def to_world(self, p_base: Array) -> Array:
         """(3,) a point of the base's frame in the world."""
@@ -369,26 +453,16 @@ class RobotState:
 
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
         """(3, n) Jacobian of the point of a joint's body that is now at `p_world`."""
-        return _point_jacobian(self._J, self._B, joint, p_world)
+        return point_jacobian(self._J, self._B, joint, p_world)
 
     def point_velocity(self, joint: int, p_world: Array) -> Array:
         """(3,) [m/s] velocity of that point."""
-        return np.array(_point_velocity(self._twists[joint], p_world))
+        return np.array(point_velocity(self.twists[joint], p_world))
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
         """(3,) J̇ q̇ of that point: its acceleration at q̈ = 0."""
-        return np.array(_point_bias(self._twists[joint], self._biases[joint], p_world))
+        return np.array(point_bias(self.twists[joint], self.biases[joint], p_world))
 
-    def pair_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
-        """How points of bodies move along normals that are fixed to other ones.
-
-        Args:
-            joints: (k, 2) of the body with the normal and of the one with the point.
-            p: (k, 3) [m] the points, in the world.
-            n: (k, 3) unit normals, in the world.
-
-        Returns:
-            (k, n) their Jacobians nᵀ(J_b - J_a); (k,) [m/s²] their accelerations at q̈ = 0, with the
-            turning of the normals; (k,) [m/s] their speeds.
-        """
-        return _pair_motions(self._J, self._B, self._twists, self._biases, joints, p, n)
+    def distance_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
+        """`distance_motions` of points p (k, 3) [m] and normals n (k, 3) on joints (k, 2)."""
+        return distance_motions(self._J, self._B, self.twists, self.biases, joints, p, n)

@@ -14,7 +14,8 @@ from app.border.cache import BorderData
 from app.config import Config, DisturbanceConfig, parameter
 from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.control_loop import ControlLoop
-from app.control.controller import Controller, ControlOutput
+from app.control.controller import Controller
+from app.control.quantities import ControlStep
 from app.control.tasks import Reference
 from app.errors import DescriptionError, TargetError
 from app.robot.model import RobotModel
@@ -38,7 +39,8 @@ class Step(NamedTuple):
     t: float
     """[s] simulated time at the step's begin."""
     measurement: Measurement
-    output: ControlOutput
+    control: ControlStep
+    """All quantities of the control step; the next step overwrites them."""
     base_command: Array
     """(n_b,) [m/s or rad/s] in force; what arrives at the drive may be late."""
     hand_target: Array | None
@@ -56,7 +58,7 @@ class Step(NamedTuple):
     truth: Measurement
     """The robot as it is; the same as `measurement` without noise."""
     distances: tuple[float, ...]
-    """[m] true signed distances, in the order of the output's pairs."""
+    """[m] true signed distances, in the order of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is enough for how fast the arm comes."""
     door: DoorReading | None = None
@@ -180,9 +182,9 @@ class Session:
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
         begin = perf_counter()
-        _, command, output = self.loop.step(measurement, reference)
+        u_a, command, control = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
-        state, distances = self._observe(truth, measurement, output)
+        state, distances = self._observe(truth, measurement, control)
         p_ee = state.T_world_ee.translation
         if pull is not None:
             holds = (Hold(LEAD, pull), *holds)
@@ -191,7 +193,7 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        self.physics.step(output.u_a, self._disturbances.arriving(command), *person)
+        self.physics.step(u_a, self._disturbances.arriving(command), *person)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
         )
@@ -199,7 +201,7 @@ class Session:
         step = Step(
             self.t,
             measurement,
-            output,
+            control,
             command,
             target,
             felt,
@@ -208,7 +210,7 @@ class Session:
             duration,
             truth,
             distances,
-            self._look(output),
+            self._look(control),
             door,
             pulls,
             person,
@@ -219,7 +221,7 @@ class Session:
         return step
 
     def _observe(
-        self, truth: Measurement, sensed: Measurement, output: ControlOutput
+        self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, tuple[float, ...]]:
         """The true state, and [m] of all pairs; without noise both are the controller's estimate.
 
@@ -227,16 +229,14 @@ class Session:
         """
         if sensed is truth:
             self.state = self.controller.state
-            nearest = output.avoidance.nearest
-            return self.state, tuple(nearest.d[: len(nearest.pairs)].tolist())
+            return self.state, tuple(control.d[: len(control.pairs)].tolist())
         self.state = self._own_state
         self.state.update_kinematics(truth)
         return self.state, self._distances.distances()
 
-    def _look(self, output: ControlOutput) -> BufferReading:
-        avoidance, way = output.avoidance, self.controller.name == "dbb"
-        closest = [avoidance.nearest.closest(i) for i in range(avoidance.n_mobile)]
-        return self._watch.update(self.state, closest, DT, gives_way=way)
+    def _look(self, control: ControlStep) -> BufferReading:
+        way = self.controller.name == "dbb"
+        return self._watch.update(self.state, control, DT, gives_way=way)
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.config = config

@@ -11,14 +11,14 @@ import viser
 from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
-from app.avoidance.mobile_acceleration import (
+from app.avoidance.acting_point import (
     ActingPointFinder,
-    PairForce,
     avoidance_force,
-    generate_mob_acc,
+    resultant_force,
 )
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
+from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
@@ -365,10 +365,10 @@ def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array, n: Array
     d_b = config.border.d_b
     d = _INSIDE * d_b
     p_b = p - (d_b - d) * n
-    finder = ActingPointFinder(borders.surface(config.border), field)
+    finder = ActingPointFinder(BorderSearch(borders.surface(config.border)), field)
     found = finder.find_acting_point(p_b, d, config.force)
     assert found is not None, "a border that is drawn has contours"
     f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
-    acceleration = generate_mob_acc([PairForce(f, found.p_act)], field.base)
+    acceleration = field.base.A_b @ resultant_force(f[None], found.p_act[None])
     det, reach = field.singularity(p), field.reachability(p)
     return Probe(p, float(det), float(reach), float(field.score(p)), found.p_act, acceleration)

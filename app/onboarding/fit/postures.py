@@ -11,7 +11,7 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
-from app.control.tasks import carried as carried_by
+from app.control.transition import uncompensated_base_jacobian
 from app.errors import UnreachableError
 from app.jobs.progress import OnProgress, part_of
 from app.robot.link_pairs import LinkPairs
@@ -405,7 +405,8 @@ class _Guide:
             least = min(least, nearest)
             if nearest < self._d_b:
                 moved = search.state.J_ee[:3, :n_b] @ self._model.J_m_inv
-                lost = carried_by(search.state, speed)
+                model, J_ee = self._model, search.state.J_ee
+                lost = uncompensated_base_jacobian(J_ee, model.qd_max, model.J_m_inv, speed)
                 carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
         return q_m, float(least), carried
 

@@ -31,6 +31,7 @@ from app.robot.bases.kind import (
     BaseKind,
     Channel,
     Follower,
+    Measure,
     Wheels,
     clamp,
 )
@@ -139,12 +140,10 @@ class CarLikeBase(BaseKind):
     def score_unit(self) -> float:
         return 4.0 * self.curvature_max**2 / PAPERS_MEASURE
 
-    def singularity(self, p: Array) -> tuple[Array, Array]:
+    @property
+    def measure(self) -> Measure:
         """Sign(x) (2 κ_max x)² [-]."""
-        x = np.asarray(p, dtype=float)[..., 0]
-        per, gradient = 4.0 * self.curvature_max**2, np.zeros(np.shape(p))
-        gradient[..., 0] = 2.0 * per * np.abs(x)
-        return per * x * np.abs(x), gradient
+        return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def acceleration(self, force: BaseForce) -> Array:
         """What the force wants, before the cone; see `admissible`."""

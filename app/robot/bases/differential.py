@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, TurningBase, Wheels
+from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, Measure, TurningBase, Wheels
 from app.strict import Positive
 
 Array = np.ndarray
@@ -118,17 +118,11 @@ class DifferentialBase(TurningBase):
             Wheels("left", "left_wheel_joints", self.left_wheel_joints),
         )
 
-    def singularity(self, p: Array) -> tuple[Array, Array]:
-        """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴]."""
-        x = np.asarray(p, dtype=float)[..., 0]
-        measure = singularity_measure(p, self.wheel_radius_m, self.half_track_m)
-        gradient = np.zeros(np.shape(p))
-        gradient[..., 0] = 2 * self._per_square_metre * np.abs(x)
-        return np.where(x >= 0, measure, -measure), gradient
-
-    def singularity_at(self, p: Array) -> tuple[float, float, float]:
-        per, x = self._per_square_metre, float(p[0])
-        return per * x * abs(x), 2 * per * abs(x), 0.0
+    @property
+    def measure(self) -> Measure:
+        """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴] of (7)."""
+        r, b = self.wheel_radius_m, self.half_track_m
+        return Measure(0.0, 4 * b**2 * (r / (2 * b)) ** 4)
 
     def acceleration(self, force: BaseForce) -> Array:
         return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
@@ -136,8 +130,3 @@ class DifferentialBase(TurningBase):
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
         del drive
         return angles + qd_b * dt
-
-    @property
-    def _per_square_metre(self) -> float:
-        r, b = self.wheel_radius_m, self.half_track_m
-        return 4 * b**2 * (r / (2 * b)) ** 4

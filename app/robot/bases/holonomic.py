@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.robot.bases.kind import TURN, Axis, BaseForce, TurningBase
+from app.robot.bases.kind import TURN, Axis, BaseForce, Measure, TurningBase
 
 Array = np.ndarray
 
@@ -35,10 +35,10 @@ class HolonomicBase(TurningBase):
         """The traction at the radius of gyration."""
         return self.traction_limit_n * math.sqrt(self.inertia_kgm2 / self.mass_kg)
 
-    def singularity(self, p: Array) -> tuple[Array, Array]:
-        """1 [-]."""
-        p = np.asarray(p, dtype=float)
-        return np.ones(p.shape[:-1]), np.zeros(p.shape)
+    @property
+    def measure(self) -> Measure:
+        """1 [-] everywhere."""
+        return Measure(1.0, 0.0)
 
     def acceleration(self, force: BaseForce) -> Array:
         m = self.mass_kg

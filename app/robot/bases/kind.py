@@ -71,6 +71,15 @@ class BaseForce(NamedTuple):
     """[N m] about the vertical through the frame's origin."""
 
 
+class Measure(NamedTuple):
+    """How well a base moves a point at x ahead of its centre: constant + per_square_metre x |x|."""
+
+    constant: float
+    """[-] where every point is moved equally well."""
+    per_square_metre: float
+    """[1/m², times the measure's unit]"""
+
+
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
 """[m²/rad⁴] (7) of the paper's robot 1 m ahead of its axis: what the gain of (13) goes with."""
 
@@ -168,12 +177,16 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """What `singularity` is counted in where (13) takes its size, which fits the paper's."""
+        """Unit of `measure` in (13): it makes the measure as large as that of the paper's robot."""
         return 1.0
 
+    @property
     @abstractmethod
+    def measure(self) -> Measure:
+        """How well the base moves a point: what stands for the determinant of (7)."""
+
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """How well the base moves a point, with the sign of the side that is better.
+        """The measure at points, with the sign of the side that is better.
 
         It stands in (10) in the place of sign(x) det(J_c J_cᵀ).
 
@@ -183,18 +196,23 @@ class BaseKind(Sourced, ABC):
         Returns:
             (…) the measure and (…, 3) its gradient by the point.
         """
-
-    def singularity_at(self, p: Array) -> tuple[float, float, float]:
-        """The measure at one point (3,), and its derivatives by x and y."""
-        value, gradient = self.singularity(p)
-        return float(value), float(gradient[0]), float(gradient[1])
+        constant, quadratic = self.measure
+        x = np.asarray(p, dtype=float)[..., 0]
+        gradient = np.zeros(np.shape(p))
+        gradient[..., 0] = 2 * quadratic * np.abs(x)
+        return constant + quadratic * x * np.abs(x), gradient
 
     @abstractmethod
     def acceleration(self, force: BaseForce) -> Array:
         """ẍ_m: what a force does to the base as it can move, (n_b,) [m/s² or rad/s²].
 
-        It stands in the place of (17) and (18).
+        It stands in the place of (17) and (18), and is linear in the force.
         """
+
+    @property
+    def A_b(self) -> Array:
+        """(n_b, 3) the matrix of `acceleration`."""
+        return np.column_stack([self.acceleration(BaseForce(*e)) for e in np.eye(3).tolist()])
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Ways to give way, one of which is taken; each is made of independent channels."""

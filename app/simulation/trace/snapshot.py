@@ -14,11 +14,11 @@ import numpy as np
 import pinocchio as pin
 from pydantic import TypeAdapter
 
-from app.avoidance.self_collision import PairState
 from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound
+from app.control.quantities import ControlStep
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Pacer
@@ -152,13 +152,15 @@ def _pairs() -> Quantity:
 
     def take(session: Session, step: Step) -> tuple[PairReading, ...]:
         base = session.model.body_names[0]
+        w = step.control
+        of_pair = zip(w.pairs, step.distances, w.beta.tolist(), w.p_a, w.p_b, strict=False)
         return tuple(
-            PairReading(c.pair.name, c.pair.a == base, d, beta, frozen(c.p_a), frozen(c.p_b))
-            for (c, beta, *_), d in zip(step.output.avoidance.pairs, step.distances, strict=True)
+            PairReading(pair.name, pair.a == base, d, beta, frozen(p_a), frozen(p_b))
+            for pair, d, beta, p_a, p_b in of_pair
         )
 
     def row(_: Session, step: Step) -> Sequence[float]:
-        return [*step.distances, *step.output.avoidance.beta]
+        return [*step.distances, *step.control.beta.tolist()]
 
     def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
         of_pairs = list(zip(*pairs, strict=True))[2:]  # without name and kind
@@ -185,10 +187,11 @@ def _acting() -> Quantity:
         return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
 
     def take(session: Session, step: Step) -> tuple[ActingReading, ...]:
-        if step.output.inserted.rows_m is None:
+        w = step.control
+        if not w.B[0] > 0.0:
             return ()
-        mobile = step.output.avoidance.mobile
-        return tuple(_acting_reading(session.state, p) for p in mobile if p.acting is not None)
+        acting = [i for i in range(w.n_mob) if not np.isnan(w.p_act[i, 0])]
+        return tuple(_acting_reading(session.state, w, i) for i in acting)
 
     def cells(acting: Sequence[ActingReading], meta: TraceMeta) -> Sequence[Cell]:
         points = {name: points for name, *points in acting}
@@ -269,11 +272,11 @@ def _force_bound() -> Quantity:
 
 
 def _least_force_bound(session: Session, step: Step) -> float:
-    avoidance, state = step.output.avoidance, session.controller.state
-    near = [i for i in range(avoidance.n_mobile) if avoidance.beta[i] > 0.0]
+    w, tau_max = step.control, session.model.tau_max
+    near = [i for i in range(w.n_mob) if w.beta[i] > 0.0]
     if not (step.pulls and near):
         return NAN
-    return min(force_bound(state, avoidance.near.of(slice(i, i + 1))) for i in near)
+    return min(force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, w.g, tau_max) for i in near)
 
 
 @dataclass(frozen=True)
@@ -297,11 +300,11 @@ class Snapshot:
     ]
     """(n_b,) [m/s or rad/s] commanded, renewed at 10 Hz."""
     base_acceleration: Annotated[
-        Array, numbers("base_{acceleration}", lambda s, o: o.output.base_acceleration)
+        Array, numbers("base_{acceleration}", lambda s, o: o.control.a_base_cmd)
     ]
     """(n_b,) [m/s² or rad/s²] that the QP asks of the base."""
     avoidance_acceleration: Annotated[
-        Array, numbers("avoidance_{acceleration}", lambda s, o: o.output.inserted.base_acceleration)
+        Array, numbers("avoidance_{acceleration}", lambda s, o: o.control.base_avoidance)
     ]
     """(n_b,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does
     not insert them."""
@@ -309,7 +312,7 @@ class Snapshot:
     """(n_w,) [rad] of the base's `wheels`, for drawing: the right and the left side."""
     q_m: Annotated[Array, numbers("q_{joint}_{position}", lambda s, o: o.truth.q_m)]
     """(n_m,) [rad or m] arm joints."""
-    u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.output.u_a)]
+    u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.control.u_cmd)]
     """(n_m,) [N m or N] arm torques."""
     p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.T_world_ee.translation)]
     """(3,) [m] end-effector in the world."""
@@ -319,7 +322,7 @@ class Snapshot:
     """All link pairs, those of L_m first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
-    beta_m: Annotated[float, number("beta_m", "float", lambda s, o: o.output.avoidance.beta_m)]
+    beta_m: Annotated[float, number("beta_m", "float", lambda s, o: float(o.control.beta_m))]
     """[-] of (28)."""
     hand_target: Annotated[
         Array | None,
@@ -335,7 +338,7 @@ class Snapshot:
     arm_in_contact: Annotated[bool, number("arm_contact", "bool", lambda s, o: o.contacts.arm_arm)]
     """Parts of the arm touch."""
     solver_failures: Annotated[
-        int, number("solver_failures", "int", lambda s, o: s.controller.failures)
+        int, number("solver_failures", "int", lambda s, o: int(o.control.failures))
     ]
     """QPs without a solution since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us", "float")]
@@ -347,7 +350,7 @@ class Snapshot:
     own work took longer, or they began after it was over."""
     paused: Annotated[bool, drawn("paused", "bool")]
     mode: Annotated[
-        str, drawn("mode", "text", lambda s, o: "tracking" if o.output.tracking else "guiding")
+        str, drawn("mode", "text", lambda s, o: "tracking" if o.control.tracking else "guiding")
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
@@ -379,7 +382,7 @@ class Snapshot:
     ] = None
     """(n_m,) [rad/s or m/s] speeds of the arm's joints, if they are known."""
     activation: Annotated[
-        float, number("activation", "float", lambda s, o: o.output.activation)
+        float, number("activation", "float", lambda s, o: float(o.control.activation))
     ] = 0.0
     """[-] the largest activation of the rows that the controller inserted, 0 if none was."""
     floor_contact: Annotated[
@@ -387,7 +390,7 @@ class Snapshot:
     ] = False
     """Arm and floor touch."""
     given_up: Annotated[
-        int, number("solver_given_up", "int", lambda s, o: s.controller.given_up)
+        int, number("solver_given_up", "int", lambda s, o: int(o.control.given_up))
     ] = 0
     """Steps since the last reset in which the base's own part had no solution."""
     hand_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed)] = 0.0
@@ -453,7 +456,7 @@ def make_snapshot(
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
-    why = (session.controller, step.output, session.config, step.base_command)
+    why = (session.controller, step.control, session.config, step.base_command)
     return Snapshot(
         **fields,
         step_time_us=pacer.step_time_us if pacer else NAN,
@@ -465,12 +468,10 @@ def make_snapshot(
     )
 
 
-def _acting_reading(state: RobotState, pair: PairState) -> ActingReading:
-    acting = pair.acting
-    assert acting is not None
-    points = (state.to_world(p) for p in (acting.p_n, acting.p_t, acting.p_act))
-    force = state.R_world_base @ pair.f
-    return ActingReading(pair.closest.pair.name, *map(frozen, (*points, force)))
+def _acting_reading(state: RobotState, w: ControlStep, i: int) -> ActingReading:
+    points = (state.to_world(p[i]) for p in (w.p_n, w.p_t, w.p_act))
+    force = state.R_world_base @ w.f[i]
+    return ActingReading(w.pairs[i].name, *map(frozen, (*points, force)))
 
 
 def _frozen_pull(pull: PullReading) -> PullReading:

@@ -241,7 +241,7 @@ class Recorder:
 
     def _begin(self, session: Session, step: Step) -> None:
         base = session.model.body_names[0]
-        pairs = {pair.name: pair.a == base for pair in step.output.avoidance.nearest.pairs}
+        pairs = {pair.name: pair.a == base for pair in step.control.pairs}
         meta = TraceMeta.of(
             session.model,
             pairs,
@@ -349,14 +349,14 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     margin = _AT_LIMIT * (model.q_upper - model.q_lower)
     at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
-    inserted, speeds = step.output.inserted, np.abs(step.truth.qd_m) / model.qd_max
-    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ inserted.base_acceleration)
+    w, speeds = step.control, np.abs(step.truth.qd_m) / model.qd_max
+    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ w.base_avoidance)
     least_motion = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
     found: dict[Reason, bool] = {
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
         "joint limits": bool(joints),
         "joint speeds": bool((speeds > _AT_SPEED).any()),
-        "links too near": bool(inserted.rows_links),
+        "links too near": bool((w.B[n_b:][: len(w.pairs) - w.n_mob] > 0.0).any()),
         "border against hand": bool(pushed @ towards < -_PUSHED),
         "full stretch": bool(least_motion < _STRETCHED),
     }

@@ -8,7 +8,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
-from app.avoidance.mobile_acceleration import ActingPoint
+from app.avoidance.acting_point import ActingPoint
 from app.avoidance.task import activation
 from app.config import ForceConfig
 from app.robot.link_pairs import ClosestPoints

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.interpolate import CubicSpline
 
-from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, generate_mob_acc
+from app.avoidance.acting_point import ActingPointFinder, resultant_force
 from app.border.dbb import Border, Cloud
 from app.robot.link_pairs import ClosestPoints
 from app.simulation.run import run_planned
@@ -219,7 +219,7 @@ def acting_path(
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
-    xdd_m = [generate_mob_acc([PairForce(f, acting.p_act)], base) for acting, f in forces]
+    xdd_m = [base.A_b @ resultant_force(f[None], acting.p_act[None]) for acting, f in forces]
     p_act = np.array([acting.p_act for acting, _ in forces])
     linear, angular = np.array(xdd_m).T
     return {

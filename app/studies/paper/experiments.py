@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from typing_extensions import Self
 
-from app.avoidance.mobile_acceleration import ActingPoint, ActingPointFinder, avoidance_force
+from app.avoidance.acting_point import ActingPoint, ActingPointFinder, avoidance_force
 from app.border.cache import BorderData, load_border_data
 from app.border.dbb import Border, construct_dbb
-from app.border.nearest import BorderPoints
+from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.config import Config, ForceConfig
@@ -127,11 +127,11 @@ class Sources:
     @cached_property
     def surface(self) -> ActingPointFinder:
         """Algorithm 3 on DBB_1 as a continuous surface, as the controller has it."""
-        return ActingPointFinder(self.offset, self.field)
+        return ActingPointFinder(BorderSearch(self.offset), self.field)
 
     def points(self, border: Border) -> ActingPointFinder:
         """Algorithm 3 on a border of that pair as points, as printed."""
-        return ActingPointFinder(BorderPoints(border, self.offset), self.field)
+        return ActingPointFinder(BorderSearch(self.offset, [border]), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None

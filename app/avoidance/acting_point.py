@@ -1,0 +1,219 @@
+"""FindActingPoint (Algorithm 3), and the force at the acting point (§3.1).
+
+All points are in the base's frame. The border moves with the base, whose motion is planar: one
+point is transformed instead of fifty thousand.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+from numba.core.typing.templates import Signature
+
+from app.border.nearest import BORDER, BorderSearch, nearest_border
+from app.border.score import ScoreField, score_at
+from app.compiled import compiled
+from app.config import ForceConfig
+from app.strict import Array
+
+
+@compiled("f8(f8, f8, f8, f8, f8)")
+def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: float) -> float:
+    """α = S_0 d / (|S(p_n)| + S_0/2), bounded below and above, in metres; S_0 is the gain.
+
+    Where the base moves the point well, α is in proportion to d/|S|. Near the wheel axis, where S
+    vanishes, that ratio would jump from bound to bound within millimetres; this one is 2 d there,
+    enough for the force to turn the base, and changes no faster than that.
+
+    Paper: Eq. (13). Bounds as Figure 8b demands: too large a step leaves no component of the force
+    along the line between the end-effector and the border.
+
+    Args:
+        d: [m] distance of the pair.
+        score: S(p_n), in units of the paper's robot.
+        gain: [-] S_0.
+        alpha_min: [m]
+        alpha_max: [m]
+    """
+    proportional = gain * max(d, 0.0) / max(abs(score) + gain / 2.0, 1e-12)
+    return min(max(proportional, alpha_min), alpha_max)
+
+
+@compiled()
+def uphill(gradient: Array) -> Array:
+    """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheel axis, its limit e_x."""
+    norm = math.sqrt((gradient**2).sum())
+    direction = np.array([1.0, 0.0, 0.0])
+    if norm > 0.0:
+        direction[:] = gradient / norm
+    return direction
+
+
+@compiled("f8[::1](f8[:], f8[:], f8)")
+def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
+    """α (∇S·t / ‖∇S‖) t, (3,) [m].
+
+    Paper: Eq. (12). On the wheel axis ∇S = 0 and the quotient is 0/0; its limit from both sides is
+    the direction +e_x.
+    """
+    return alpha * (uphill(gradient) * t).sum() * t
+
+
+@compiled()
+def find_acting_point(
+    border: Any,
+    pair: int,
+    score: Array,
+    p_b: Array,
+    d: float,
+    gain: float,
+    alpha_min: float,
+    alpha_max: float,
+) -> tuple[Array, Array, Array, Array, float]:
+    """The acting point of a pair of L_m for the closest point p_b on the arm.
+
+    Paper: Algorithm 3.
+
+    Args:
+        border: `BORDER` of the robot.
+        pair: Number of the pair in L_m.
+        score: (9,) coefficients of the score of the pair's body, as `ScoreField.coefficients`.
+        p_b: (3,) [m] closest point on the arm.
+        d: [m] distance of the pair.
+        gain: [-] S_0 of `step_size`.
+        alpha_min: [m]
+        alpha_max: [m]
+
+    Returns:
+        p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; NaN if l_m has no border.
+    """
+    p_n, t = nearest_border(border, pair, p_b)
+    if math.isnan(p_n[0]):
+        return p_n, p_n, p_n, t, math.nan
+    value, gradient = score_at(score, p_n)
+    alpha = step_size(d, value / score[2], gain, alpha_min, alpha_max)
+    p_t = p_n + tangential_step(gradient, t, alpha)
+    p_act, _ = nearest_border(border, pair, p_t)
+    return p_n, p_t, p_act, t, alpha
+
+
+@compiled("f8[::1](f8[:], f8[:], f8, f8[:], f8, f8)")
+def avoidance_force(
+    p_b: Array, p_act: Array, d: float, n: Array, f_max: float, d_b: float
+) -> Array:
+    """f_m,i: from the acting point towards the closest point, the stronger the nearer they are.
+
+    f = f_max (1 − d/d_b) ‖n_xy‖ (p_b − p_act) / ‖p_b − p_act‖. The magnitude is within [0, f_max].
+    The factor ‖n_xy‖ is our extension, the horizontal part of a force along n: over the base's flat
+    top, where no horizontal force helps, it vanishes, and from the side it is 1. At p_b = p_act the
+    direction is that of −n in the plane.
+
+    Paper: Eq. (14).
+
+    Args:
+        p_b: (3,) [m] closest point on the arm.
+        p_act: (3,) [m] acting point, at the same height.
+        d: [m] signed distance of the pair.
+        n: (3,) unit normal of the pair from the base to the arm.
+        f_max: [N] force at contact.
+        d_b: [m] buffer distance.
+
+    Returns:
+        (3,) [N], horizontal.
+    """
+    magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * math.sqrt(n[0] ** 2 + n[1] ** 2)
+    direction = p_b - p_act
+    length = math.sqrt((direction**2).sum())
+    if length < 1e-6:  # [m]
+        direction = np.array([-n[0], -n[1], 0.0])
+        length = math.sqrt((direction**2).sum())
+    return magnitude / length * direction if length > 0.0 else np.zeros(3)
+
+
+@compiled("f8[::1](f8[:,:], f8[:,:])")
+def resultant_force(f: Array, p_act: Array) -> Array:
+    """f_m (3,): Σ f_x, Σ f_y [N] and the torque [N m] about the base's centre.
+
+    Paper: Eq. (15).
+
+    Args:
+        f: (k, 3) [N] forces; one of 0 has no acting point.
+        p_act: (k, 3) [m] acting points.
+    """
+    total = np.zeros(3)
+    for i in range(len(f)):
+        if f[i, 0] != 0.0 or f[i, 1] != 0.0:
+            total[0] += f[i, 0]
+            total[1] += f[i, 1]
+            total[2] += p_act[i, 0] * f[i, 1] - p_act[i, 1] * f[i, 0]
+    return total
+
+
+@compiled("f8[::1](f8[:,:], f8[:])")
+def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
+    """ẍ_m = A_b f_m (n_b,): how the resultant force accelerates the base as its kind can move.
+
+    Paper: Eq. (16).
+
+    Args:
+        A_b: (n_b, 3) of the base's kind; (17) and (18) of a differential one.
+        f_m: (3,) of `resultant_force`.
+    """
+    xdd_m = np.zeros(len(A_b))
+    for i in range(len(A_b)):
+        for k in range(3):
+            xdd_m[i] += A_b[i, k] * f_m[k]
+    return xdd_m
+
+
+class ActingPoint(NamedTuple):
+    """Result of Algorithm 3, in the base's frame; all at the height of p_b."""
+
+    p_n: Array
+    """(3,) [m] point of the border nearest to p_b."""
+    p_t: Array
+    """(3,) [m] p_n moved along the tangent towards a better score."""
+    p_act: Array
+    """(3,) [m] acting point, the point of the border nearest to p_t."""
+    t: Array
+    """(3,) unit tangent, horizontal."""
+    alpha: float
+    """[m] step size."""
+
+
+class ActingPointFinder:
+    """Algorithm 3 for one pair, where a drawing or a study needs it outside of a control step."""
+
+    def __init__(self, border: BorderSearch, field: ScoreField) -> None:
+        self.field = field
+        """The score of the pair's body."""
+        self._border, self._score = border, field.coefficients()
+
+    def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
+        """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
+        how = force.alpha_gain, force.alpha_min, force.alpha_max
+        found = ActingPoint(
+            *_find(self._border.struct, 0, self._score, np.array(p_b, float), d, *how)
+        )
+        return None if math.isnan(found.alpha) else found
+
+
+@compiled(
+    Signature(
+        types.Tuple([types.Array(types.f8, 1, "C")] * 4 + [types.f8]),
+        (BORDER.type, types.i8, *[types.Array(types.f8, 1, "C")] * 2, *[types.f8] * 4),
+        None,
+    )
+)
+def _find(
+    border: Any,
+    pair: int,
+    score: Array,
+    p_b: Array,
+    d: float,
+    gain: float,
+    alpha_min: float,
+    alpha_max: float,
+) -> tuple[Array, Array, Array, Array, float]:
+    return find_acting_point(border, pair, score, p_b, d, gain, alpha_min, alpha_max)

@@ -1,0 +1,612 @@
+"""Algorithm 2 on one page: measurement in, arm torques and base velocity command out.
+
+The number in the margin is the line of the paper's Algorithm 2; a number in brackets is an
+equation. `w` is the table of quantities (`app.control.quantities`): each formula takes arrays and
+returns arrays, and only this file says from where to where. With ``NUMBA_DISABLE_JIT=1`` the same
+code runs as plain Python.
+
+Two problems are solved, one after the other, because the base follows its commands late:
+
+**The base** minimises over q̈ of base and arm, at gains slow enough for its 10 Hz,
+
+    ½ ‖tasks‖²  subject to the limits of arm and base                        → a_free
+
+where a guided base simply comes to rest. Its rows of T_sca blend with that, (29):
+
+    a_des = β_m ẍ_m + (1 − β_m) a_free
+
+and the commanded acceleration is the one nearest to a_des, in the metric of the base's inertia,
+that does not drag the end-effector along where the arm cannot compensate. While tracking it is then
+changed as little as the arm needs to stay within its own limits.
+
+**The arm** minimises the tasks with the rows of T_sca as springs against them, (29), subject to its
+limits, for the acceleration that the base really has. From q̈ follow the torques, (26).
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.core.typing.templates import Signature
+
+from app.avoidance.acting_point import (
+    avoidance_force,
+    find_acting_point,
+    generate_mob_acc,
+    resultant_force,
+)
+from app.avoidance.closest_points import mean_nearest
+from app.avoidance.task import (
+    activation,
+    generate_avoidance_task,
+    generate_rep_acc,
+    generate_rep_force_acc,
+    mobile_activation,
+)
+from app.border.nearest import BORDER
+from app.compiled import compiled
+from app.control.admittance import next_command
+from app.control.estimate import estimate_arm, predicted_joint_acceleration
+from app.control.inputs import EVERY_BARRIER, GAINS, MOBILE_BARRIER, NO_BARRIER, ROBOT
+from app.control.limits import (
+    barrier_bound,
+    distance_rows,
+    joint_bounds,
+    joint_rows,
+    torque_range,
+    torque_reachable_bounds,
+    torque_rows,
+)
+from app.control.qp import cholesky, solve_qp, solve_qp_step, times
+from app.control.quantities import STEP
+from app.control.tasks import (
+    add_base_rest_task,
+    add_tracking,
+    end_effector_task,
+    free_arm_torque,
+    guided_objective,
+    pose_error,
+    posture_objective,
+    reaction_torque,
+)
+from app.control.transition import (
+    blend_base,
+    clip,
+    insert_rows,
+    limit_ee_drag,
+    uncompensated_base_jacobian,
+)
+from app.robot.state import (
+    all_finite,
+    chain_motion,
+    coordinates,
+    distance_motions,
+    point_bias,
+    point_jacobian,
+    reduced_dynamics,
+    seen_from,
+    tip_motion,
+)
+from app.strict import Array
+from app.structs import fill, put, put_rows
+
+BUFFER_RATE = 0.1  # [m/s] at which the buffer distance in force approaches the configured one
+
+DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
+"""Where the base's acceleration in the arm's problem comes from: the model of its drive, the
+caller, or the command itself."""
+
+_READING = types.Array(types.f8, 1, "A")
+
+
+@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5), None))
+def update_estimate(
+    robot: Any,
+    gains: Any,
+    w: Any,
+    base_pose: Array,
+    base_velocity: Array,
+    q_m: Array,
+    qd_m: Array,
+    drive: Array,
+) -> None:
+    """Estimate the arm's state from the readings, and convert it to pinocchio's coordinates.
+
+    Paper: Algorithm 2, line 2, before pinocchio's part of it.
+    """
+    way = BUFFER_RATE * gains.dt
+    if math.isnan(w.d_b[()]):
+        w.d_b[()] = gains.d_b
+    w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
+    w.valid[()] = all_finite(base_pose, base_velocity, q_m, qd_m, drive)
+    if w.valid[()] == 0.0:
+        fill(w.v_last, math.nan)
+        return
+    predicted = np.full(len(q_m), np.nan)
+    if not (math.isnan(w.v_last[0]) or math.isnan(w.u_a[0])):
+        qdd_b = times(robot.J_m_inv, (base_velocity - w.v_last) / gains.dt)
+        predicted = predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b)
+    estimate_arm(
+        w.x_est,
+        w.P_est,
+        w.noise_var,
+        w.q_last,
+        w.samples,
+        predicted,
+        q_m,
+        qd_m,
+        robot.qd_max,
+        gains,
+    )
+    if math.isnan(w.q_posture[0]):
+        put(w.q_posture, q_m)
+    put(w.v_last, base_velocity)
+    put(w.base_velocity, base_velocity)
+    put(w.base_pose, base_pose)
+    put(w.q_m, w.x_est[0])
+    put(w.qd_m, w.x_est[1])
+    qd, q_pin, v_pin = coordinates(
+        w.base_pose, w.base_velocity, w.q_m, w.qd_m, robot.T_J_m, robot.J_m_inv
+    )
+    put(w.qd, qd)
+    put(w.q_pin, q_pin)
+    put(w.v_pin, v_pin)
+
+
+def algorithm_2(
+    robot: Any, gains: Any, slow: Any, border: Any, w: Any, base_source: int, tracking: bool
+) -> None:
+    """Self-collision avoidance: one control step.
+
+    Paper: Algorithm 2.
+
+    Args:
+        robot: `ROBOT`.
+        gains: `GAINS`.
+        slow: `GAINS` for all base motion that does not come from T_sca: slow enough for its 10 Hz.
+        border: `BORDER`.
+        w: `STEP`, after `update_estimate` and pinocchio's kinematics and distances.
+        base_source: One of `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) and
+            `BASE_AS_COMMANDED`.
+        tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
+    """
+    n_mob, n_b, found = robot.n_mob, robot.n_b, True
+    update_kinematics(robot, gains, w)  #                                                      2
+    for i in range(n_mob):
+        fill(w.p_n[i], math.nan)
+        fill(w.p_t[i], math.nan)
+        fill(w.p_act[i], math.nan)
+        fill(w.f[i], 0.0)
+    for i in range(len(w.beta)):  #                                                      4, 9
+        w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)  #                        Fig. 10
+    for i in range(n_mob):  #                                                      3  L_m
+        if w.beta[i] > 0.0:
+            p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
+            n = times(w.R_base.T, w.normal[i])
+            p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(
+                border,
+                i,
+                robot.scores[i],
+                p_b,
+                w.d[i],
+                gains.alpha_gain,
+                gains.alpha_min,
+                gains.alpha_max,
+            )  #                                                                        5, Alg. 3
+            put(w.p_n[i], p_n)
+            put(w.p_t[i], p_t)
+            put(w.p_act[i], p_act)
+            put(w.tangent[i], t)
+            if not math.isnan(p_act[0]):
+                f = avoidance_force(p_b, p_act, w.d[i], n, gains.f_max, w.d_b[()])  #         (14)
+                put(w.f[i], f)
+    put(w.xdd_m, generate_mob_acc(robot.A_b, resultant_force(w.f, w.p_act)))  #             6  (16)
+    w.beta_m[()] = mobile_activation(w.beta[:n_mob])  #                                        (28)
+    stack_avoidance_task(robot, gains, w)  #                                    8 to 13  (20)-(27)
+    stack_tasks(robot, gains, w, tracking)  #                                           14  (26)
+    w.qp_open[()] = 0.0
+    put(w.a_base_free, -gains.base_damping * w.base_velocity)  #                      14  a_free
+    if w.valid[()] != 0.0 and (tracking or gains.base_in_barrier):
+        m = set_up_free_base(robot, gains, slow, w)
+        qdd, found = solve(w, 0, m)
+        if w.qp_open[()] != 0.0:
+            return
+        if found:
+            put(w.a_base_free, times(robot.J_m, qdd[:n_b]))
+        else:
+            w.given_up[()] += 1.0
+            fill(w.B[:n_b], 0.0)
+    put(w.a_base_des, blend_base(w.a_base_free, w.xdd_m, w.B[0]))  #                         (29)
+    put(w.a_base_cmd, undragged(robot, gains, w))
+    if w.valid[()] != 0.0 and tracking and found:
+        m = set_up_room(robot, gains, slow, w)
+        qdd, found = solve(w, 1, m)
+        if w.qp_open[()] != 0.0:
+            return
+        if found:
+            change = times(robot.J_m, qdd[:n_b] - w.qp_fixed) / gains.response_gain
+            put(w.a_base_cmd, w.a_base_cmd + change)
+        else:
+            w.given_up[()] += 1.0
+            put(w.a_base_des, -gains.base_damping * w.base_velocity)
+            put(w.a_base_cmd, w.a_base_des)
+    if w.valid[()] != 0.0:
+        put(w.a_base_cmd, clip(w.a_base_cmd, -robot.a_max, robot.a_max))
+    measure_base(robot, w, base_source)
+    w.solved[()] = 0.0
+    if w.valid[()] != 0.0:
+        m = set_up_arm(robot, gains, w)  #                                            15  (29)
+        qdd, found = solve(w, 2, m)
+        if w.qp_open[()] != 0.0:
+            return
+        w.n_limits[()] = m
+        w.solved[()] = found
+        put(w.qdd, qdd)
+    if w.solved[()] != 0.0:
+        u = times(w.M[n_b:], w.qdd) + w.h[n_b:]  #                                         (26)
+    else:  # the fallback command: gravity compensation and damping, and a base that brakes
+        w.failures[()] += 1.0
+        u = w.u_free
+        put(w.a_base_cmd, -gains.base_damping * w.base_velocity)
+        fill(w.qdd, math.nan)
+    put(w.u_cmd, clip(u, w.u_min, w.u_max))
+    if not math.isnan(w.q_posture[0]):  # else the torques belong to no measured pose
+        put(w.u_a, w.u_cmd)
+    update_command(robot, gains, w)
+
+
+@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type), None))
+def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
+    """Line 2, after pinocchio's part: dynamics, the end-effector, and how all distances move."""
+    M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.g_pin, robot.T_J_m)
+    put_rows(w.M, M)
+    put(w.h, h)
+    put(w.g, g)
+    put_rows(w.L_aa, cholesky(w.M[robot.n_b :, robot.n_b :]))
+    twists, biases = chain_motion(w.J_pin, w.v_pin)
+    put_rows(w.twists, twists)
+    put_rows(w.biases, biases)
+    put_rows(w.R_base, w.oMi[1, :3].T)
+    put(w.p_o, w.oMi[1, 3])
+    R_last = w.oMi[-1, :3].T
+    for i in range(3):
+        put(w.R_ee[i], times(robot.R_tip.T, R_last[i]))
+    put(w.p_ee, times(R_last, robot.p_tip) + w.oMi[-1, 3])
+    J_ee, v_ee, Jdqd_ee = tip_motion(w.J_pin, robot.T_J_m, w.twists, w.biases, w.p_ee)
+    put_rows(w.J_ee, J_ee)
+    put(w.v_ee, v_ee)
+    put(w.Jdqd_ee, Jdqd_ee)
+    placed = np.empty((4 * len(robot.body_joints), 3))
+    for k in range(len(robot.body_joints)):
+        T = w.oMi[robot.body_joints[k]]
+        put_rows(placed[4 * k : 4 * k + 3], T[:3].T)
+        put(placed[4 * k + 3], T[3])
+    points = mean_nearest(
+        robot.shapes,
+        robot.triangles,
+        robot.nodes,
+        robot.firsts,
+        robot.sought,
+        placed,
+        gains.blend,
+    )
+    put_rows(w.p_a, points[:, 0])
+    put_rows(w.p_b, points[:, 1])
+    put_rows(w.normal, points[:, 2])
+    put_rows(w.core, points[:, 3])
+    J, Jdqd, d_dot = distance_motions(
+        w.J_pin, robot.T_J_m, w.twists, w.biases, robot.pair_joints, w.core, w.normal
+    )  #                                                                                      (21)
+    put_rows(w.J, J)
+    put(w.Jdqd, Jdqd)
+    put(w.d_dot, d_dot)
+
+
+@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type), None))
+def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
+    """T_sca: the base's rows, those between links, and T_rep of the compared method."""
+    n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
+    b_r, beta_r = np.empty(links), np.zeros(links)
+    for j in range(
+        links
+    ):  #                                                                8  L_m^c
+        i = n_mob + j
+        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  #         10  (20)
+        beta_r[j] = w.beta[i] if gains.link_rows else 0.0
+    J_r = w.J[n_mob : n_mob + links]
+    beta_m = w.beta_m[()] if gains.base_rows else 0.0
+    generate_avoidance_task(
+        robot.base_rows, w.xdd_m, beta_m, J_r, b_r, beta_r, w.J_sca, w.b_sca, w.B
+    )  #                                                                              13  (24), (25)
+    first = n_b + links
+    fill(w.B[first:], 0.0)
+    for i in range(n_mob if gains.arm_rows else 0):
+        if w.beta[i] > 0.0:
+            joint, rows = robot.pair_joints[i, 1], slice(first + 3 * i, first + 3 * i + 3)
+            J = point_jacobian(w.J_pin, robot.T_J_m, joint, w.p_b[i])
+            put_rows(J[:, :n_b], np.zeros((3, n_b)))
+            bias = point_bias(w.twists[joint], w.biases[joint], w.p_b[i])
+            xdd = generate_rep_force_acc(w.normal[i], times(J, w.qd), gains.k_p, gains.k_v)
+            put_rows(w.J_sca[rows], J)
+            put(w.b_sca[rows], xdd - np.array([bias[0], bias[1], bias[2]]))
+            fill(w.B[rows], w.beta[i])
+    w.activation[()] = mobile_activation(w.B)
+
+
+@compiled()
+def put_objective(w: Any, H_low: Array, c_low: Array, H: Array, c: Array) -> None:
+    """Store the lowest task, and all tasks below T_sca."""
+    put_rows(w.H_low, H_low)
+    put(w.c_low, c_low)
+    put_rows(w.H, H)
+    put(w.c, c)
+
+
+@compiled()
+def put_qp(w: Any, H: Array, c: Array) -> None:
+    """Store the objective of the QP to be solved next."""
+    put_rows(w.qp_H, H)
+    put(w.qp_c, c)
+
+
+@compiled()
+def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
+    """T_ee with the gains given: b (6,) and λ of `end_effector_task`."""
+    return end_effector_task(
+        w.e_ee,
+        w.v_ref - w.v_ee,
+        w.a_ref - w.Jdqd_ee,
+        gains.ee_stiffness,
+        gains.ee_damping,
+        gains.ee_speed,
+    )
+
+
+@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type, types.b1), None))
+def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
+    """The tasks below T_sca, and the torques of this step."""
+    w.tracking[()] = tracking
+    put(w.u_free, free_arm_torque(w.g, w.qd, robot.joint_damping))
+    last = w.u_free if math.isnan(w.u_a[0]) else w.u_a
+    u_min, u_max = torque_range(last, robot.tau_max, gains.torque_rate * gains.dt)
+    put(w.u_min, u_min)
+    put(w.u_max, u_max)
+    if not tracking:
+        u_0 = w.u_free
+        if gains.f_arm > 0.0:
+            near = slice(0, robot.n_mob)
+            u_0 = u_0 + reaction_torque(w.d[near], w.J[near], gains.f_arm, w.d_b[()], robot.n_b)
+        H, c = guided_objective(w.M, w.h, u_0)
+        put_objective(w, H, c, H, c)
+        return
+    H_low, c_low = posture_objective(
+        w.qd,
+        w.q_m,
+        w.q_posture,
+        robot.q_limits,
+        gains.posture_stiffness,
+        gains.posture_damping,
+        gains.centering,
+        gains.base_weight,
+        gains.base_damping,
+    )
+    put(w.e_ee, pose_error(w.p_ee, w.R_ee, w.x_ref[3], w.x_ref[:3].T))
+    b_ee, lm_damping = tracking_task(gains, w)
+    put(w.b_ee, b_ee)
+    w.lm_damping[()] = lm_damping
+    velocity = gains.ee_damping * w.qd
+    H, c = add_tracking(H_low, c_low, w.J_ee, b_ee, lm_damping, velocity, gains.ee_weight)
+    put_objective(w, H_low, c_low, H, c)
+
+
+@compiled(
+    Signature(types.i8, (ROBOT.type, GAINS.type, STEP.type, types.i8, types.b1, types.b1), None)
+)
+def write_limits(
+    robot: Any, gains: Any, w: Any, barrier: int, link_buffers: bool, for_arm: bool
+) -> int:
+    """Write the limits into w.C, w.l, w.u and w.slack_weight, and count them.
+
+    Args:
+        robot: `ROBOT`.
+        gains: `GAINS`, whose rates say how fast limits may be approached.
+        w: `STEP`.
+        barrier: Distances with a barrier.
+        link_buffers: Whether links of the arm have their buffer as a barrier too.
+        for_arm: For the arm's QP: within the torques of this step, with external forces, and no
+            joint demands more than its own torque can achieve. Else any torque may act.
+    """
+    n_m = len(w.q_m)
+    qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
+    bounds = joint_bounds(
+        w.q_m, w.qd_m, robot.q_limits, robot.qd_limits, gains.position_rate, gains.velocity_rate
+    )
+    if for_arm:
+        qdd_ext, u_min, u_max = w.x_est[2], w.u_min, w.u_max
+        bounds = torque_reachable_bounds(
+            w.M,
+            w.h,
+            w.L_aa,
+            w.u_min,
+            w.u_max,
+            gains.torque_rate,
+            bounds,
+            robot.qd_limits - w.qd_m,
+            times(robot.J_m_inv, w.a_base_meas),
+            qdd_ext,
+        )
+    torque_rows(w.M, w.h, u_min, u_max, w.C, w.l, w.u)
+    joints = slice(n_m, 2 * n_m)
+    joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
+    count = 0
+    if barrier == EVERY_BARRIER or link_buffers:
+        count = len(robot.convex)
+    elif barrier == MOBILE_BARRIER:
+        count = robot.n_convex_mob
+    rows, least = robot.convex[:count], np.empty(count)
+    for k in range(count):
+        i = rows[k]
+        d_min = w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min
+        least[k] = barrier_bound(
+            w.Jdqd[i], w.d_dot[i], w.d[i] - d_min, gains.barrier_rate, gains.max_separation_speed
+        )
+    distances = slice(2 * n_m, 2 * n_m + count)
+    distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])
+    fill(w.slack_weight[:n_m], 0.0)
+    fill(w.slack_weight[n_m:], gains.slack_weight**2)
+    return 2 * n_m + count
+
+
+@compiled(Signature(types.void, (ROBOT.type, STEP.type, types.i8), None))
+def measure_base(robot: Any, w: Any, base_source: int) -> None:
+    """The acceleration that the base really has, unless the caller has measured it."""
+    if base_source == DRIVE_MODEL:
+        for i in range(robot.n_b):
+            v = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i])
+            a = (v - w.base_velocity[i]) / robot.drive_time
+            w.a_base_meas[i] = min(max(a, -robot.a_max[i]), robot.a_max[i])
+    elif base_source == BASE_AS_COMMANDED:
+        put(w.a_base_meas, w.a_base_cmd)
+
+
+@compiled(Signature(types.i8, (ROBOT.type, GAINS.type, GAINS.type, STEP.type), None))
+def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
+    """The QP of a_free: base and arm together, without the base's rows; counts its limits.
+
+    The rows between links are in it with slow gains.
+    """
+    n_b, links = robot.n_b, len(w.beta) - robot.n_mob
+    if w.tracking[()] != 0.0:  # a remaining error damps nothing here: the base drives there
+        b_ee, _ = tracking_task(slow, w)
+        velocity = slow.ee_damping * w.qd
+        H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b_ee, 0.0, velocity, slow.ee_weight)
+    else:
+        H, c = add_base_rest_task(
+            w.H_low, w.c_low, w.L_aa, w.qd, slow.base_weight, slow.base_damping, n_b
+        )
+    b = np.empty(links)
+    for j in range(links):
+        i = robot.n_mob + j
+        b[j] = generate_rep_acc(w.d_dot[i], slow.k_p, slow.k_v) - w.Jdqd[i]
+    rows = slice(n_b, n_b + links)
+    H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], slow.slack_weight, 0)
+    put_qp(w, H, c)
+    m = write_limits(
+        robot, gains, w, gains.barrier if gains.base_in_barrier else NO_BARRIER, False, False
+    )
+    for i in range(n_b):
+        put(w.C[m + i], robot.base_rows[i])
+        w.l[m + i], w.u[m + i], w.slack_weight[m + i] = -robot.a_max[i], robot.a_max[i], 0.0
+    return m + n_b
+
+
+@compiled(Signature(types.Array(types.f8, 1, "C"), (ROBOT.type, GAINS.type, STEP.type), None))
+def undragged(robot: Any, gains: Any, w: Any) -> Array:
+    """The base acceleration nearest to a_des that does not drag the end-effector along."""
+    if not w.B[0] > 0.0:
+        return w.a_base_des.copy()
+    gain = gains.response_gain
+    drag = uncompensated_base_jacobian(w.J_ee, robot.qd_max, robot.J_m_inv, gains.hold_speed)
+    return limit_ee_drag(
+        clip(w.a_base_des, -robot.a_max, robot.a_max),
+        w.a_base_free / gain + gains.response_drag * w.base_velocity,
+        robot.inertia,
+        w.B[0] * gains.hold_weight * robot.mass,
+        drag * gain,
+    )
+
+
+@compiled(Signature(types.i8, (ROBOT.type, GAINS.type, GAINS.type, STEP.type), None))
+def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
+    """The QP that makes room for the arm; counts its limits.
+
+    Its solution is the least change of the commanded acceleration with which the arm holds T_ee
+    within its limits. The cost is that of base and arm without limits, T_ee far costlier, and the
+    base's rows in proportion to their activation. The limits are all that the arm has above T_ee:
+    joints, distances, and the buffers of its own links. They are approached as slowly as the base
+    answers, so the base looks ahead as far as it needs: a wrist that nears its limit turns the base
+    in time.
+    """
+    b_ee, lm_damping = tracking_task(slow, w)
+    velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
+    H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b_ee, lm_damping, velocity, weight)
+    base = slice(0, robot.n_b)
+    H, c = insert_rows(H, c, w.J_sca[base], w.b_sca[base], w.B[base], slow.slack_weight, 0)
+    put_qp(w, H, c)
+    response = gains.response_gain * (w.a_base_cmd - gains.response_drag * w.base_velocity)
+    put(w.qp_fixed, times(robot.J_m_inv, response))
+    return write_limits(robot, slow, w, NO_BARRIER, gains.lookahead, False)
+
+
+@compiled(Signature(types.i8, (ROBOT.type, GAINS.type, STEP.type), None))
+def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
+    """The QP of the arm, for the acceleration that the base really has; counts its limits."""
+    n_b = robot.n_b
+    rows = slice(n_b, len(w.B))
+    H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], w.B[rows], gains.slack_weight, n_b)
+    put_qp(w, H, c)
+    put(w.qp_fixed, times(robot.J_m_inv, w.a_base_meas))
+    return write_limits(robot, gains, w, gains.barrier, False, True)
+
+
+@compiled(
+    Signature(
+        types.Tuple((types.Array(types.f8, 1, "C"), types.b1)),
+        (STEP.type, types.i8, types.i8),
+        None,
+    )
+)
+def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
+    """Solve the QP that was set up, within the first m limits.
+
+    QP 0 has no fixed entries, QP 1 finds the least change of its fixed entries, QP 2 leaves them.
+    Where the active sets fail for the first time, the QP is left open, in `w.qp_open`: the caller
+    lets ProxQP solve it and calls `algorithm_2` again, which then takes that solution.
+
+    Returns:
+        (n,) the solution, and whether there is one.
+    """
+    limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
+    fixed = w.qp_fixed[: 0 if which == 0 else len(w.qp_fixed)]
+    if which == 1:
+        x, found = solve_qp_step(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
+    else:
+        x, found = solve_qp(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
+    if not found and w.qp_tried[which] != 0.0:
+        return w.qp_x[which].copy(), not math.isnan(w.qp_x[which, 0])
+    if not found:
+        w.qp_open[()], w.qp_rows[()] = which + 1.0, m
+    return x, found
+
+
+@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type), None))
+def update_command(robot: Any, gains: Any, w: Any) -> None:
+    """The admittance law's velocity command, renewed once a period (§4.1)."""
+    put(w.a_sum, w.a_sum + w.a_base_cmd * gains.dt)
+    w.t_sum[()] += gains.dt
+    w.command_due[()] = w.t_sum[()] >= gains.period - gains.dt / 2
+    if w.command_due[()] != 0.0:
+        put(w.v_before, w.v_cmd)
+        v = next_command(
+            w.a_sum / w.t_sum[()],
+            w.v_cmd,
+            w.t_sum[()],
+            gains.virtual_mass,
+            gains.virtual_damping,
+            robot.a_max,
+            gains.largest_command,
+        )
+        put(w.v_cmd, v)
+        fill(w.a_sum, 0.0)
+        w.t_sum[()] = 0.0
+
+
+run_algorithm_2 = compiled(
+    Signature(
+        types.void,
+        (ROBOT.type, GAINS.type, GAINS.type, BORDER.type, STEP.type, types.i8, types.b1),
+        None,
+    )
+)(algorithm_2)
+"""`algorithm_2`, compiled; it stands last because a compiler needs all of its parts."""

@@ -1,0 +1,229 @@
+"""What the law takes besides measurements: the robot's constants and the gains, as structs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import types
+
+from app.avoidance.closest_points import SmoothPoints
+from app.border.cache import BorderData
+from app.border.score import ScoreField
+from app.compiled import compiled
+from app.config import Config
+from app.control.admittance import largest_command, response, virtual_damping, virtual_mass
+from app.robot.bases.kind import BaseKind
+from app.robot.model import RobotModel
+from app.structs import assemble, struct_type
+
+_FLOAT, _FLAG = types.f8, types.b1
+_VECTOR, _MATRIX = types.Array(types.f8, 1, "C"), types.Array(types.f8, 2, "C")
+_INTS, _TABLE = types.Array(types.i8, 1, "C"), types.Array(types.i8, 2, "C")
+
+_ROBOT: dict[str, Any] = {
+    "n_b": types.i8,  # velocity axes of the base
+    "n_mob": types.i8,  # pairs of L_m
+    "J_m": _MATRIX,  # (n_b, n_b) from q̇_b to ν, (19)
+    "J_m_inv": _MATRIX,  # (n_b, n_b)
+    "T_J_m": _MATRIX,  # (3, n_b) from q̇_b to the base's twist (v_x, v_y, ω)
+    "base_rows": _MATRIX,  # (n_b, n) [J_m O]
+    "A_b": _MATRIX,  # (n_b, 3) from f_m to ẍ_m, (16) to (18)
+    "a_max": _VECTOR,  # (n_b,) [m/s², rad/s²]
+    "v_max": _VECTOR,  # (n_b,) [m/s, rad/s]
+    "drive_time": _FLOAT,  # [s] time constant of the drive
+    "inertia": _VECTOR,  # (n_b,) [kg, kg m²]
+    "mass": _FLOAT,  # [kg] of the base
+    "q_limits": _MATRIX,  # (2, n_m) [rad, m]
+    "qd_limits": _MATRIX,  # (2, n_m) [rad/s, m/s]
+    "qd_max": _VECTOR,  # (n_m,)
+    "tau_max": _VECTOR,  # (n_m,) [N m, N]
+    "tau_limits": _MATRIX,  # (2, n_m)
+    "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
+    "R_tip": _MATRIX,  # (3, 3) rotation of the end-effector in the frame of the last joint
+    "p_tip": _VECTOR,  # (3,) [m] its origin there
+    "shapes": _MATRIX,  # (P, 16) of `Shapes`
+    "triangles": types.Array(types.f8, 3, "C"),  # (T, 4, 3) of them
+    "nodes": _MATRIX,  # (K, 4) of `mean_nearest`
+    "firsts": _TABLE,  # (bodies + 1, 2) of `mean_nearest`
+    "sought": _TABLE,  # (n_r, 4) of `mean_nearest`
+    "body_joints": _INTS,  # (bodies,) pinocchio's joint of each body
+    "pair_joints": _TABLE,  # (n_r, 2) joints that carry l_a and l_b
+    "convex": _INTS,  # (n_c,) rows of distances to a convex body each
+    "n_convex_mob": types.i8,  # the first ones of them, of L_m
+    "scores": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
+}
+_Robot: Any = NamedTuple("_Robot", [(each, Any) for each in _ROBOT])  # type: ignore[misc]
+ROBOT = struct_type(_Robot, _ROBOT)
+"""The struct of the robot's constants, for signatures of compiled functions."""
+
+_GAINS: dict[str, Any] = {
+    "dt": _FLOAT,  # [s] control period
+    "d_b": _FLOAT,
+    "f_max": _FLOAT,
+    "f_arm": _FLOAT,
+    "alpha_gain": _FLOAT,
+    "alpha_min": _FLOAT,
+    "alpha_max": _FLOAT,
+    "d_full": _FLOAT,
+    "blend": _FLOAT,
+    "k_p": _FLOAT,
+    "k_v": _FLOAT,
+    "d_min": _FLOAT,
+    "barrier_rate": _FLOAT,
+    "max_separation_speed": _FLOAT,
+    "hold_speed": _FLOAT,
+    "hold_weight": _FLOAT,
+    "ee_stiffness": _FLOAT,
+    "ee_damping": _FLOAT,
+    "ee_speed": _FLOAT,
+    "posture_stiffness": _FLOAT,
+    "posture_damping": _FLOAT,
+    "centering": _FLOAT,
+    "base_damping": _FLOAT,
+    "base_weight": _FLOAT,
+    "ee_weight": _FLOAT,
+    "slack_weight": _FLOAT,
+    "position_rate": _FLOAT,
+    "velocity_rate": _FLOAT,
+    "torque_rate": _FLOAT,
+    "external_drift": _FLOAT,
+    "least_noise": _FLOAT,
+    "velocity_noise": _FLOAT,
+    "noise_window": _FLOAT,
+    "period": _FLOAT,
+    "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
+    "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
+    "largest_command": _VECTOR,  # (n_b,) [m/s, rad/s]
+    "response_gain": _VECTOR,  # (n_b,) [-] of `admittance.response`
+    "response_drag": _VECTOR,  # (n_b,) [1/s]
+    "base_rows": _FLAG,  # the method moves the base by (16)
+    "link_rows": _FLAG,  # the method separates links of the arm by (20)
+    "arm_rows": _FLAG,  # the method pushes the arm away from the base (T_rep)
+    "barrier": types.i8,  # distances with a barrier: none, of L_m, all
+    "base_in_barrier": _FLAG,  # the base takes part in these barriers
+    "lookahead": _FLAG,  # the base makes room for the arm's distances
+}
+_Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ignore[misc]
+GAINS = struct_type(_Gains, _GAINS)
+"""The struct of the gains, for signatures of compiled functions."""
+
+NO_BARRIER, MOBILE_BARRIER, EVERY_BARRIER = range(3)
+
+METHODS: Mapping[str, Mapping[str, Any]] = {
+    "dbb": {
+        "base_rows": True,
+        "link_rows": True,
+        "barrier": MOBILE_BARRIER,
+        "lookahead": True,
+    },
+    "repulsive": {"link_rows": True, "arm_rows": True},
+    "barrier": {"barrier": EVERY_BARRIER, "base_in_barrier": True},
+    "none": {},
+}
+"""What each of the compared controllers puts above the tasks, or among the limits."""
+
+
+@compiled(ROBOT.made_from)
+def _make_robot(values: Any) -> Any:
+    return assemble(values)
+
+
+@compiled(GAINS.made_from)
+def _make_gains(values: Any) -> Any:
+    return assemble(values)
+
+
+def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:
+    """`ROBOT` of a robot, its link pairs, and the closest points of these."""
+    base, tip = model.description.base, model.pin.frames[model.ee_frame].placement
+    mobile = data.pairs.mobile
+    rows = [parts or [whole] for whole, *parts in smooth.rows]
+    scores = [ScoreField.of(model, pair.b).coefficients() for pair in mobile]
+    own = {
+        "n_b": model.n_b,
+        "n_mob": len(mobile),
+        "T_J_m": model.S[:3, : model.n_b],
+        "A_b": base.A_b,
+        "a_max": model.base_acceleration_max,
+        "v_max": np.array(base.max_velocity),
+        "drive_time": base.drive_time_constant_s,
+        "inertia": model.base_inertia,
+        "mass": base.mass_kg,
+        "R_tip": tip.rotation,
+        "p_tip": tip.translation,
+        "convex": np.array([k for each in rows for k in each], dtype=int),
+        "n_convex_mob": sum(map(len, rows[: len(mobile)])),
+        "scores": np.array(scores).reshape(-1, 9),
+        **smooth.arrays(),
+    }
+    values = _Robot(**{name: own.get(name, getattr(model, name, None)) for name in _ROBOT})
+    return _make_robot(_contiguous(values, _ROBOT))
+
+
+def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
+    """`GAINS` of a configuration for a controller of `METHODS`; `dt` [s] is the control period."""
+    c, method = config, METHODS[name]
+    gain, drag = response(base, c.admittance)
+    values = _Gains(
+        dt=dt,
+        d_b=c.border.d_b,
+        f_max=c.force.f_max,
+        f_arm=c.force.f_arm if method.get("base_rows") else 0.0,
+        alpha_gain=c.force.alpha_gain,
+        alpha_min=c.force.alpha_min,
+        alpha_max=c.force.alpha_max,
+        d_full=c.activation.d_full,
+        blend=c.activation.blend,
+        k_p=c.repulsion.k_p,
+        k_v=c.repulsion.k_v,
+        d_min=c.barrier.d_min,
+        barrier_rate=c.barrier.rate,
+        max_separation_speed=c.barrier.leaving,
+        hold_speed=c.holding.speed,
+        hold_weight=c.holding.weight,
+        ee_stiffness=c.task.ee_stiffness,
+        ee_damping=c.task.ee_damping,
+        ee_speed=c.task.ee_speed,
+        posture_stiffness=c.task.posture_stiffness,
+        posture_damping=c.task.posture_damping,
+        centering=c.task.centring,
+        base_damping=c.task.base_damping,
+        base_weight=c.task.base_weight,
+        ee_weight=c.task.ee_weight,
+        slack_weight=c.task.softness,
+        position_rate=c.limit.position_rate,
+        velocity_rate=c.limit.velocity_rate,
+        torque_rate=c.limit.torque_rate,
+        external_drift=c.estimate.push_change,
+        least_noise=c.estimate.least_noise,
+        velocity_noise=c.estimate.velocity_noise,
+        noise_window=c.estimate.window,
+        period=c.admittance.period,
+        virtual_mass=virtual_mass(base, c.admittance),
+        virtual_damping=virtual_damping(base, c.admittance),
+        largest_command=largest_command(base, c.admittance),
+        response_gain=gain,
+        response_drag=drag,
+        base_rows=method.get("base_rows", False),
+        link_rows=method.get("link_rows", False),
+        arm_rows=method.get("arm_rows", False),
+        barrier=method.get("barrier", NO_BARRIER),
+        base_in_barrier=method.get("base_in_barrier", False),
+        lookahead=method.get("lookahead", False),
+    )
+    return _make_gains(_contiguous(values, _GAINS))
+
+
+def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:
+    """The same with arrays as the struct has them, and numbers of its types."""
+    kinds = {types.f8: float, types.i8: int, types.b1: bool}
+    return values._replace(
+        **{
+            name: kinds[kind](value)
+            if kind in kinds
+            else np.ascontiguousarray(value, dtype=int if kind in (_INTS, _TABLE) else float)
+            for (name, kind), value in zip(fields.items(), values, strict=True)
+        }
+    )

@@ -1,0 +1,85 @@
+"""The last resort for a QP on which the active sets do not settle: ProxQP.
+
+It is rare, and takes a millisecond.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from proxsuite import proxqp
+
+from app.control.qp import compliances
+from app.strict import Array
+
+_EPS = 1e-10  # by which ProxQP may violate limits
+_ENOUGH = 1e-6  # accuracy of ProxQP
+
+
+class OpenQP(NamedTuple):
+    """min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed."""
+
+    H: Array
+    """(n, n) symmetric positive definite."""
+    c: Array
+    """(n,)."""
+    C: Array
+    """(m, n)."""
+    l: Array
+    """(m,)"""
+    u: Array
+    """(m,)"""
+    slack_weight: Array
+    """(m,) [-] ε of each row; rows of 0 are hard."""
+    fixed: Array
+    """(k,) the first entries of x."""
+
+
+def solved_by_proxqp(qp: OpenQP) -> Array:
+    """The solution (n,) of a QP, or NaN if it has none or its data are not finite."""
+    k, x = len(qp.fixed), _without_limits(qp)
+    moved = qp.C[:, :k] @ qp.fixed
+    C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved
+    finite = np.isfinite(x).all() and np.isfinite(C).all()
+    if not (finite and (l < np.inf).all() and (u > -np.inf).all()):
+        return np.full(len(qp.c), np.nan)
+    L = np.linalg.cholesky(qp.H[k:, k:])
+    a, reached = np.linalg.solve(L, C.T).T, C @ x
+    length = np.sqrt((a**2).sum(axis=1)) + 1e-12
+    slack = np.diag(np.sqrt(compliances(qp.slack_weight, length)))[:, qp.slack_weight > 0.0]
+    A = np.hstack([a / length[:, None], slack])  # the unknowns are Lᵀ (x − x*) and the slacks
+    l, u = (l - reached) / length, (u - reached) / length
+    z = _nearest_to_zero(A, l, u)
+    return np.concatenate([qp.fixed, x + np.linalg.solve(L.T, z[: len(x)])])
+
+
+def changed_by_proxqp(qp: OpenQP) -> Array:
+    """The x (n,) nearest to the optimum with fixed entries and without limits that is within them.
+
+    Nearest in the metric H; the fixed entries may change. NaN as in `solved_by_proxqp`.
+    """
+    free = np.concatenate([qp.fixed, _without_limits(qp)])
+    return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))
+
+
+def _without_limits(qp: OpenQP) -> Array:
+    k = len(qp.fixed)
+    try:
+        return np.linalg.solve(qp.H[k:, k:], -(qp.c[k:] + qp.H[k:, :k] @ qp.fixed))
+    except np.linalg.LinAlgError:
+        return np.full(len(qp.c) - k, np.nan)
+
+
+def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:
+    """The z of least norm with l ≤ A z ≤ u, or NaN."""
+    far = max(l.max(), -u.min())  # in units of the farthest bound from 0
+    m, n = A.shape
+    qp = proxqp.dense.QP(n, 0, m)
+    qp.settings.eps_abs, qp.settings.eps_rel = _EPS, 0.0
+    qp.settings.eps_primal_inf = 1e-12  # the default calls feasible problems infeasible
+    qp.settings.max_iter = 1000
+    qp.init(np.eye(n), np.zeros(n), None, None, A, l / far, u / far)
+    qp.solve()
+    info = qp.results.info
+    if info.status != proxqp.PROXQP_SOLVED and not max(info.pri_res, info.dua_res) < _ENOUGH:
+        return np.full(n, np.nan)
+    return far * qp.results.x

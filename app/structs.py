@@ -1,0 +1,87 @@
+"""Structs of arrays and numbers that Python and compiled code share.
+
+A compiled function takes a struct as one pointer, in 0.2 µs however many fields it has; a tuple of
+arrays costs 0.1 µs for each of them. Both sides see the same memory: what compiled code writes into
+an array, Python reads without a copy. Numbers, and which arrays the fields are, are fixed when a
+struct is made. With ``NUMBA_DISABLE_JIT=1`` the struct is the named tuple that it is made from.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numba import types
+from numba.core.typing.templates import Signature
+from numba.experimental import structref
+from numba.extending import overload
+
+from app.compiled import compiled
+
+
+@structref.register
+class _Struct(types.StructRef):
+    """The type of a struct: names and types of its fields."""
+
+    def preprocess_fields(self, fields: Any) -> Any:
+        return tuple((name, types.unliteral(kind)) for name, kind in fields)
+
+
+class _Handle(structref.StructRefProxy):
+    """A struct, as Python holds it."""
+
+
+structref.define_boxing(_Struct, _Handle)
+
+
+class StructType(NamedTuple):
+    """A kind of struct."""
+
+    type: types.StructRef
+    """As the signature of a compiled function names it."""
+    made_from: Signature
+    """The signature of the compiled function that makes it, by `assemble`, from a named tuple."""
+
+
+_TYPES: dict[type, types.StructRef] = {}
+
+
+def struct_type(values: type[Any], fields: dict[str, types.Type]) -> StructType:
+    """The kind of struct that has the fields of a named tuple, each of a numba type."""
+    struct = _TYPES[values] = _Struct(list(fields.items()))
+    given = types.NamedTuple(tuple(fields.values()), values)
+    return StructType(struct, Signature(struct, (given,), None))
+
+
+def assemble(values: Any) -> Any:
+    """A struct from a named tuple, in compiled code; elsewhere the named tuple itself."""
+    return values
+
+
+@overload(assemble, strict=False)
+def _assemble(values: Any) -> Callable[..., Any]:
+    body = "".join(f"    struct.{name} = values.{name}\n" for name in values.fields)
+    known = {"new": structref.new, "struct_type": _TYPES[values.instance_class]}
+    exec(f"def assemble(values):\n    struct = new(struct_type)\n{body}    return struct\n", known)
+    return cast("Callable[..., Any]", known["assemble"])
+
+
+@compiled("void(f8[:], f8[:])")
+def put(into: np.ndarray, values: np.ndarray) -> None:
+    """Copy values into an array; ``into[:] = values`` compiles to fifty times as much code."""
+    for i in range(len(into)):
+        into[i] = values[i]
+
+
+@compiled("void(f8[:,:], f8[:,:])")
+def put_rows(into: np.ndarray, values: np.ndarray) -> None:
+    """Copy rows of values (k, n) into the first k rows of an array."""
+    for i in range(len(values)):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]
+
+
+@compiled("void(f8[:], f8)")
+def fill(into: np.ndarray, value: float) -> None:
+    """Set all entries of an array to a value."""
+    for i in range(len(into)):
+        into[i] = value
