@@ -6,7 +6,7 @@ which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from types import FunctionType
@@ -16,37 +16,13 @@ import numba
 from numba import types
 from numba.core import config, sigutils
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
+from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.dispatcher import Dispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.typing.templates import Signature
 
-
-@register_pass(mutates_CFG=False, analysis_only=True)
-class _NoInline(AnalysisPass):
-    """Keeps a function apart from its callers: LLVM needs far longer for one large function."""
-
-    _name = "no_inline"
-
-    def __init__(self) -> None:
-        AnalysisPass.__init__(self)
-
-    def run_pass(self, state: Any) -> bool:
-        name = state.cr.fndesc.llvm_func_name
-        state.library._final_module.get_function(name).add_function_attribute("noinline")
-        return False
-
-
-class _Apart(CompilerBase):
-    """numba's pipeline with `_NoInline` at its end."""
-
-    def define_pipelines(self) -> list[PassManager]:
-        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(_NoInline, NativeLowering)
-        passes.finalize()
-        return [passes]
-
-
+_INLINED = 400  # bytes of bytecode of a function that may be inlined: LLVM needs far longer for
+# one large function than for several
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
@@ -60,13 +36,14 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     Args:
         signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
             which are taken as they are. Without any the function is a part of the kernels that call
-            it, and nothing of its own is stored.
+            it; Python may call it too, and then waits for the compiler the first time.
     """
 
     def compile_(function: Function) -> Function:
-        kernel = numba.njit(error_model="numpy", pipeline_class=_Apart)(function)
-        if config.DISABLE_JIT or not signatures:
+        kernel = numba.njit(error_model="numpy", pipeline_class=_Compiler)(function)
+        if config.DISABLE_JIT:
             return cast("Function", kernel)
+        _be_part_of_callers(kernel, numba.njit(error_model="numpy", pipeline_class=_PartCompiler))
         try:
             kernel.enable_caching()
         except RuntimeError:  # numba has found no folder that it can write to
@@ -74,6 +51,8 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
         else:  # for numba (so still 0.68) a kernel is its own file only
             kernel._cache._cache_file._source_stamp = _stamp(kernel)
             how_often = "once on this machine"
+        if not signatures:
+            return cast("Function", kernel)
         for signature in signatures:
             kernel.compile(_any_array(signature) if isinstance(signature, str) else signature)
         kernel.disable_compile()
@@ -82,6 +61,94 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
         return cast("Function", kernel)
 
     return compile_
+
+
+def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
+    """Let compiled callers take the function in, instead of machine code of its own.
+
+    numba optimises a function and makes machine code of it before it links it into a caller, where
+    both happen again: for a chain of ten calls ten times.
+    """
+    part = as_part(kernel.py_func)
+
+    def get_call_template(args: Sequence[types.Type], kws: Mapping[str, types.Type]) -> Any:
+        # One version for all numbers, not one for each number that a caller writes.
+        named = {name: types.unliteral(kind) for name, kind in kws.items()}
+        return part.get_call_template(tuple(map(types.unliteral, args)), named)
+
+    kernel.get_call_template, kernel.get_overload = get_call_template, part.get_overload
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):
+    """Lowers a function to code that only callers link."""
+
+    _name = "part_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+        library.enable_object_caching()
+        library._optimize_final_module = lambda: None
+        library._finalize_final_module = lambda: setattr(library, "_finalized", True)
+        state.library = library
+        for flag in ("no_compile", "no_cpython_wrapper", "no_cfunc_wrapper"):
+            setattr(state.flags, flag, True)
+        super().run_pass(state)
+        function = library._final_module.get_function(state.cr.fndesc.llvm_func_name)
+        if len(state.func_id.func.__code__.co_code) > _INLINED:
+            function.add_function_attribute("noinline")
+
+        entry_point = [].append  # never called: numba wants a built-in function of its own here
+        state.targetctx.insert_user_function(entry_point, state.cr.fndesc, [library])
+        state.cr = state.cr._replace(cfunc=entry_point)
+        return True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(NativeLowering):
+    """Makes machine code without vector instructions: loops of nine rounds are slower with them."""
+
+    _name = "lowering_without_vectors"
+
+    def run_pass(self, state: Any) -> bool:
+        codegen, before = state.targetctx.codegen(), config.LOOP_VECTORIZE
+        config.LOOP_VECTORIZE = codegen._loopvect = 0
+        try:
+            return super().run_pass(state)
+        finally:
+            config.LOOP_VECTORIZE = codegen._loopvect = before
+
+
+class _Compiler(CompilerBase):
+    """numba's pipeline with another last pass."""
+
+    lowering: type[NativeLowering] = _Lowering
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        for k, (each, description) in enumerate(passes.passes):
+            if each is NativeLowering:
+                passes.passes[k] = (self.lowering, description)
+        passes.finalize()
+        return [passes]
+
+
+class _PartCompiler(_Compiler):
+    """The same for a function that is a part of its callers."""
+
+    lowering = _PartLowering
+
+
+def direct(kernel: Function) -> Function:
+    """The compiled code of a kernel with one signature, for callers whose types are known.
+
+    It does not look at the types of its arguments, which takes numba 2 to 3 µs a call: a wrong type
+    is undefined behaviour.
+    """
+    if config.DISABLE_JIT:
+        return kernel
+    (compiled_code,) = cast("Dispatcher", kernel).overloads.values()
+    return compiled_code.entry_point
 
 
 def _stamp(kernel: Dispatcher) -> tuple[tuple[str, float, int], ...]:

@@ -7,6 +7,7 @@ struct is made. With ``NUMBA_DISABLE_JIT=1`` the struct is the named tuple that 
 """
 
 from collections.abc import Callable
+from hashlib import sha256
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -20,10 +21,22 @@ from app.compiled import compiled
 
 @structref.register
 class _Struct(types.StructRef):
-    """The type of a struct: names and types of its fields."""
+    """The type of a struct: names and types of its fields.
+
+    Its name is short: numba writes it into the name of every function that takes the struct.
+    """
+
+    def __init__(self, name: str, fields: dict[str, types.Type]) -> None:
+        super().__init__(list(fields.items()))
+        self.name = f"{name}_{sha256(repr(self._fields).encode()).hexdigest()[:16]}"
+        self._payload = types.StructRefPayload("struct", ())
+        self._payload._fields, self._payload.name = self._fields, f"{self.name}_payload"
 
     def preprocess_fields(self, fields: Any) -> Any:
         return tuple((name, types.unliteral(kind)) for name, kind in fields)
+
+    def get_data_type(self) -> types.StructRefPayload:
+        return self._payload
 
 
 class _Handle(structref.StructRefProxy):
@@ -47,7 +60,7 @@ _TYPES: dict[type, types.StructRef] = {}
 
 def struct_type(values: type[Any], fields: dict[str, types.Type]) -> StructType:
     """The kind of struct that has the fields of a named tuple, each of a numba type."""
-    struct = _TYPES[values] = _Struct(list(fields.items()))
+    struct = _TYPES[values] = _Struct(values.__name__, fields)
     given = types.NamedTuple(tuple(fields.values()), values)
     return StructType(struct, Signature(struct, (given,), None))
 
@@ -65,14 +78,14 @@ def _assemble(values: Any) -> Callable[..., Any]:
     return cast("Callable[..., Any]", known["assemble"])
 
 
-@compiled("void(f8[:], f8[:])")
+@compiled()
 def put(into: np.ndarray, values: np.ndarray) -> None:
     """Copy values into an array; ``into[:] = values`` compiles to fifty times as much code."""
     for i in range(len(into)):
         into[i] = values[i]
 
 
-@compiled("void(f8[:,:], f8[:,:])")
+@compiled()
 def put_rows(into: np.ndarray, values: np.ndarray) -> None:
     """Copy rows of values (k, n) into the first k rows of an array."""
     for i in range(len(values)):
@@ -80,7 +93,7 @@ def put_rows(into: np.ndarray, values: np.ndarray) -> None:
             into[i, j] = values[i, j]
 
 
-@compiled("void(f8[:], f8)")
+@compiled()
 def fill(into: np.ndarray, value: float) -> None:
     """Set all entries of an array to a value."""
     for i in range(len(into)):

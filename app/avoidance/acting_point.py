@@ -8,17 +8,15 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
-from numba.core.typing.templates import Signature
 
-from app.border.nearest import BORDER, BorderSearch, nearest_border
+from app.border.nearest import BorderSearch, nearest_border
 from app.border.score import ScoreField, score_at
 from app.compiled import compiled
 from app.config import ForceConfig
 from app.strict import Array
 
 
-@compiled("f8(f8, f8, f8, f8, f8)")
+@compiled()
 def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: float) -> float:
     """α = S_0 d / (|S(p_n)| + S_0/2), bounded below and above, in metres; S_0 is the gain.
 
@@ -50,7 +48,7 @@ def uphill(gradient: Array) -> Array:
     return direction
 
 
-@compiled("f8[::1](f8[:], f8[:], f8)")
+@compiled()
 def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
     """α (∇S·t / ‖∇S‖) t, (3,) [m].
 
@@ -98,7 +96,7 @@ def find_acting_point(
     return p_n, p_t, p_act, t, alpha
 
 
-@compiled("f8[::1](f8[:], f8[:], f8, f8[:], f8, f8)")
+@compiled()
 def avoidance_force(
     p_b: Array, p_act: Array, d: float, n: Array, f_max: float, d_b: float
 ) -> Array:
@@ -131,7 +129,7 @@ def avoidance_force(
     return magnitude / length * direction if length > 0.0 else np.zeros(3)
 
 
-@compiled("f8[::1](f8[:,:], f8[:,:])")
+@compiled()
 def resultant_force(f: Array, p_act: Array) -> Array:
     """f_m (3,): Σ f_x, Σ f_y [N] and the torque [N m] about the base's centre.
 
@@ -150,7 +148,7 @@ def resultant_force(f: Array, p_act: Array) -> Array:
     return total
 
 
-@compiled("f8[::1](f8[:,:], f8[:])")
+@compiled()
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
     """ẍ_m = A_b f_m (n_b,): how the resultant force accelerates the base as its kind can move.
 
@@ -199,13 +197,7 @@ class ActingPointFinder:
         return None if math.isnan(found.alpha) else found
 
 
-@compiled(
-    Signature(
-        types.Tuple([types.Array(types.f8, 1, "C")] * 4 + [types.f8]),
-        (BORDER.type, types.i8, *[types.Array(types.f8, 1, "C")] * 2, *[types.f8] * 4),
-        None,
-    )
-)
+@compiled()
 def _find(
     border: Any,
     pair: int,

@@ -175,11 +175,14 @@ def _mean_nearest(
     (R_a, p_a), (R_b, p_b), none = (T_a[:3], T_a[3]), (T_b[:3], T_b[3]), np.zeros(3)
     R, p = np.empty((3, 3)), np.empty(3)
     for i in range(3):  # of b, as a sees it
-        R[:, i] = act(R_a.T, none, R_b[0, i], R_b[1, i], R_b[2, i])
-    p[:] = act(R_a.T, none, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2])
+        p[i] = 0.0
+        for j in range(3):
+            p[i] += R_a[j, i] * (p_b[j] - p_a[j])
+            R[i, j] = R_a[0, i] * R_b[0, j] + R_a[1, i] * R_b[1, j] + R_a[2, i] * R_b[2, j]
     count = len(nodes)
     for k in range(count):
-        work[k, :3], work[k, 3] = act(R, p, nodes[k, 0], nodes[k, 1], nodes[k, 2]), nodes[k, 3]
+        x, y, z = act(R, p, nodes[k, 0], nodes[k, 1], nodes[k, 2])
+        work[k, 0], work[k, 1], work[k, 2], work[k, 3] = x, y, z, nodes[k, 3]
     for f in range(len(b)):
         if is_round(b[f]):
             continue
@@ -187,24 +190,24 @@ def _mean_nearest(
             x, y, z = corners[c, 0] - p[0], corners[c, 1] - p[1], corners[c, 2] - p[2]
             x, y, z = act(R.T, none, x, y, z)
             d_c, n_x, n_y, n_z = nearest_of(b[f : f + 1], triangles, x, y, z)
-            work[count, :3] = act(R, p, x - d_c * n_x, y - d_c * n_y, z - d_c * n_z)
-            work[count, 3] = 0.0
+            x, y, z = act(R, p, x - d_c * n_x, y - d_c * n_y, z - d_c * n_z)
+            work[count, 0], work[count, 1], work[count, 2], work[count, 3] = x, y, z, 0.0
             count += 1
     least = np.inf
     for k in range(count):
-        node = work[k]
-        node[4] = nearest_of(a, triangles, node[0], node[1], node[2])[0] - node[3]
-        least = min(least, node[4])
+        d = nearest_of(a, triangles, work[k, 0], work[k, 1], work[k, 2])[0] - work[k, 3]
+        work[k, 4] = d
+        least = min(least, d)
     x = y = z = radius = total = 0.0
     for k in range(count):
-        node = work[k]
-        weight = math.exp((least - node[4]) / blend)
+        weight = math.exp((least - work[k, 4]) / blend)
         total += weight
-        x, y, z = x + weight * node[0], y + weight * node[1], z + weight * node[2]
-        radius += weight * node[3]
+        x, y, z = x + weight * work[k, 0], y + weight * work[k, 1], z + weight * work[k, 2]
+        radius += weight * work[k, 3]
     x, y, z, radius = x / total, y / total, z / total, radius / total
     nearest, total = nearest_of(a, triangles, x, y, z), 0.0
-    found[:] = 0.0
+    for i in range(3):
+        found[0, i] = found[2, i] = 0.0
     for k in range(len(a)):
         side = nearest_of(a[k : k + 1], triangles, x, y, z) if len(a) > 1 else nearest
         weight = math.exp((nearest[0] - side[0]) / blend)
@@ -213,14 +216,14 @@ def _mean_nearest(
         for i in range(3):
             found[0, i] -= weight * side[0] * n[i]
             found[2, i] += weight * n[i]
-    found[3] = act(R_a, p_a, x, y, z)
+    found[3, 0], found[3, 1], found[3, 2] = act(R_a, p_a, x, y, z)
     for i in range(3):
         found[2, i] /= total
         found[0, i] = found[3, i] + found[0, i] / total
         found[1, i] = found[3, i] - radius * found[2, i]
 
 
-@compiled("f8[:,:,::1](f8[:,:], f8[:,:,:], f8[:,:], i8[:,:], i8[:,:], f8[:,:], f8)")
+@compiled()
 def mean_nearest(
     rows: Array,
     triangles: Array,

@@ -14,7 +14,7 @@ def cubic(s: float) -> float:
     return s * s * (3.0 - 2.0 * s)
 
 
-@compiled("f8(f8, f8, f8)")
+@compiled()
 def activation(d: float, d_b: float, d_full: float) -> float:
     """β of a link pair: 0 outside the buffer, 1 at `d_full` and nearer, a cubic between.
 
@@ -31,7 +31,7 @@ def activation(d: float, d_b: float, d_full: float) -> float:
     return cubic((d_b - d) / (d_b - d_full))
 
 
-@compiled("f8(f8[:])")
+@compiled()
 def mobile_activation(beta: Array) -> float:
     """β_m, the largest of the activations (n_mob,) of the pairs of L_m.
 
@@ -52,7 +52,7 @@ def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
     return k_p - k_v * d_dot
 
 
-@compiled("f8[::1](f8[:], f8[:], f8, f8)")
+@compiled()
 def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) -> Array:
     """ẍ_rep = k_p u − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
 
@@ -68,7 +68,7 @@ def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) ->
     return k_p * n - k_v * velocity
 
 
-@compiled("void(f8[:,::1], f8[::1], f8, f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[::1], f8[::1])")
+@compiled()
 def generate_avoidance_task(
     base_rows: Array,
     xdd_m: Array,

@@ -124,7 +124,7 @@ def _pieces(ring: Array, shown: Array) -> list[Array]:
     return found
 
 
-@compiled("f8(i8[:], f8[:], f8)")
+@compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
     """[m] the height nearest to z at which any shape has a ring."""
     best, least = z, np.inf
@@ -257,7 +257,7 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
     return t if _dot(t, along) >= 0.0 else -t
 
 
-@compiled("f8[:,::1](i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], f8[:])")
+@compiled()
 def nearest_point(
     firsts: Array,
     heights: Array,

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import types
-from numba.core.typing.templates import Signature
 
 from app.border.contours import Foot, Table, nearest_point
 from app.border.dbb import SAME_HEIGHT, Border, Cloud, construct_dbb
@@ -66,7 +65,7 @@ def _make(values: Any) -> Any:
     return assemble(values)
 
 
-@compiled("Tuple((f8[::1], f8[::1], b1))(f8[:,:], i8, i8, f8[:], f8)")
+@compiled()
 def nearest_sample(
     points: Array, first: int, end: int, p: Array, eps: float
 ) -> tuple[Array, Array, bool]:
@@ -136,13 +135,7 @@ def _nearest_offset(border: Any, p: Array) -> Array:
     )
 
 
-@compiled(
-    Signature(
-        types.UniTuple(types.Array(_f8, 1, "C"), 2),
-        (BORDER.type, types.Array(_f8, 1, "C")),
-        None,
-    )
-)
+@compiled()
 def _nearest(border: Any, p: Array) -> tuple[Array, Array]:
     return nearest_border(border, np.int64(0), p)
 

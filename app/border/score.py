@@ -133,7 +133,7 @@ def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C
     return found
 
 
-@compiled("Tuple((f8, f8[::1]))(f8[:], f8[:])")
+@compiled()
 def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
     """S and ∇S (3,) at one point (3,) [m], with `ScoreField.coefficients`."""
     constant, quadratic = coefficients[0], coefficients[1]

@@ -8,13 +8,13 @@ from app.robot.bases.kind import BaseKind
 from app.strict import Array
 
 
-@compiled("f8(f8)")
+@compiled()
 def _gain(decay: float) -> float:
     """(1 − e^{−x}) / x, which is 1 at x = 0."""
     return -np.expm1(-decay) / decay if decay > 1e-12 else 1.0
 
 
-@compiled("f8[::1](f8[:], f8[:], f8, f8[:], f8[:], f8[:], f8[:])")
+@compiled()
 def next_command(
     acceleration: Array,
     command: Array,

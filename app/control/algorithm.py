@@ -119,6 +119,7 @@ def update_estimate(
     if math.isnan(w.d_b[()]):
         w.d_b[()] = gains.d_b
     w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
+    fill(w.qp_tried, 0.0)
     w.valid[()] = all_finite(base_pose, base_velocity, q_m, qd_m, drive)
     if w.valid[()] == 0.0:
         fill(w.v_last, math.nan)
@@ -256,7 +257,7 @@ def algorithm_2(
     update_command(robot, gains, w)
 
 
-@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type), None))
+@compiled()
 def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     """Line 2, after pinocchio's part: dynamics, the end-effector, and how all distances move."""
     M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.g_pin, robot.T_J_m)
@@ -303,7 +304,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     put(w.d_dot, d_dot)
 
 
-@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type), None))
+@compiled()
 def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
     """T_sca: the base's rows, those between links, and T_rep of the compared method."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
@@ -363,7 +364,7 @@ def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
     )
 
 
-@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type, types.b1), None))
+@compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     """The tasks below T_sca, and the torques of this step."""
     w.tracking[()] = tracking
@@ -400,9 +401,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     put_objective(w, H_low, c_low, H, c)
 
 
-@compiled(
-    Signature(types.i8, (ROBOT.type, GAINS.type, STEP.type, types.i8, types.b1, types.b1), None)
-)
+@compiled()
 def write_limits(
     robot: Any, gains: Any, w: Any, barrier: int, link_buffers: bool, for_arm: bool
 ) -> int:
@@ -458,7 +457,7 @@ def write_limits(
     return 2 * n_m + count
 
 
-@compiled(Signature(types.void, (ROBOT.type, STEP.type, types.i8), None))
+@compiled()
 def measure_base(robot: Any, w: Any, base_source: int) -> None:
     """The acceleration that the base really has, unless the caller has measured it."""
     if base_source == DRIVE_MODEL:
@@ -470,7 +469,7 @@ def measure_base(robot: Any, w: Any, base_source: int) -> None:
         put(w.a_base_meas, w.a_base_cmd)
 
 
-@compiled(Signature(types.i8, (ROBOT.type, GAINS.type, GAINS.type, STEP.type), None))
+@compiled()
 def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """The QP of a_free: base and arm together, without the base's rows; counts its limits.
 
@@ -501,7 +500,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     return m + n_b
 
 
-@compiled(Signature(types.Array(types.f8, 1, "C"), (ROBOT.type, GAINS.type, STEP.type), None))
+@compiled()
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
     """The base acceleration nearest to a_des that does not drag the end-effector along."""
     if not w.B[0] > 0.0:
@@ -517,7 +516,7 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
     )
 
 
-@compiled(Signature(types.i8, (ROBOT.type, GAINS.type, GAINS.type, STEP.type), None))
+@compiled()
 def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     """The QP that makes room for the arm; counts its limits.
 
@@ -539,7 +538,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     return write_limits(robot, slow, w, NO_BARRIER, gains.lookahead, False)
 
 
-@compiled(Signature(types.i8, (ROBOT.type, GAINS.type, STEP.type), None))
+@compiled()
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """The QP of the arm, for the acceleration that the base really has; counts its limits."""
     n_b = robot.n_b
@@ -550,13 +549,7 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     return write_limits(robot, gains, w, gains.barrier, False, True)
 
 
-@compiled(
-    Signature(
-        types.Tuple((types.Array(types.f8, 1, "C"), types.b1)),
-        (STEP.type, types.i8, types.i8),
-        None,
-    )
-)
+@compiled()
 def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     """Solve the QP that was set up, within the first m limits.
 
@@ -580,7 +573,7 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     return x, found
 
 
-@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type), None))
+@compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
     """The admittance law's velocity command, renewed once a period (§4.1)."""
     put(w.a_sum, w.a_sum + w.a_base_cmd * gains.dt)

@@ -13,6 +13,7 @@ from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData
 from app.border.nearest import border_of
 from app.border.score import ScoreField
+from app.compiled import direct
 from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import admissible_command, largest_command
@@ -33,6 +34,8 @@ from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, checked, pinocchio_views
 from app.strict import Array
+
+_estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _UNKNOWN = ("d_b", "u_a", "v_last", "q_posture")  # NaN until they are known
@@ -163,7 +166,7 @@ class Controller:
     ) -> ControlStep:
         w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
         measurement = checked(measurement, self._model)
-        update_estimate(robot, gains, w.struct, *measurement)
+        _estimate(robot, gains, w.struct, *measurement)
         if w.valid:
             self.state.drive = measurement.drive
             pin.computeAllTerms(self.state.pin, data, w.q_pin, w.v_pin)
@@ -172,12 +175,12 @@ class Controller:
         if reference is not None:
             pose, w.v_ref[:], w.a_ref[:] = reference
             w.x_ref[:3], w.x_ref[3] = pose.rotation.T, pose.translation
-        w.qp_tried[:] = 0.0
+        tracking = reference is not None
         problem = robot, gains, self._slow, self._border, w.struct, base_source
-        run_algorithm_2(*problem, reference is not None)
+        _law(*problem, tracking)
         while w.qp_open:
             self._rescue(int(w.qp_open) - 1)
-            run_algorithm_2(*problem, reference is not None)
+            _law(*problem, tracking)
         if self._own_commands and w.command_due:
             w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
         return w

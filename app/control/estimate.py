@@ -34,7 +34,7 @@ def _jumped(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
     return False
 
 
-@compiled("f8[::1](f8[:,:], f8[:], f8[:,:], f8[:], f8[:])")
+@compiled()
 def predicted_joint_acceleration(
     M: Array, h: Array, L_aa: Array, u_a: Array, qdd_b: Array
 ) -> Array:

@@ -12,11 +12,11 @@ import math
 import numpy as np
 
 from app.compiled import compiled
-from app.control.qp import backward, cholesky, forward, times
+from app.control.qp import backward, cholesky, forward, inverse_diagonal, times
 from app.strict import Array
 
 
-@compiled("UniTuple(f8[::1], 2)(f8[:], f8[:], f8)")
+@compiled()
 def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, Array]:
     """The smallest and the largest torque (n_m,) of a step: within limits and slew rate.
 
@@ -48,7 +48,7 @@ def velocity_bounds(qd: Array, limits: Array, rate: float) -> Array:
     return rate * (limits - qd)
 
 
-@compiled("f8(f8, f8, f8, f8, f8)")
+@compiled()
 def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: float) -> float:
     """The lower bound [m/s²] on J q̈ with which h = d − d_min does not become negative.
 
@@ -67,7 +67,7 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
     return -2.0 * rate * d_dot - rate**2 * max(h, -max_speed / rate) - Jdqd
 
 
-@compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8[:,:], f8, f8)")
+@compiled()
 def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
@@ -82,7 +82,7 @@ def joint_bounds(
     return found
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8, f8[:,:], f8[:,:], f8[:], f8[:])")
+@compiled()
 def torque_reachable_bounds(
     M: Array,
     h: Array,
@@ -119,10 +119,9 @@ def torque_reachable_bounds(
     n_b, n_m = len(qdd_b), len(qdd_ext)
     acting = 0.5 * (u_min + u_max) - h[n_b:] - times(M[n_b:, :n_b], qdd_b)
     qdd = qdd_ext + backward(L_aa, forward(L_aa, acting))
+    inverse = inverse_diagonal(L_aa)
     for i in range(n_m):
-        unit = np.zeros(n_m)
-        unit[i] = 1.0
-        moved = (forward(L_aa, unit) ** 2).sum()
+        moved = inverse[i]
         own = 0.5 * moved * (u_max[i] - u_min[i])
         slower = math.sqrt(2.0 * moved * torque_rate * max(-room[0, i], 0.0))
         faster = math.sqrt(2.0 * moved * torque_rate * max(room[1, i], 0.0))
@@ -132,7 +131,7 @@ def torque_reachable_bounds(
     return found
 
 
-@compiled("void(f8[:,::1], f8[::1], f8[:], f8[:], f8[:,::1], f8[::1], f8[::1])")
+@compiled()
 def torque_rows(
     M: Array, h: Array, u_min: Array, u_max: Array, C: Array, l: Array, u: Array
 ) -> None:
@@ -145,7 +144,7 @@ def torque_rows(
         l[i], u[i] = u_min[i] - h[n_b + i], u_max[i] - h[n_b + i]
 
 
-@compiled("void(f8[:,::1], f8[:], f8[:], f8[:,::1], f8[::1], f8[::1])")
+@compiled()
 def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u: Array) -> None:
     """Write the bounds (2, n_m) on q̈_m into rows of C (n_m, n), in units (n_m,) of each joint.
 
@@ -160,7 +159,7 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
         l[i], u[i] = (bounds[0, i] - qdd_ext[i]) / unit[i], (bounds[1, i] - qdd_ext[i]) / unit[i]
 
 
-@compiled("void(f8[:,::1], f8[::1], i8[::1], f8[:], f8[:,::1], f8[::1], f8[::1])")
+@compiled()
 def distance_rows(
     J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
 ) -> None:
@@ -176,7 +175,7 @@ def distance_rows(
         l[i], u[i] = least[i] - moved, np.inf
 
 
-@compiled("f8(f8, f8[:], f8, f8[:,:], f8[:], f8[:])")
+@compiled()
 def force_bound(d: float, J: Array, d_dot: float, M: Array, g: Array, tau_max: Array) -> float:
     """[N] the largest push on the arm's closest point towards the other body that the arm can bear.
 

@@ -14,7 +14,7 @@ _EPS = 1e-12  # of a bound, by which it may be missed
 _MISSED = 1e-10  # by which limits may be
 
 
-@compiled("f8[:,::1](f8[:,:])")
+@compiled()
 def cholesky(H: Array) -> Array:
     """L, lower triangular, with H = L Lᵀ; not a number if H is not positive definite."""
     L = np.zeros(H.shape)
@@ -27,7 +27,7 @@ def cholesky(H: Array) -> Array:
     return L
 
 
-@compiled("f8[::1](f8[:,:], f8[:])")
+@compiled()
 def forward(L: Array, b: Array) -> Array:
     """L⁻¹ b."""
     x = b.copy()
@@ -38,7 +38,7 @@ def forward(L: Array, b: Array) -> Array:
     return x
 
 
-@compiled("f8[::1](f8[:,:], f8[:])")
+@compiled()
 def backward(L: Array, b: Array) -> Array:
     """L⁻ᵀ b."""
     x = b.copy()
@@ -50,12 +50,27 @@ def backward(L: Array, b: Array) -> Array:
 
 
 @compiled()
+def inverse_diagonal(L: Array) -> Array:
+    """The diagonal (n,) of H⁻¹ with H = L Lᵀ."""
+    n = len(L)
+    found, x = np.zeros(n), np.empty(n)
+    for i in range(n):  # the column L⁻¹ e_i begins at its i-th entry
+        for j in range(i, n):
+            value = 1.0 if j == i else 0.0
+            for l in range(i, j):
+                value -= L[j, l] * x[l]
+            x[j] = value / L[j, j]
+            found[i] += x[j] ** 2
+    return found
+
+
+@compiled()
 def _minimum(L: Array, c: Array) -> Array:
     """-H⁻¹ c (n,) with H = L Lᵀ."""
     return backward(L, forward(L, -c))
 
 
-@compiled("f8[::1](f8[:,:], f8[:])")
+@compiled()
 def times(A: Array, x: Array) -> Array:
     """A x, its sums in a fixed order: those of BLAS depend on where the memory lies."""
     found = np.zeros(len(A))
@@ -84,7 +99,7 @@ def _within(K: Array, active: Array, r: Array) -> Array:
     return backward(factor, forward(factor, r))
 
 
-@compiled("Tuple((i8, b1))(i8, f8, f8, f8[:,::1], f8[::1], i8[::1], i8)")
+@compiled()
 def _activate_row(
     p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
 ) -> tuple[int, bool]:
@@ -118,7 +133,7 @@ def _activate_row(
         size -= 1
 
 
-@compiled("f8[::1](f8[:], f8[:])")
+@compiled()
 def compliances(slack_weight: Array, length: Array) -> Array:
     """(m,) those of rows of length one: of all that are soft, each as for the stiffest.
 
@@ -140,7 +155,7 @@ def compliances(slack_weight: Array, length: Array) -> Array:
     return found
 
 
-@compiled("Tuple((f8[::1], b1))(f8[::1], f8[:,::1], f8[:,:], f8[:], f8[:], f8[:])")
+@compiled()
 def _nearest_within(
     x: Array, L: Array, C: Array, l: Array, u: Array, slack_weight: Array
 ) -> tuple[Array, bool]:
@@ -200,7 +215,7 @@ def _nearest_within(
     return found_x, bool(found and np.isfinite(found_x).all())
 
 
-@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+@compiled()
 def solve_qp(
     H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
 ) -> tuple[Array, bool]:
@@ -231,7 +246,7 @@ def solve_qp(
     return np.concatenate((fixed, rest)), found
 
 
-@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+@compiled()
 def solve_qp_step(
     H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
 ) -> tuple[Array, bool]:

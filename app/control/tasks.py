@@ -49,7 +49,7 @@ def rotation_vector(R: Array) -> Array:
     return per * q[1:]
 
 
-@compiled("f8[::1](f8[:], f8[:,:], f8[:], f8[:,:])")
+@compiled()
 def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
     """x_d ⊖ x, (6,): linear [m] over angular [rad], as a rotation vector in axes of the world."""
     error = np.empty(6)
@@ -62,7 +62,7 @@ def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
     return error
 
 
-@compiled("Tuple((f8[::1], f8))(f8[:], f8[:], f8[:], f8, f8, f8)")
+@compiled()
 def end_effector_task(
     pose: Array, velocity: Array, acceleration: Array, k_p: float, k_v: float, max_speed: float
 ) -> tuple[Array, float]:
@@ -98,7 +98,7 @@ def end_effector_task(
     return b, rest / max(k_p, 1e-12) ** 2
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8, f8[:], f8)")
+@compiled()
 def add_tracking(
     H: Array, c: Array, J: Array, b: Array, lm_damping: float, velocity: Array, weight: float
 ) -> tuple[Array, Array]:
@@ -139,7 +139,7 @@ def add_tracking(
     return H_all, c_all
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8, f8, f8)")
+@compiled()
 def posture_objective(
     qd: Array,
     q_m: Array,
@@ -187,7 +187,7 @@ def posture_objective(
     return H, c
 
 
-@compiled("f8[::1](f8[:], f8[:], f8[:])")
+@compiled()
 def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
     """u_0 = g_a − D q̇_a (n_m,): gravity compensation and joint damping [N m or N].
 
@@ -202,7 +202,7 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
     return u
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:])")
+@compiled()
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0): a guided arm applies only what avoidance demands.
 
@@ -216,7 +216,7 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     return M.copy(), c
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8, f8, i8)")
+@compiled()
 def add_base_rest_task(
     H: Array, c: Array, L_aa: Array, qd: Array, weight: float, damping: float, n_b: int
 ) -> tuple[Array, Array]:
@@ -239,7 +239,7 @@ def add_base_rest_task(
     return H, c
 
 
-@compiled("f8[::1](f8[:], f8[:,:], f8, f8, i8)")
+@compiled()
 def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array:
     """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's share of the force of pairs with the base.
 

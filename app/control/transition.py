@@ -12,7 +12,7 @@ from app.control.qp import backward, cholesky, forward
 from app.strict import Array
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8, i8)")
+@compiled()
 def insert_rows(
     H: Array, c: Array, J: Array, b: Array, beta: Array, least: float, fixed: int
 ) -> tuple[Array, Array]:
@@ -58,7 +58,7 @@ def insert_rows(
     return H, c
 
 
-@compiled("f8[::1](f8[:], f8[:], f8[:])")
+@compiled()
 def clip(values: Array, low: Array, high: Array) -> Array:
     """The values within bounds, all (k,)."""
     found = np.empty_like(values)
@@ -67,7 +67,7 @@ def clip(values: Array, low: Array, high: Array) -> Array:
     return found
 
 
-@compiled("f8[::1](f8[:], f8[:], f8)")
+@compiled()
 def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
     """β_m ẍ_m + (1 − β_m) ẍ_free, (n_b,): the blend of (29) for the base's rows.
 
@@ -76,7 +76,7 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
     return beta_m * xdd_m + (1.0 - beta_m) * free
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8)")
+@compiled()
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
     """R (3, n_b): how the base's axes move the end-effector where the arm cannot compensate.
 
@@ -114,7 +114,7 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
     return found
 
 
-@compiled("f8[::1](f8[:], f8[:], f8[:], f8, f8[:,:])")
+@compiled()
 def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag: Array) -> Array:
     """The base acceleration nearest to the desired one that does not drag the end-effector along.
 

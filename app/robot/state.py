@@ -125,7 +125,7 @@ def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Arr
     return reduced, h_r, g_r
 
 
-@compiled("UniTuple(f8[:,::1], 2)(f8[:,:], f8[:])")
+@compiled()
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist and acceleration of the body on each joint, at the origin of the world.
 
@@ -277,7 +277,7 @@ def distance_motions(
     return rows, accelerations, speeds
 
 
-@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])")
+@compiled()
 def tip_motion(
     J: Array, B: Array, twists: Array, biases: Array, p: Array
 ) -> tuple[Array, Array, Array]:

@@ -91,7 +91,7 @@ class People:
             hand = hands[same] = self._hands.get(same) or PersonHand(self.config, self._dt)
             hand.config = self.config
             if link is None:
-                p = state.T_world_ee.translation
+                p = state.p_ee
                 force = hand.force(p, state.v_ee[:3], target)
                 total = total + force
             else:

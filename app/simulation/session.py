@@ -185,7 +185,7 @@ class Session:
         u_a, command, control = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
         state, distances = self._observe(truth, measurement, control)
-        p_ee = state.T_world_ee.translation
+        p_ee = state.p_ee
         if pull is not None:
             holds = (Hold(LEAD, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())

@@ -314,7 +314,7 @@ class Snapshot:
     """(n_m,) [rad or m] arm joints."""
     u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.control.u_cmd)]
     """(n_m,) [N m or N] arm torques."""
-    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.T_world_ee.translation)]
+    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.p_ee)]
     """(3,) [m] end-effector in the world."""
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
     """(4,) its orientation as a quaternion."""
@@ -480,7 +480,7 @@ def _frozen_pull(pull: PullReading) -> PullReading:
 
 
 def _wxyz(state: RobotState) -> Array:
-    x, y, z, w = pin.Quaternion(state.T_world_ee.rotation).coeffs()
+    x, y, z, w = pin.Quaternion(state.R_ee).coeffs()
     return np.array([w, x, y, z])
 
 
