@@ -23,6 +23,7 @@ from unittest import mock
 
 from app.cli.main import main as dbb
 from app.config import sections
+from app.control.quantities import DIMENSIONS, QUANTITIES
 from app.parameters import Parameter
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.metrics import DOOR, FIGURES
@@ -83,6 +84,17 @@ def parameters() -> str:
         table = grid(["name", "default", "range", "unit", "meaning"], rows)
         parts.append(f"## `[{section.name}]`\n\n{section.about}\n\n{table}")
     return "\n\n".join(parts)
+
+
+def quantities() -> str:
+    """The table of quantities of a control step, from app/control/quantities.py."""
+    sizes = grid(["size", "meaning"], [[f"`{k}`", text] for k, text in DIMENSIONS.items()])
+    rows = [
+        [f"`{q.name}`", q.symbol, q.meaning, q.shape or "1", q.unit or "-", q.frame, q.source]
+        for q in QUANTITIES
+    ]
+    header = ["name", "symbol", "meaning", "shape", "unit", "frame", "source"]
+    return f"{sizes}\n\n{grid(header, rows)}"
 
 
 def study_range() -> str:
@@ -169,6 +181,7 @@ def about(path: Path) -> str:
 BLOCKS: dict[str, Callable[..., str]] = {
     "results": results.table,
     "parameters": parameters,
+    "quantities": quantities,
     "commands": commands,
     "figures": figures,
     "study_range": study_range,

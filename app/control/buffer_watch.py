@@ -74,16 +74,17 @@ class BufferWatch:
                 self._recent.popleft()
             self._speed = max((v for _, v, _ in self._recent), default=0.0)
             self._needed = max((need for _, _, need in self._recent), default=0.0)
+            d_b = self.config.border.d_b
+            self._reading = BufferReading(
+                self._speed,
+                self._needed,
+                self._speed_max,
+                self._needed_max,
+                too_small=gives_way and self._needed > d_b,
+                too_small_ever=gives_way and self._needed_max > d_b,
+            )
         self._steps += 1
-        needed, d_b = self._needed, self.config.border.d_b
-        return BufferReading(
-            self._speed,
-            needed,
-            self._speed_max,
-            self._needed_max,
-            too_small=gives_way and needed > d_b,
-            too_small_ever=gives_way and self._needed_max > d_b,
-        )
+        return self._reading
 
     def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
         """Read the speed of a pair; when a look is due, judge the mean: a tremor is no approach."""
