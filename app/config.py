@@ -25,7 +25,7 @@ class BorderConfig(Strict):
     eps: Annotated[float, Shown("ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] tolerance ε of (3)."""
     kind: Annotated[Literal["surface", "points"], Shown("acting point on")] = "surface"
-    """[-] the border as a continuous surface, or as the paper's points, among which it jumps."""
+    """[-] border as a continuous surface, or as the paper's points, among which p_act jumps."""
 
 
 class ForceConfig(Strict):
@@ -34,7 +34,7 @@ class ForceConfig(Strict):
     f_max: float = Field(default=300.0, ge=0.0, le=600.0)
     """[N] force at contact, f_max of (14)."""
     f_arm: float = Field(default=5.0, ge=0.0, le=50.0)
-    """[N] of the reaction on a guided arm, at contact: it leaves the buffer if nobody holds it."""
+    """[N] reaction force on a guided arm at contact: a released arm leaves the buffer."""
     alpha_gain: Annotated[float, Shown("α gain", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
@@ -53,11 +53,11 @@ class ActivationConfig(Strict):
     blend: Annotated[float, Shown("closest within", advanced=True)] = Field(
         default=0.005, ge=0.001, le=0.05
     )
-    """[m] parts of a link that are farther than its nearest by less share in the closest point."""
+    """[m] smoothing of the closest point: parts of a link up to this much farther contribute."""
 
 
 class RepulsionConfig(Strict):
-    """§3.2: acceleration that parts two links of the arm."""
+    """§3.2: acceleration that separates two links of the arm."""
 
     k_p: float = Field(default=60.0, ge=0.0, le=200.0)
     """[m/s²] constant part of (20)."""
@@ -66,25 +66,25 @@ class RepulsionConfig(Strict):
 
 
 class BarrierConfig(Strict):
-    """The distance that the arm itself keeps from the base; also the compared method `barrier`."""
+    """Minimum distance between arm and base, as a barrier; also the compared method `barrier`."""
 
     d_min: float = Field(default=0.031, ge=0.0, le=0.30)
-    """[m] distance that is not undercut as long as the torques suffice."""
+    """[m] minimum distance, as long as the torques suffice."""
     rate: Annotated[float, Shown("approach")] = Field(default=30.0, ge=1.0, le=100.0)
-    """[1/s] how fast a pair may close in on that distance, per distance left."""
+    """[1/s] approach rate: approach speed per remaining distance."""
     leaving: Annotated[float, Shown(advanced=True)] = Field(default=0.3, ge=0.05, le=2.0)
-    """[m/s] at which a pair that is nearer parts at most, in penetration too."""
+    """[m/s] upper bound of the separation speed of a pair nearer than that, also in penetration."""
 
 
 class HoldingConfig(Strict):
-    """Where the arm cannot hold its hand in place while the base moves, the base moves less."""
+    """Where the arm cannot compensate the base's motion at the end-effector, the base moves less."""
 
     speed: Annotated[float, Shown("arm holds at", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
     )
-    """[m/s] of the hand at the joints' largest speeds: where it is less, the arm does not hold."""
+    """[m/s] end-effector speed at maximum joint speeds below which the arm cannot compensate."""
     weight: Annotated[float, Shown("hand weighs")] = Field(default=3000.0, ge=0.01, le=1e5)
-    """[-] of a hand that the base would take along, in masses of the base."""
+    """[-] weight of an end-effector that the base would drag along, in masses of the base."""
 
 
 class TaskConfig(Strict):
@@ -95,49 +95,49 @@ class TaskConfig(Strict):
     ee_damping: Annotated[float, Shown("hand task d")] = Field(default=60.0, ge=0.0, le=200.0)
     """[1/s] velocity gain of the end-effector's task."""
     ee_speed: Annotated[float, Shown("hand task v")] = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] and [rad/s] at which the hand takes back an error at most, however large it is."""
+    """[m/s] and [rad/s] upper bound of the end-effector's correction speed."""
     posture_stiffness: Annotated[float, Shown("posture k")] = Field(default=4.0, ge=0.0, le=100.0)
-    """[1/s²] pull of the arm towards its starting pose."""
+    """[1/s²] stiffness of the arm's posture task, towards its starting posture."""
     centring: Annotated[float, Shown("off limits k")] = Field(default=8.0, ge=0.0, le=100.0)
-    """[1/s²] pull at a joint's limit towards the middle of its range."""
+    """[1/s²] stiffness towards the middle of a joint's range, at its limit."""
     posture_damping: Annotated[float, Shown("posture d")] = Field(default=4.0, ge=0.0, le=100.0)
-    """[1/s] damping of the arm in its posture task."""
+    """[1/s] damping of the arm's posture task."""
     base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
     base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=5.0, ge=1.0, le=100.0)
-    """[-] how much slower the base corrects errors and nears limits than the arm; it has 10 Hz."""
+    """[-] time scale of the base's gains relative to the arm's, because the base runs at 10 Hz."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
-    """[-] how much costlier the base's acceleration is than the arm's, in the posture task."""
+    """[-] cost of the base's acceleration relative to the arm's, in the posture task."""
     ee_weight: Annotated[float, Shown(advanced=True)] = Field(default=1e5, ge=1.0, le=1e7)
-    """[-] of the end-effector's task against the posture: how strictly it comes first."""
+    """[-] weight of the end-effector's task relative to the posture task."""
     softness: Annotated[float, Shown(advanced=True)] = Field(default=1e-3, ge=1e-4, le=0.1)
-    """[-] ε by which a row in full force gives in to tasks; a limit of the arm ε²."""
+    """[-] ε, softness of a fully active row of T_sca; that of the arm's limits is ε²."""
 
 
 class LimitConfig(Strict):
     """Limits of the arm as constraints of the QP."""
 
     position_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=100.0)
-    """[1/s] how fast a joint may close in on its position limit, per distance left."""
+    """[1/s] approach rate of position limits: joint speed per remaining distance."""
     velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=70.0, ge=1.0, le=200.0)
-    """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
+    """[1/s] approach rate of velocity limits: joint acceleration per remaining speed."""
     torque_rate: Annotated[float, Shown("torque")] = Field(default=1000.0, ge=50.0, le=1e6)
-    """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
+    """[N m/s] slew rate limit of the arm's torques; 1000 for a Panda."""
 
 
 class EstimateConfig(Strict):
-    """The filter of the arm's readings, which also tells who pushes."""
+    """The filter of the arm's readings, which also estimates external torques."""
 
     push_change: Annotated[float, Shown("push drift")] = Field(default=3.0, ge=0.1, le=100.0)
-    """[rad/s²] by how much others accelerate a joint otherwise a second later; or m/s²."""
+    """[rad/s²] process noise of the external joint acceleration in one second; or m/s²."""
     least_noise: Annotated[float, Shown(advanced=True)] = Field(default=2e-8, ge=1e-9, le=0.005)
-    """[rad] noise of measured positions at least, or m; what there is more of it is learnt."""
+    """[rad] lower bound of the position noise, or m; the actual level is estimated."""
     velocity_noise: Annotated[float, Shown(advanced=True)] = Field(default=100.0, ge=1.0, le=1e4)
-    """[1/s] noise of measured velocities at least, per noise of positions; more of it is learnt."""
+    """[1/s] lower bound of the velocity noise, relative to the position noise."""
     window: Annotated[float, Shown("noise over", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )
-    """[s] over which noise is learnt."""
+    """[s] time window of the noise estimate."""
 
 
 class AdmittanceConfig(Strict):
@@ -154,7 +154,7 @@ class AdmittanceConfig(Strict):
     )
     """[N m s] D_a, angular."""
     v_max: float = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed, within the base's own limit; one that the arm can follow."""
+    """[m/s] largest commanded speed, within the base's own limit; the arm must be able to follow."""
     omega_max: Annotated[float, Shown("ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
     """[rad/s] largest commanded turn, within the base's own limit."""
     period: Annotated[float, Shown("command period")] = Field(default=0.1, ge=0.001, le=0.5)
@@ -171,20 +171,20 @@ class HandConfig(Strict):
     f_max: Annotated[float, Shown("hand force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
     mass: Annotated[float, Shown("hand mass", advanced=True)] = Field(default=0.0, ge=0.0, le=5.0)
-    """[kg] of the hand and forearm; while it is stopped it exerts more than the spring."""
+    """[kg] mass of hand and forearm; stopping it takes more force than the spring has."""
 
 
 class DisturbanceConfig(Strict):
-    """What stands between the controller and the robot; nothing by default."""
+    """Disturbances between controller and robot; none by default."""
 
     encoder_noise: float = Field(default=0.0, ge=0.0, le=0.005)
     """[rad] standard deviation of the noise of each joint's measured position."""
     base_delay: float = Field(default=0.0, ge=0.0, le=0.5)
-    """[s] from a velocity command to the base's drive, on top of the commands' own period."""
+    """[s] additional delay from a velocity command to the base's drive."""
     mass_error: float = Field(default=0.0, ge=-0.3, le=0.3)
-    """[-] by how much the arm's masses and inertias, as the controller has them, are too large."""
+    """[-] relative error of the arm's masses and inertias in the controller's model."""
     slip: float = Field(default=0.0, ge=0.0, le=0.5)
-    """[-] share of the base's commanded motion that is lost at the ground."""
+    """[-] share of the base's commanded motion that is lost to slip."""
 
 
 class Config(Strict):
@@ -246,10 +246,10 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """The gains of the same closed loops, `base_slowness` times slower.
+    """The gains of the same closed loops, slower by the factor `base_slowness`.
 
-    Stretching time by a factor divides stiffnesses by its square, damping and rates by itself. What
-    is left of a joint's speed is foreseen like what is left of its way: the arm alone is quicker.
+    Stretching time by a factor divides stiffnesses by its square, and damping and rates by the
+    factor itself. Velocity limits are approached at the rate of position limits.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
     s = task.base_slowness
