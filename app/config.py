@@ -77,7 +77,7 @@ class BarrierConfig(Strict):
 
 
 class HoldingConfig(Strict):
-    """Where the arm cannot compensate the base's motion at the end-effector, the base moves less."""
+    """Less base motion where the arm cannot compensate it at the end-effector."""
 
     speed: Annotated[float, Shown("arm holds at", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
@@ -154,7 +154,7 @@ class AdmittanceConfig(Strict):
     )
     """[N m s] D_a, angular."""
     v_max: float = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed, within the base's own limit; the arm must be able to follow."""
+    """[m/s] largest commanded speed, within the base's own limit and the arm's ability."""
     omega_max: Annotated[float, Shown("ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
     """[rad/s] largest commanded turn, within the base's own limit."""
     period: Annotated[float, Shown("command period")] = Field(default=0.1, ge=0.001, le=0.5)

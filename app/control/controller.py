@@ -75,6 +75,7 @@ class Controller:
         views, sizes = pinocchio_views(self.state.data), _sizes(model, data, smooth)
         self.last = ControlStep(sizes, views, data.pairs.all, smooth.rows)
         """The table of quantities of the last step."""
+        self.last.pinocchio = self.state.data  # whose memory the views are of
         self.state.share(self.last)
         self.use(name)
         self._own_drive = _overrides(self._base, "drive_acceleration")

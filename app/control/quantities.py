@@ -223,6 +223,8 @@ class ControlStep:
             rows: Of each pair: its row among the distances, and those of its convex parts.
         """
         self.pairs, self.rows = tuple(pairs), rows
+        self.pinocchio: object = None
+        """The owner of the memory that the views show; it lives as long as they."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
         for each in QUANTITIES:
             shape = [sizes[size] if size in sizes else int(size) for size in each.shape.split()]

@@ -207,7 +207,7 @@ class Recorder:
         self._last = session, step
         most = SHORT if self._farthest is None else self._farthest.ee_error
         if step.reference is not None and step.ee_error > most:
-            self._farthest = step._replace(control=step.control.copy())  # the next one overwrites it
+            self._farthest = step._replace(control=step.control.copy())
         cells: list[float] = []
         for row in self._rows:
             cells += row(session, step)
