@@ -178,6 +178,8 @@ def algorithm_2(
         fill(w.p_n[i], math.nan)
         fill(w.p_t[i], math.nan)
         fill(w.p_act[i], math.nan)
+        fill(w.tangent[i], math.nan)
+        w.alpha[i] = math.nan
         fill(w.f[i], 0.0)
     for i in range(len(w.beta)):  #                                                      4, 9
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)  #                        Fig. 10

@@ -171,8 +171,8 @@ class Controller:
         if w.valid:
             self.state.drive = measurement.drive
             pin.computeAllTerms(self.state.pin, data, w.q_pin, w.v_pin)
-            self._distances.update_from(data)
-            w.d[:] = self._distances.distances_by_part()
+        self._distances.update_from(data)
+        w.d[:] = self._distances.distances_by_part()
         if reference is not None:
             pose, w.v_ref[:], w.a_ref[:] = reference
             w.x_ref[:3], w.x_ref[3] = pose.rotation.T, pose.translation
