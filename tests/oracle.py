@@ -344,7 +344,8 @@ class Oracle:
         H, c = H.copy(), c.copy()
         for J, b_i, beta in zip(w.J_sca[rows], b, w.B[rows], strict=True):
             if beta > 0.0:
-                stiffness = beta / ((1 - beta + softness) * (J[fixed:] @ inverse @ J[fixed:]))
+                give = J[fixed:] @ inverse @ J[fixed:] + 1e-12  # as the core bounds it from below
+                stiffness = beta / ((1 - beta + softness) * give)
                 H, c = H + stiffness * np.outer(J, J), c - stiffness * b_i * J
         return H, c
 

@@ -39,7 +39,7 @@ class OracleBase:
         return np.array([linear] * (2 if self.kind == "holonomic" else 1) + [angular])
 
     def measure(self, x: float) -> tuple[float, float]:
-        """What stands in (10) for sign(x) det(J_c J_cᵀ), and its derivative by x."""
+        """The factor of R in (10), sign(x) det(J_c J_cᵀ) or another, and its derivative by x."""
         if self.kind == "holonomic":
             return 1.0, 0.0
         return self._square * x * abs(x), 2 * self._square * abs(x)
