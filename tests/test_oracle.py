@@ -33,11 +33,14 @@ RECONFIGURED = 40
 """The step from which the buffer is wider: the buffer distance in force follows."""
 AGREES = 1e-6
 """Of the largest entry that the quantity has along the path."""
+STILL = 1e-3
+"""[m/s, m/s²] of the base that count as much as one that moves: at rest all is rounding."""
 
 NOT_COMPARED = {"q_pin", "v_pin"} | {q.name for q in QUANTITIES if q.name.startswith("qp_")}
 """Pinocchio's own coordinates, and the rescue of a QP."""
 TRACKING_ONLY = {"x_ref", "v_ref", "a_ref", "e_ee", "b_ee", "lm_damping"}
 ACTIVE_ONLY = {"tangent", "alpha"}
+OF_BASE = {"a_base_free", "a_base_des", "a_base_cmd", "a_base_meas", "a_sum", "v_cmd", "v_before"}
 LIMITS = {"C", "l", "u", "slack_weight"}
 
 DECK = Box(type="box", size_m=(0.99, 0.69, 0.3803), xyz_m=(0.0, 0.0, 0.0579))
@@ -216,7 +219,7 @@ def first_disagreements(
     found = {}
     for name in dict.fromkeys(name for step in steps for name in step):
         away, size = np.array([step.get(name, (0.0, 0.0)) for step in steps]).T
-        share = away / (size.max() or 1.0)
+        share = away / max(size.max() or 1.0, STILL if name in OF_BASE else 0.0)
         if share.max() >= AGREES:
             found[name] = int(np.argmax(share >= AGREES)), float(share.max())
     return found
