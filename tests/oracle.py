@@ -1,314 +1,531 @@
-"""The control step from straightforward parts: numpy and pinocchio, nothing clever.
+"""The control step once more: plain numpy and pinocchio, from the paper and docs/method.md alone.
 
-What the kernels compute has to agree with it. The parts stand in the controller's own frame, which
-only puts them together.
+It shares no formula with `app.control`: it fills the same table of quantities, and the tests
+compare them one by one. Numbers in brackets are the paper's equations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
+import coal
 import numpy as np
 import pinocchio as pin
-import pytest
-from scipy.optimize import nnls
 
-from app.avoidance.mobile_acceleration import ActingPointFinder
-from app.avoidance.task import Distances, TaskRows
 from app.border.cache import BorderData
-from app.border.contours import Foot
-from app.border.offset import OffsetContours
-from app.border.score import ScoreField
-from app.config import Config, TaskConfig
-from app.control import controller as controller_module
-from app.control.controller import Controller
-from app.control.limits import ArmNow
-from app.control.qp import Limits, Objective, TaskQP
-from app.control.tasks import EndEffectorError, EqualityTask
+from app.config import Config
+from app.control import CONTROLLERS
+from app.control.tasks import Reference
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import Measurement, at_rest
+from tests.oracle_base import OracleBase
+from tests.oracle_estimate import Estimate
+from tests.oracle_geometry import Body, Border, closest_points
+from tests.oracle_qp import change, solve_qp
 
 Array = np.ndarray
 AXES = pin.LOCAL_WORLD_ALIGNED
-NONE = np.zeros(0)
+DBB, REPULSIVE, BARRIER, NONE = CONTROLLERS
 
 
-class PlainState(RobotState):
-    """Kinematics and dynamics by pinocchio's own functions and the matrix S."""
+class Row(NamedTuple):
+    """One distance: of a pair, or of one convex part of its first body."""
 
-    def update(self, measurement: Measurement) -> None:
-        model, data, S = self.model, self.data, self.model.S
-        self.measurement = measurement
-        wheels = np.linalg.solve(model.J_m, measurement.base_velocity)
-        self.qd = np.concatenate([wheels, measurement.qd_m])
-        q, v = model.configuration(measurement.base_pose, measurement.q_m), S @ self.qd
-        pin.computeAllTerms(model.pin, data, q, v)
-        self.M, self.h, self.g = S.T @ data.M @ S, S.T @ data.nle, S.T @ data.g
-        pin.forwardKinematics(model.pin, data, q, v, np.zeros(model.pin.nv))
-        self.T_world_ee = pin.updateFramePlacement(model.pin, data, model.ee_frame)
-        self.J_ee = pin.getFrameJacobian(model.pin, data, model.ee_frame, AXES) @ S
-        self.v_ee = self.J_ee @ self.qd
-        self.Jdqd_ee = pin.getFrameClassicalAcceleration(
-            model.pin, data, model.ee_frame, AXES
-        ).vector
-        self.R_world_base, self.p_o = data.oMi[1].rotation, data.oMi[1].translation
-
-    def point_jacobian(self, joint: int, p_world: Array) -> Array:
-        J = pin.getJointJacobian(self.model.pin, self.data, joint, AXES)
-        lever = pin.skew(p_world - self.data.oMi[joint].translation)
-        return (J[:3] - lever @ J[3:]) @ self.model.S
-
-    def point_bias(self, joint: int, p_world: Array) -> Array:
-        a = pin.getClassicalAcceleration(self.model.pin, self.data, joint, AXES)
-        placement = self.data.oMi[joint]
-        w = pin.skew(placement.rotation @ self.data.v[joint].angular)
-        r = p_world - placement.translation
-        return a.linear + pin.skew(a.angular) @ r + w @ (w @ r)
-
-    def pair_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:
-        """As seen from the first body: nᵀ(a_b - a_a - 2 ω_a × v)."""
-        rows = [self._pair_motion(*each) for each in zip(joints, p, n, strict=True)]
-        J, bias, speed = (np.array(each) for each in zip(*rows, strict=True))
-        return J, bias, speed
-
-    def _pair_motion(self, joints: Array, p: Array, n: Array) -> tuple[Array, float, float]:
-        joint_a, joint_b = joints.tolist()
-        J = self.point_jacobian(joint_b, p) - self.point_jacobian(joint_a, p)
-        v = J @ self.qd
-        w = self.data.oMi[joint_a].rotation @ self.data.v[joint_a].angular
-        bias = self.point_bias(joint_b, p) - self.point_bias(joint_a, p) - 2 * np.cross(w, v)
-        return n @ J, float(n @ bias), float(n @ v)
+    a: Body
+    b: Body
+    part: slice
+    mobile: bool
+    """Whether the pair is one of L_m."""
 
 
-class PlainSurface:
-    """The nearest point of the border around one shape, by trying every edge of its contour."""
+class Limits(NamedTuple):
+    """l ≤ C q̈ ≤ u, each with a softness; 0 is hard."""
 
-    def __init__(self, offset: OffsetContours) -> None:
-        self._table = offset.table
+    C: Array
+    l: Array
+    u: Array
+    slack_weight: Array
 
-    def nearest(self, p: Array) -> Foot | None:
-        heights = self._table.heights
-        z = float(np.clip(p[2], heights[0], heights[-1]))
-        k = min(int(np.searchsorted(heights, z, side="right")) - 1, len(heights) - 2)
-        share = (z - heights[k]) / (heights[k + 1] - heights[k])
-        corners, tangents = (
-            (1 - share) * rows[k] + share * rows[k + 1]
-            for rows in (self._table.vertices, self._table.tangents)
+
+class Oracle:
+    """One controller with its own memory; `step` gives its quantities by the table's names."""
+
+    def __init__(
+        self, model: RobotModel, data: BorderData, config: Config, name: str, dt: float
+    ) -> None:
+        """Prepare the controller `name`; dt [s] is the control period."""
+        self.model, self.name, self.dt = model, name, dt
+        self.base, self.pin_data = OracleBase(model.description.base), model.pin.createData()
+        self.n_b, self.n_m, self.n_mob = model.n_b, model.n_m, len(data.pairs.mobile)
+        self.S = np.zeros((3 + self.n_m, self.n_b + self.n_m))
+        self.S[:3, : self.n_b] = self.base.T @ self.base.J_m
+        self.S[3:, self.n_b :] = np.eye(self.n_m)
+        self._list_rows(data)
+        self.estimate = Estimate(model.qd_max, self.n_b, dt)
+        self.w: Any = SimpleNamespace(
+            d_b=np.nan, u_a=np.full(self.n_m, np.nan), q_posture=np.full(self.n_m, np.nan),
+            a_sum=np.zeros(self.n_b), t_sum=0.0, v_cmd=np.zeros(self.n_b),
+            v_before=np.zeros(self.n_b), failures=0, given_up=0,
+        )  # fmt: skip
+        self.configure(config)
+        self._take(at_rest(model, np.array(model.description.arm.ready_position)))
+
+    def configure(self, config: Config) -> None:
+        """Use other parameters; the buffer distance in force follows at 0.1 m/s."""
+        self.config = config
+        self.border = Border(self.model, config.border.d_b)
+
+    def step(
+        self,
+        measurement: Measurement,
+        reference: Reference | None = None,
+        base_acceleration: Array | None = None,
+    ) -> dict[str, Any]:
+        """Algorithm 2: one control step."""
+        w = self.w
+        self._estimate(measurement)
+        self._closest_points()
+        self._desired_base_acceleration()
+        self._avoidance_task()
+        self._tasks(reference)
+        self._base()
+        w.a_base_meas = w.a_base_cmd if base_acceleration is None else base_acceleration
+        self._arm()
+        self._command()
+        return {name: np.array(value, dtype=float) for name, value in vars(w).items()}
+
+    def _list_rows(self, data: BorderData) -> None:
+        bodies = {name: Body(self.model, name) for name in self.model.body_names}
+        pairs = [
+            Row(bodies[p.a], bodies[p.b], slice(None), p in data.pairs.mobile)
+            for p in data.pairs.all
+        ]
+        self.rows, self.pairs, self.convex = list(pairs), len(pairs), []
+        for k, pair in enumerate(pairs):
+            count = len(pair.a.geometries)
+            first = len(self.rows)
+            self.rows += [pair._replace(part=slice(i, i + 1)) for i in range(count) if count > 1]
+            self.convex += list(range(first, len(self.rows))) or [k]
+
+    # Line 2: UpdateKinematics
+
+    def _estimate(self, m: Measurement) -> None:
+        w, n_b, goal = self.w, self.n_b, self.config.border.d_b
+        w.d_b = (
+            goal
+            if np.isnan(w.d_b)
+            else w.d_b + np.clip(goal - w.d_b, -0.1 * self.dt, 0.1 * self.dt)
         )
-        to_p = complex(p[0], p[1]) - corners
-        ahead = (to_p * tangents.conj()).real
-        found = []
-        for i in np.flatnonzero((ahead[:-1] >= 0) & (ahead[1:] < 0)):
-            edge, turn = corners[i + 1] - corners[i], tangents[i + 1] - tangents[i]
-            # (to_p - s edge) · (t + s turn) = 0, the root within the edge
-            a, b, c = (
-                dot(-edge, turn),
-                dot(to_p[i], turn) - dot(edge, tangents[i]),
-                dot(to_p[i], tangents[i]),
+        w.valid = all(np.isfinite(each).all() for each in m)
+        if not w.valid:
+            self.estimate.gap()
+        else:
+            qdd_b = self.base.to_q @ (m.base_velocity - self.estimate.v_last) / self.dt
+            known = w.u_a - w.h[n_b:] - w.M[n_b:, :n_b] @ qdd_b
+            known = np.linalg.solve(w.M[n_b:, n_b:], known)
+            self.estimate.update(m, known, self.config.estimate)
+            if np.isnan(w.q_posture[0]):
+                w.q_posture = m.q_m.copy()
+            self._take(m._replace(q_m=self.estimate.x[0], qd_m=self.estimate.x[1]))
+        e = self.estimate
+        w.x_est, w.P_est, w.noise_var, w.q_last = e.x, e.P, e.variances, e.last
+        w.samples, w.v_last = e.samples, e.v_last
+
+    def _take(self, m: Measurement) -> None:
+        """Kinematics and dynamics at a state, by pinocchio."""
+        w, model, data, S, n_b = self.w, self.model.pin, self.pin_data, self.S, self.n_b
+        w.base_pose, w.base_velocity, w.q_m, w.qd_m = (each.copy() for each in m[:4])
+        w.qd = np.append(self.base.to_q @ w.base_velocity, w.qd_m)
+        x, y, phi = w.base_pose
+        q, v = np.array([x, y, np.cos(phi), np.sin(phi), *w.q_m]), S @ w.qd
+        pin.computeAllTerms(model, data, q, v)
+        w.M, w.h, w.g = S.T @ data.M @ S, S.T @ data.nle, S.T @ data.g
+        w.L_aa = np.linalg.cholesky(w.M[n_b:, n_b:])
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        frame = self.model.ee_frame
+        T = pin.updateFramePlacement(model, data, frame)
+        w.R_ee, w.p_ee = T.rotation.copy(), T.translation.copy()
+        w.J_ee = pin.getFrameJacobian(model, data, frame, AXES) @ S
+        w.v_ee = w.J_ee @ w.qd
+        w.Jdqd_ee = pin.getFrameClassicalAcceleration(model, data, frame, AXES).vector
+        w.R_base, w.p_o = data.oMi[1].rotation.copy(), data.oMi[1].translation.copy()
+        joints = range(model.njoints)
+        w.twists = np.array([pin.getVelocity(model, data, j, pin.WORLD).vector for j in joints])
+        w.biases = np.array([pin.getAcceleration(model, data, j, pin.WORLD).vector for j in joints])
+
+    def _jacobian(self, joint: int, p: Array) -> Array:
+        """(3, n) of the point of a joint's body that is now at p."""
+        J = pin.getJointJacobian(self.model.pin, self.pin_data, joint, AXES)
+        lever = pin.skew(p - self.pin_data.oMi[joint].translation)
+        return (J[:3] - lever @ J[3:]) @ self.S
+
+    def _bias(self, joint: int, p: Array) -> Array:
+        """(3,) its acceleration at q̈ = 0."""
+        a = pin.getClassicalAcceleration(self.model.pin, self.pin_data, joint, AXES)
+        w, r = self._turning(joint), p - self.pin_data.oMi[joint].translation
+        return a.linear + np.cross(a.angular, r) + np.cross(w, np.cross(w, r))
+
+    def _turning(self, joint: int) -> Array:
+        return pin.getVelocity(self.model.pin, self.pin_data, joint, AXES).angular
+
+    # Lines 4 and 9: FindClosestPoints
+
+    def _closest_points(self) -> None:
+        w = self.w
+        w.d = np.array([self._distance(row) for row in self.rows])
+        points = np.array([self._points(row) for row in self.rows])
+        w.p_a, w.p_b, w.normal, w.core = np.swapaxes(points, 0, 1)
+        motions = zip(self.rows, w.core, w.normal, strict=True)
+        w.J, w.Jdqd, w.d_dot = map(np.array, zip(*[self._motion(*m) for m in motions], strict=True))
+        d = w.d[: self.pairs]
+        s = np.clip((w.d_b - d) / (w.d_b - self.config.activation.d_full), 0.0, 1.0)
+        w.beta = 3 * s**2 - 2 * s**3  # Figure 10
+        w.beta_m = w.beta[: self.n_mob].max()  # (28)
+
+    def _placed(self, body: Body) -> pin.SE3:
+        return self.pin_data.oMi[body.joint]
+
+    def _distance(self, row: Row) -> float:
+        """[m] signed, the least of all shapes, by coal."""
+        return min(
+            coal.distance(
+                one, coal.Transform3s(T_a.rotation, T_a.translation),
+                other, coal.Transform3s(T_b.rotation, T_b.translation),
+                coal.DistanceRequest(), coal.DistanceResult(),
             )
-            roots = np.roots([a, b, c])
-            inside = [s.real for s in roots if abs(s.imag) < 1e-9 and -1e-9 <= s.real <= 1 + 1e-9]
-            s = float(np.clip(inside[0], 0.0, 1.0)) if inside else 0.0
-            found.append((abs(to_p[i] - s * edge), i, s))
-        _, i, s = min(found)
-        xy = corners[i] + s * (corners[i + 1] - corners[i])
-        t = tangents[i] + s * (tangents[i + 1] - tangents[i])
-        t /= abs(t)
-        return Foot(np.array([xy.real, xy.imag, p[2]]), np.array([t.real, t.imag, 0.0]))
+            for one, (_, T_a) in row.a.placed(self._placed(row.a))[row.part]
+            for other, (_, T_b) in row.b.placed(self._placed(row.b))
+        )  # fmt: skip
 
+    def _points(self, row: Row) -> Array:
+        T_a, T_b, blend = self._placed(row.a), self._placed(row.b), self.config.activation.blend
+        a, b = row.a.shapes(T_a)[row.part], row.b.shapes(T_b)
+        return closest_points(a, row.a.core(T_a)[0], b, row.b.core(T_b), blend)
 
-def dot(a: complex, b: complex) -> float:
-    """Of two vectors x + iy."""
-    return (a * b.conjugate()).real
+    def _motion(self, row: Row, p: Array, n: Array) -> tuple[Array, float, float]:
+        """(21): how the distance changes along a normal that is fixed to the first body."""
+        a, b = row.a.joint, row.b.joint
+        J = self._jacobian(b, p) - self._jacobian(a, p)
+        v = J @ self.w.qd
+        bias = self._bias(b, p) - self._bias(a, p) - 2 * np.cross(self._turning(a), v)
+        return n @ J, n @ bias, n @ v
 
+    # Lines 5 and 6: FindActingPoint, GenerateMobAcc
 
-class PlainField(ScoreField):
-    """(9), (10) and the gradient as they stand, R bent below 0.05 C."""
+    def _desired_base_acceleration(self) -> None:
+        w, n, force = self.w, self.n_mob, self.config.force
+        w.p_n, w.p_t, w.p_act, w.tangent = np.full((4, n, 3), np.nan)
+        w.alpha, w.f = np.full(n, np.nan), np.zeros((n, 3))
+        for i in np.flatnonzero(w.beta[:n]):
+            p_b, normal = w.R_base.T @ (w.p_b[i] - w.p_o), w.R_base.T @ w.normal[i]
+            w.p_n[i], w.tangent[i] = self.border.nearest(p_b)
+            S, up = self._score(i, w.p_n[i])
+            S_0, d = force.alpha_gain, max(w.d[i], 0.0)
+            alpha = S_0 * d / (abs(S) / self.base.score_unit + S_0 / 2)  # (13)
+            w.alpha[i] = np.clip(alpha, force.alpha_min, force.alpha_max)
+            w.p_t[i] = w.p_n[i] + w.alpha[i] * (up @ w.tangent[i]) * w.tangent[i]  # (12)
+            w.p_act[i], _ = self.border.nearest(w.p_t[i])
+            share = np.clip(1 - w.d[i] / w.d_b, 0.0, 1.0) * np.linalg.norm(normal[:2])
+            way = p_b - w.p_act[i]
+            if np.linalg.norm(way) < 1e-6:
+                way = -normal * [1, 1, 0]
+            w.f[i] = force.f_max * share * way / np.linalg.norm(way)  # (14)
+        torque = np.nansum(w.p_act[:, 0] * w.f[:, 1] - w.p_act[:, 1] * w.f[:, 0])
+        w.xdd_m = self.base.acceleration(*w.f.sum(axis=0)[:2], torque)  # (15) to (18)
 
-    def at_point(self, p: Array) -> tuple[float, Array]:
-        out = p - self.p_base
-        rho, R_1 = float(np.linalg.norm(out)), 0.05 * self.C
-        R, slope = self.C - self.A * (rho - self.B) ** 2, 1.0
+    def _score(self, i: int, p: Array) -> tuple[float, Array]:
+        """(10), and the direction in which it grows."""
+        reach = self.model.description.reachability[self.rows[i].b.name]
+        A, B, C = reach.A_per_m2, reach.B_m, reach.C
+        out = p - self.model.p_base()
+        rho, R_1 = np.linalg.norm(out), 0.05 * C
+        R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)  # (9)
         if R < R_1:
-            R, slope = R_1**2 / (2 * R_1 - R), (R_1 / (2 * R_1 - R)) ** 2
-        signed, by_point = self.base.singularity(p)
-        by_rho = -2 * self.A * (rho - self.B) * slope
-        return float(signed * R), signed * by_rho * out / rho + by_point * R
+            R, slope = R_1**2 / (2 * R_1 - R), slope * (R_1 / (2 * R_1 - R)) ** 2
+        measure, by_x = self.base.measure(p[0])
+        gradient = measure * slope * out / rho + np.array([by_x * R, 0, 0])
+        length = np.linalg.norm(gradient)
+        return measure * R, gradient / length if length else np.array([1.0, 0.0, 0.0])
 
+    # Lines 10 to 13: GenerateRepAcc, GenerateAvoidanceTask
 
-class PlainQP(TaskQP):
-    """The optimum by least distance programming: one non-negative least-squares problem.
+    def _avoidance_task(self) -> None:
+        w, n_b, n, rep = self.w, self.n_b, self.n_mob, self.config.repulsion
+        links = slice(n, self.pairs)
+        base = np.hstack([self.base.J_m, np.zeros((n_b, self.n_m))])  # (19)
+        pushed = [self._pushed(i) for i in range(n)]
+        w.J_sca = np.vstack([base, w.J[links], *(J for J, _ in pushed)])  # (25)
+        xdd_r = rep.k_p - rep.k_v * w.d_dot[links]  # (20)
+        w.b_sca = np.concatenate([w.xdd_m, xdd_r - w.Jdqd[links], *(b for _, b in pushed)])  # (24)
+        w.B = np.concatenate([
+            np.full(n_b, w.beta_m) * (self.name == DBB),
+            w.beta[links] * (self.name in (DBB, REPULSIVE)),
+            np.repeat(w.beta[:n], 3) * (self.name == REPULSIVE),
+        ])  # fmt: skip  # (27)
+        w.activation = w.B.max()
 
-    Attributes:
-        limited: How many answers met a limit.
-    """
+    def _pushed(self, i: int) -> tuple[Array, Array]:
+        """T_rep of the compared method: the arm's closest point away from the base."""
+        w, joint, rep = self.w, self.rows[i].b.joint, self.config.repulsion
+        J = self._jacobian(joint, w.p_b[i])
+        J[:, : self.n_b] = 0.0
+        xdd = rep.k_p * w.normal[i] - rep.k_v * J @ w.qd
+        return J, xdd - self._bias(joint, w.p_b[i])
 
-    limited = 0
+    # Line 14: the tasks below
 
-    def solve(self, objective: Objective, limits: Limits, given: Array = NONE) -> Array:
-        k, (C, l, u, softness) = len(given), limits
-        if k:  # the same over the others
-            H, c = objective
-            rest = Objective(H[k:, k:], c[k:] + H[k:, :k] @ given)
-            there = C[:, :k] @ given
-            limits = Limits(C[:, k:], l - there, u - there, softness)
-            return np.concatenate([given, self.solve(rest, limits)])
-        H, c = objective
-        free = np.linalg.solve(H, -c)
-        if ((C @ free >= l) & (C @ free <= u)).all():
-            return free
-        self.limited += 1
-        L, inverse = np.linalg.cholesky(H), np.linalg.inv(H)
-        own = np.diag(C @ inverse @ C.T)
-        own = min(own[softness > 0.0].min(initial=np.inf), 1e9)
-        A = np.hstack([C @ np.linalg.inv(L).T, np.diag(np.sqrt(softness * own))[:, softness > 0.0]])
-        G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
-        length = np.linalg.norm(G, axis=1)
-        kept = np.isfinite(h)
-        G, h = (G / length[:, None])[kept], (h / length)[kept]
-        E = np.vstack([G.T, h / h.max()])
-        r = E @ nnls(E, np.eye(len(E))[-1])[0] - np.eye(len(E))[-1]
-        z = -h.max() * r[:-1] / r[-1]
-        return free + np.linalg.solve(L.T, z[: len(free)])
+    def _tasks(self, reference: Reference | None) -> None:
+        w, model, n_b = self.w, self.model, self.n_b
+        w.tracking = reference is not None
+        w.u_free = w.g[n_b:] - model.joint_damping * w.qd_m
+        last = w.u_free if np.isnan(w.u_a[0]) else w.u_a
+        at, most = (
+            np.clip(last, -model.tau_max, model.tau_max),
+            self.config.limit.torque_rate * self.dt,
+        )
+        w.u_min = np.maximum(at - most, -model.tau_max)
+        w.u_max = np.minimum(at + most, model.tau_max)
+        if reference is None:
+            self._guided()
+            w.H, w.c = w.H_low, w.c_low
+            return
+        self._posture()
+        pose, w.v_ref, w.a_ref = reference
+        w.x_ref = np.vstack([pose.rotation.T, pose.translation])
+        w.e_ee = np.append(pose.translation - w.p_ee, pin.log3(pose.rotation @ w.R_ee.T))
+        w.b_ee, w.lm_damping = self._end_effector(1.0)
+        w.H, w.c = self._tracking(1.0, w.lm_damping, self.config.task.ee_weight)
 
-    def change(self, objective: Objective, limits: Limits, given: Array) -> Array:
-        """The change of what is given, from the least with it and without limits."""
-        (H, c), (C, l, u, softness), k = objective, limits, len(given)
-        free = np.concatenate([given, np.linalg.solve(H[k:, k:], -c[k:] - H[k:, :k] @ given)])
-        beyond = Limits(C, l - C @ free, u - C @ free, softness)
-        return self.solve(Objective(H, np.zeros(len(c))), beyond)[:k]
+    def _guided(self) -> None:
+        """Min (u − u_0)ᵀ M_aa⁻¹ (u − u_0), with the reaction of the force in u_0."""
+        w, n_b = self.w, self.n_b
+        f = self.config.force.f_arm * (self.name == DBB)
+        share = np.clip(1 - w.d[: self.n_mob] / w.d_b, 0.0, 1.0)
+        u_0 = w.u_free + f * share @ w.J[: self.n_mob, n_b:]
+        w.H_low, w.c_low = w.M, np.append(np.zeros(n_b), w.h[n_b:] - u_0)
 
+    def _posture(self) -> None:
+        """½ ‖q̈_m − k (q_p − q) + d q̇ + z r s⁵‖² + ½ w_b ‖q̈_b + k_b q̇_b‖²."""
+        w, task, (low, high) = self.w, self.config.task, self.model.q_limits
+        half = (high - low) / 2
+        s = (w.q_m - (low + high) / 2) / half
+        weight = np.append(np.full(self.n_b, task.base_weight), np.ones(self.n_m))
+        arm = task.posture_stiffness * (w.q_posture - w.q_m) - task.posture_damping * w.qd_m
+        wanted = np.append(-task.base_damping * w.qd[: self.n_b], arm - task.centring * half * s**5)
+        w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
-def plain_rows(
-    objective: Objective, rows: Sequence[TaskRows], softness: float, given: int = 0
-) -> Objective:
-    """Springs with compliances (1 - β + ε)/β times J_i H⁻¹ J_iᵀ, over what is not given."""
-    H, c = objective
-    inverse, H, c = np.zeros_like(H), H.copy(), c.copy()
-    inverse[given:, given:] = np.linalg.inv(H[given:, given:])
-    for row in rows:
-        for J, b in zip(row.J, row.xdd - row.Jdqd, strict=True):
-            if row.beta > 0.0:
-                w = row.beta / ((1.0 - row.beta + softness) * (J @ inverse @ J))
-                H += w * np.outer(J, J)
-                c -= w * b * J
-    return Objective(H, c)
+    def _end_effector(self, slowness: float) -> tuple[Array, float]:
+        """(26): ẍ_d − J̇ q̇ + k_v ė + k_p e, k_p e within k_v times a speed; and λ."""
+        w, task = self.w, self.config.task
+        k_p, k_v = task.ee_stiffness / slowness**2, task.ee_damping / slowness
+        most = k_v * task.ee_speed
+        halves = [
+            k_p * e * min(1.0, most / max(k_p * np.linalg.norm(e), 1e-12))
+            for e in np.split(w.e_ee, 2)
+        ]
+        pull = np.concatenate(halves)
+        b = w.a_ref - w.Jdqd_ee + k_v * (w.v_ref - w.v_ee) + pull
+        return b, float(pull @ pull) / k_p**2
 
+    def _tracking(self, slowness: float, give: float, weight: float) -> tuple[Array, Array]:
+        """The posture and ½ w (‖J q̈ − b‖² + λ ‖q̈ + k_v q̇‖²), λ in the posture's metric."""
+        w, k_v = self.w, self.config.task.ee_damping / slowness
+        b, _ = self._end_effector(slowness)
+        H = w.H_low + weight * (give * w.H_low + w.J_ee.T @ w.J_ee)
+        return H, w.c_low + weight * (give * k_v * w.H_low @ w.qd - w.J_ee.T @ b)
 
-def plain_limits(
-    state: RobotState,
-    config: Config,
-    kept: Distances | None = None,
-    *,
-    arm: ArmNow | None = None,
-) -> Limits:
-    """Rows of torques, of joints, of barriers, as `robot_limits` says."""
-    M, h_a, m, model = state.M, state.h[2:], state.measurement, state.model
-    low, high = model.tau_limits if arm is None else arm.torque
-    limit, softness = config.limit, config.task.softness
-    rate = limit.position_rate
-    position = rate**2 * (model.q_limits - m.q_m) - 2 * rate * m.qd_m
-    velocity = limit.velocity_rate * (model.qd_limits - m.qd_m)
-    both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
-    lower, upper = np.sort(both, axis=0)
-    extra, inverse = np.zeros(model.n_m), np.linalg.inv(M[2:, 2:])
-    if arm is not None:  # no joint asks for more than its own torque gives, or takes back in time
-        extra, own = arm.pushed, np.diag(inverse) * (high - low) / 2
-        room = np.maximum((model.qd_limits - m.qd_m) * np.array([[-1.0], [1.0]]), 0.0)
-        slower, faster = np.sqrt(2.0 * np.diag(inverse) * limit.torque_rate * room)
+    def _with_rows(
+        self, H: Array, c: Array, rows: slice, b: Array, fixed: int = 0
+    ) -> tuple[Array, Array]:
+        """(29): springs of compliance (1 − β + ε)/β times J H⁻¹ Jᵀ."""
+        w, softness = self.w, self.config.task.softness
+        inverse = np.linalg.inv(H[fixed:, fixed:])
+        H, c = H.copy(), c.copy()
+        for J, b_i, beta in zip(w.J_sca[rows], b, w.B[rows], strict=True):
+            if beta > 0.0:
+                give = J[fixed:] @ inverse @ J[fixed:] + 1e-12  # as the core bounds it from below
+                stiffness = beta / ((1 - beta + softness) * give)
+                H, c = H + stiffness * np.outer(J, J), c - stiffness * b_i * J
+        return H, c
+
+    # Limits
+
+    def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
+        """Torques, joints, distances: "none", of L_m ("mobile"), "all", or with "buffers"."""
+        w, model, n_b = self.w, self.model, self.n_b
+        low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
+        pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
+        bounds = self._joint_bounds(slowness)
+        if for_arm:
+            bounds = self._reachable(*bounds, pushed)
+        unit = model.qd_max
+        rows = [k for k in self.convex if distances in ("all", "buffers") or self.rows[k].mobile]
+        rows = [] if distances == "none" else rows
+        least = np.array([self._barrier(k, slowness, distances == "buffers") for k in rows])
+        J = w.J[rows].reshape(-1, model.n)
+        arm = np.hstack([np.zeros((self.n_m, n_b)), np.diag(1 / unit)])
+        count = self.n_m + len(rows)
+        return Limits(
+            np.vstack([w.M[n_b:], arm, J]),
+            np.concatenate(
+                [low - w.h[n_b:], (bounds[0] - pushed) / unit, least - J[:, n_b:] @ pushed]
+            ),
+            np.concatenate(
+                [high - w.h[n_b:], (bounds[1] - pushed) / unit, np.full(len(rows), np.inf)]
+            ),
+            np.append(np.zeros(self.n_m), np.full(count, self.config.task.softness**2)),
+        )
+
+    def _joint_bounds(self, slowness: float) -> Array:
+        """Lower and upper bounds on q̈_m from positions and velocities."""
+        w, model, limit = self.w, self.model, self.config.limit
+        rate = limit.position_rate / slowness
+        speed_rate = limit.velocity_rate if slowness == 1.0 else rate
+        position = rate**2 * (model.q_limits - w.q_m) - 2 * rate * w.qd_m
+        velocity = speed_rate * (np.array([-model.qd_max, model.qd_max]) - w.qd_m)
+        return np.sort(
+            [np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])], axis=0
+        )
+
+    def _reachable(self, lower: Array, upper: Array, pushed: Array) -> Array:
+        """No more than a joint's own torque gives now, nor than it can take back in time."""
+        w, n_b, qd_max = self.w, self.n_b, self.model.qd_max
+        inverse = np.linalg.inv(w.M[n_b:, n_b:])
+        moved = np.diag(inverse)
+        room = np.maximum([w.qd_m + qd_max, qd_max - w.qd_m], 0.0)
+        slower, faster = np.sqrt(2 * moved * self.config.limit.torque_rate * room)
         lower, upper = (
             np.maximum(lower, np.minimum(-slower, upper)),
             np.minimum(upper, np.maximum(faster, lower)),
         )
-        there = inverse @ ((low + high) / 2 - M[2:, :2] @ arm.qdd_b - h_a) + extra
-        lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
-    n = model.n_m
-    most = model.qd_max  # joints' rows are in shares of it
-    J, least = np.zeros((0, n + 2)), NONE
-    if kept is not None:
-        J, keep = kept.J, config.barrier
-        h = np.maximum(kept.d, -keep.leaving / keep.rate)
-        least = -2 * keep.rate * kept.speed - keep.rate**2 * h - kept.Jdqd
-    C, least = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], J]), least - J[:, 2:] @ extra
-    return Limits(
-        C,
-        np.concatenate([low - h_a, (lower - extra) / most, least]),
-        np.concatenate([high - h_a, (upper - extra) / most, np.full(len(least), np.inf)]),
-        np.repeat([0.0, softness**2], [n, n + len(least)]),
-    )
+        acting = (
+            (w.u_min + w.u_max) / 2 - w.h[n_b:] - w.M[n_b:, :n_b] @ self.base.to_q @ w.a_base_meas
+        )
+        there, own = pushed + inverse @ acting, moved * (w.u_max - w.u_min) / 2
+        return np.array([np.minimum(lower, there + own), np.maximum(upper, there - own)])
 
+    def _barrier(self, k: int, slowness: float, buffers: bool) -> float:
+        """ḧ + 2 λ ḣ + λ² h >= 0 with h = d − d_min, which counts down to −v/λ."""
+        w, keep = self.w, self.config.barrier
+        rate, leaving = keep.rate / slowness, keep.leaving / slowness
+        d_min = w.d_b if buffers and not self.rows[k].mobile else keep.d_min
+        h = max(w.d[k] - d_min, -leaving / rate)
+        return -2 * rate * w.d_dot[k] - rate**2 * h - w.Jdqd[k]
 
-def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
-    """½ ‖q̈_m - k (q_p - q) + d q̇ + z s⁵‖² + ½ w_b ‖q̈_b + k q̇_b‖²."""
-    m, (lower, upper) = state.measurement, state.model.q_limits
-    out = (2.0 * m.q_m - lower - upper) / (upper - lower)
-    heavy = np.diag([config.base_weight] * 2 + [1.0] * state.model.n_m)
-    wanted = np.concatenate(
-        [
-            -config.base_damping * state.qd[:2],
-            config.posture_stiffness * (q_posture - m.q_m)
-            - config.posture_damping * m.qd_m
-            - config.centring * (upper - lower) / 2 * out**5,
-        ]
-    )
-    return Objective(heavy, -heavy @ wanted)
+    # Line 15: base, then arm
 
+    def _base(self) -> None:
+        w, n_b, task = self.w, self.n_b, self.config.task
+        w.a_base_free = -task.base_damping * w.base_velocity
+        found = True
+        if w.valid and (w.tracking or self.name == BARRIER):
+            qdd = self._free_motion()
+            found = qdd is not None
+            if qdd is None:
+                w.given_up += 1
+                w.B[:n_b] = 0.0
+            else:
+                w.a_base_free = self.base.J_m @ qdd[:n_b]
+        w.a_base_des = w.B[0] * w.xdd_m + (1 - w.B[0]) * w.a_base_free  # (29)
+        w.a_base_cmd = self._undragged() if w.B[0] > 0.0 else w.a_base_des
+        if w.valid and w.tracking and found:
+            self._make_room()
+        if w.valid:
+            w.a_base_cmd = np.clip(w.a_base_cmd, -self.base.a_max, self.base.a_max)
 
-def plain_tracking(posture: Objective, task: EqualityTask, weight: float) -> Objective:
-    """The posture and ½ w (‖J q̈ - b‖² + λ ‖q̈ + k_v q̇‖²), λ in its weights."""
-    J, b, give, drag = task
-    H = (1.0 + weight * give) * posture.H + weight * J.T @ J
-    return Objective(H, posture.c - weight * (b @ J - give * posture.H @ drag))
+    def _free_motion(self) -> Array | None:
+        """Base and arm together, at slow gains and without the base's rows."""
+        w, n_b, task, rep = self.w, self.n_b, self.config.task, self.config.repulsion
+        slow = task.base_slowness
+        if w.tracking:
+            H, c = self._tracking(slow, 0.0, task.ee_weight)
+        else:
+            M_a, inverse = w.M[n_b:], np.linalg.inv(w.M[n_b:, n_b:])
+            rest = np.diag(np.append(np.full(n_b, task.base_weight), np.zeros(self.n_m)))
+            H = M_a.T @ inverse @ M_a + rest
+            c = M_a.T @ inverse @ w.c_low[n_b:] + task.base_damping * rest @ w.qd
+        links = slice(self.n_mob, self.pairs)
+        b = rep.k_p / slow**2 - rep.k_v / slow * w.d_dot[links] - w.Jdqd[links]
+        H, c = self._with_rows(H, c, slice(n_b, n_b + len(b)), b)
+        limits = self._limits(1.0, "all" if self.name == BARRIER else "none")
+        own = np.hstack([self.base.J_m, np.zeros((n_b, self.n_m))])
+        both = (own, -self.base.a_max, self.base.a_max, np.zeros(n_b))
+        return solve_qp(
+            H, c, tuple(np.concatenate(each) for each in zip(limits, both, strict=True))
+        )
 
+    def _undragged(self) -> Array:
+        """Nearest to a_des, in the metric of the inertia, with a mass hung on a hand that drags."""
+        w, base, hold = self.w, self.base, self.config.holding
+        reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.speed
+        follows = reach @ reach.T
+        moved = w.J_ee[:3, : self.n_b] @ base.to_q
+        drag = np.linalg.inv(np.eye(3) + follows @ follows) @ moved * self._gain()
+        a_hold = w.a_base_free / self._gain() + self._drag() * w.base_velocity
+        wanted = np.clip(w.a_base_des, -base.a_max, base.a_max)
+        I, mass = np.diag(base.inertia), w.B[0] * hold.weight * base.mass
+        return np.linalg.solve(I + mass * drag.T @ drag, I @ wanted + mass * drag.T @ drag @ a_hold)
 
-def plain_ee_task(state: RobotState, error: EndEffectorError, config: TaskConfig) -> EqualityTask:
-    """k_v ė + k_p e beside ẍ_d - J̇ q̇, each half of k_p e no longer than is allowed."""
-    k_p, k_v = config.ee_stiffness, config.ee_damping
-    halves = np.split(k_p * error.pose, 2)
-    most = k_v * config.ee_speed
-    pull = np.concatenate([h / max(1.0, np.linalg.norm(h) / most) for h in halves])
-    b = error.acceleration + k_v * error.velocity + pull
-    return EqualityTask(state.J_ee, b, float(np.sum((pull / k_p) ** 2)), k_v * state.qd)
+    def _make_room(self) -> None:
+        """The least change with which the arm holds T_ee within its limits, seen ahead."""
+        w, n_b, task = self.w, self.n_b, self.config.task
+        slow = task.base_slowness
+        _, give = self._end_effector(slow)
+        H, c = self._tracking(slow, give, task.base_weight * task.ee_weight)
+        H, c = self._with_rows(H, c, slice(n_b), w.b_sca[:n_b])
+        response = self._gain() * (w.a_base_cmd - self._drag() * w.base_velocity)
+        fixed = self.base.to_q @ response
+        limits = self._limits(slow, "buffers" if self.name == DBB else "none")
+        qdd = change(H, c, limits, fixed)
+        if qdd is None:
+            w.given_up += 1
+            w.a_base_des = w.a_base_cmd = -task.base_damping * w.base_velocity
+        else:
+            w.a_base_cmd = w.a_base_cmd + self.base.J_m @ (qdd[:n_b] - fixed) / self._gain()
 
+    def _arm(self) -> None:
+        w, n_b = self.w, self.n_b
+        w.qdd, w.solved = np.full(self.model.n, np.nan), False
+        if w.valid:
+            rows = slice(n_b, None)
+            H, c = self._with_rows(w.H, w.c, rows, w.b_sca[rows], n_b)
+            kept = {DBB: "mobile", BARRIER: "all"}.get(self.name, "none")
+            w.C, w.l, w.u, w.slack_weight = limits = self._limits(1.0, kept, for_arm=True)
+            w.n_limits = len(w.l)
+            qdd = solve_qp(H, c, limits, self.base.to_q @ w.a_base_meas)
+            if qdd is not None:
+                w.qdd, w.solved = qdd, True
+        u = w.M[n_b:] @ w.qdd + w.h[n_b:] if w.solved else w.u_free  # (26)
+        if not w.solved:
+            w.failures += 1
+            w.a_base_cmd = -self.config.task.base_damping * w.base_velocity
+        w.u_cmd = np.clip(u, w.u_min, w.u_max)
+        if not np.isnan(w.q_posture[0]):
+            w.u_a = w.u_cmd
 
-def plain_torque_range(last: Array, most: Array, change: float) -> Array:
-    at = np.clip(last, -most, most)
-    return np.array([np.maximum(at - change, -most), np.minimum(at + change, most)])
+    # §4.1: the admittance law
 
+    def _drag(self) -> Array:
+        law = self.config.admittance
+        return self.base.by_axis(law.damping / law.mass, law.angular_damping / law.inertia)
 
-def plain_carried(state: RobotState, speed: float) -> Array:
-    J = state.J_ee[:3, 2:] @ np.diag(state.model.qd_max)
-    follows = J @ J.T / speed**2
-    return (
-        np.linalg.inv(np.eye(3) + follows @ follows)
-        @ state.J_ee[:3, :2]
-        @ np.linalg.inv(state.model.J_m)
-    )
+    def _gain(self) -> Array:
+        """(1 − e^−x)/x over a command period: the law's mean response to an acceleration."""
+        x = self._drag() * self.config.admittance.period
+        return np.where(x > 1e-12, -np.expm1(-x) / np.maximum(x, 1e-12), 1.0)
 
-
-def plain_controller(
-    model: RobotModel, data: BorderData, config: Config, monkeypatch: pytest.MonkeyPatch
-) -> Controller:
-    """A controller of these parts, as long as the patch lasts."""
-    monkeypatch.setattr(controller_module, "RobotState", PlainState)
-    monkeypatch.setattr(controller_module, "TaskQP", PlainQP)
-    plain = Controller(model, data, config)
-    surface = PlainSurface(OffsetContours(model, config.border.d_b))
-    for pair in data.pairs.mobile:
-        field = PlainField(**vars(ScoreField.of(model, pair.b)))
-        plain._avoidance._finders[pair.name] = ActingPointFinder(surface, field)
-    return plain
-
-
-def use_plain_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a plain controller steps: its rows, limits and objectives."""
-    for name, part in (
-        ("insert_rows", plain_rows),
-        ("robot_limits", plain_limits),
-        ("posture_objective", plain_posture),
-        ("end_effector_task", plain_ee_task),
-        ("torque_range", plain_torque_range),
-        ("tracking_objective", plain_tracking),
-        ("carried", plain_carried),
-    ):
-        monkeypatch.setattr(controller_module, name, part)
+    def _command(self) -> None:
+        w, base, law = self.w, self.base, self.config.admittance
+        w.a_sum, w.t_sum = w.a_sum + w.a_base_cmd * self.dt, w.t_sum + self.dt
+        w.command_due = w.t_sum >= law.period - self.dt / 2
+        if not w.command_due:
+            return
+        T, largest = w.t_sum, np.minimum(base.v_max, base.by_axis(law.v_max, law.omega_max))
+        decay = np.exp(-self._drag() * T)  # v̇ = a − (D/M) v over T
+        rest = w.a_sum / T / self._drag()
+        step = np.clip((1 - decay) * (rest - w.v_cmd), -base.a_max * T, base.a_max * T)
+        w.v_before, v = w.v_cmd, np.clip(w.v_cmd + step, -largest, largest)
+        v = base.admissible(v, w.v_before)
+        w.v_cmd = v / max(1.0, np.max(np.abs(v) / largest))
+        w.a_sum, w.t_sum = np.zeros(self.n_b), 0.0

@@ -1,7 +1,9 @@
-"""Nothing is changed for speed: the control step agrees with one of straightforward parts."""
+"""The control step agrees with a second, plain implementation, quantity by quantity."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,94 +12,237 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.control.controller import Controller, ControlOutput
+from app.control import CONTROLLERS
+from app.control.controller import Controller
+from app.control.quantities import QUANTITIES, ControlStep
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
+from app.robot.shapes import Box
 from app.robot.state import Measurement
-from tests.oracle import PlainState, plain_controller, use_plain_parts
+from tests.bases import KINDS, robot_on
+from tests.oracle import Oracle
+from tests.robots import with_mobile_shapes
 
-STATES = 600
+Array = np.ndarray
+
+STEPS, DT = 200, 0.004  # [s]
+NOISE = 1e-5  # [rad] of the measured positions
+GAP = 120
+"""The step whose reading is not a number."""
+RECONFIGURED = 40
+"""The step from which the buffer is wider: the buffer distance in force follows."""
 AGREES = 1e-6
-"""Relative to the largest entry, or to 1 N m or 1 m/s² if that is more."""
-AGREES_LIMITED = 1e-4
-"""The same where a limit is met."""
+"""Of the largest entry that the quantity has along the path."""
+STILL = 1e-3
+"""[m/s, m/s²] of the base that count as much as one that moves: at rest all is rounding."""
+
+NOT_COMPARED = {"q_pin", "v_pin"} | {q.name for q in QUANTITIES if q.name.startswith("qp_")}
+"""Pinocchio's own coordinates, and the rescue of a QP."""
+TRACKING_ONLY = {"x_ref", "v_ref", "a_ref", "e_ee", "b_ee", "lm_damping"}
+ACTIVE_ONLY = {"tangent", "alpha"}
+OF_BASE = {"a_base_free", "a_base_des", "a_base_cmd", "a_base_meas", "a_sum", "v_cmd", "v_before"}
+LIMITS = {"C", "l", "u", "slack_weight"}
+
+DECK = Box(type="box", size_m=(0.99, 0.69, 0.3803), xyz_m=(0.0, 0.0, 0.0579))
+WALL = Box(type="box", size_m=(0.30, 0.10, 0.50), xyz_m=(0.30, 0.30, 0.50))
+PARTS = "of two parts"
 
 
-class Moment(NamedTuple):
-    """What a control step is given."""
+class Path(NamedTuple):
+    """Which controller goes which way."""
 
-    measurement: Measurement
-    reference: Reference | None
-    base_acceleration: np.ndarray
+    controller: str
+    base: str
+    way: str
+    """"beside": tracked, from the side into the buffer and out again; "folded": tracked, with the
+    end-effector towards the arm's first link; "pulled": guided from the side, by a person."""
 
 
-def moments(robot: RobotModel, data: BorderData, count: int, seed: int) -> list[Moment]:
-    """Random states in which nothing is met yet, every second one near the base."""
-    rng = np.random.default_rng(seed)
-    finder = Controller(robot, data, Config())
-    found: list[Moment] = []
-    while len(found) < count:
-        q_m = rng.uniform(robot.q_lower, robot.q_upper)
-        measurement = Measurement(
-            rng.normal(size=3), rng.uniform(-0.5, 0.5, 2), q_m, 0.2 * rng.normal(size=robot.n_m)
-        )
-        finder.state.update(measurement)
-        least = min(c.d for c in finder._avoidance._monitor.find_closest_points())
-        if least < 0.01 or (len(found) % 2 and least > 0.2):
-            continue
-        reference = None
-        if rng.random() < 0.5:
-            at = finder.state.T_world_ee
-            pose = pin.SE3(
-                at.rotation @ pin.exp3(0.01 * rng.normal(size=3)),
-                at.translation + 0.005 * rng.normal(size=3),
+PATHS = [
+    *(Path(name, "differential", way) for name in CONTROLLERS for way in ("beside", "pulled")),
+    *(Path(name, "differential", "folded") for name in ("dbb", "repulsive")),
+    *(Path("dbb", base, way) for base in (*KINDS[1:], PARTS) for way in ("beside", "pulled")),
+    Path("barrier", PARTS, "beside"),
+]
+
+
+@cache
+def robot_of(base: str) -> RobotModel:
+    """The paper's arm on a base of that kind, or with a deck and a wall as l_m."""
+    return with_mobile_shapes((DECK, WALL)) if base == PARTS else robot_on(base)
+
+
+class Plant:
+    """A rigid robot whose base follows commands by its own drive, and a person who pulls."""
+
+    def __init__(self, robot: RobotModel, way: str) -> None:
+        self._robot, self._base, self._data = robot, robot.description.base, robot.pin.createData()
+        self._rng, self._follow = np.random.default_rng(0), self._base.follower(DT)
+        self.pose, self.v, self.drive = np.zeros(3), np.zeros(robot.n_b), self._base.drive_at_rest()
+        self.v_cmd = np.zeros(robot.n_b)
+        self.q = np.array(robot.description.arm.ready_position)
+        if way != "folded":
+            self.q = self._beside()
+        J = self.jacobian()[:3]
+        self.qd = np.linalg.pinv(J) @ [0.0, -0.3 if way == "pulled" else 0.0, 0.0]
+        self.qd += 0.02 * self._rng.normal(size=robot.n_m)
+
+    def _beside(self) -> Array:
+        """Joint positions with the end-effector pointing down beside the base."""
+        goal = pin.SE3(pin.utils.rotate("x", np.pi), np.array([0.30, 0.60, 0.30]))
+        for _ in range(200):
+            at = self.place()
+            e = np.append(
+                goal.translation - at.translation, pin.log3(goal.rotation @ at.rotation.T)
             )
-            reference = Reference(pose, 0.1 * rng.normal(size=6), 0.1 * rng.normal(size=6))
-        found.append(Moment(measurement, reference, rng.uniform(-0.3, 0.3, 2)))
+            J = self.jacobian()
+            step = J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(6), e)
+            self.q = np.clip(
+                self.q + 0.3 * step, self._robot.q_lower + 0.1, self._robot.q_upper - 0.1
+            )
+        return self.q
+
+    def place(self) -> pin.SE3:
+        """T_world_ee."""
+        q = self._robot.configuration(self.pose, self.q)
+        pin.computeJointJacobians(self._robot.pin, self._data, q)
+        return pin.updateFramePlacement(self._robot.pin, self._data, self._robot.ee_frame).copy()
+
+    def jacobian(self) -> Array:
+        """(6, n_m) of the end-effector."""
+        self.place()
+        axes = pin.LOCAL_WORLD_ALIGNED
+        robot = self._robot
+        return pin.getFrameJacobian(robot.pin, self._data, robot.ee_frame, axes)[:, 3:]
+
+    def measure(self) -> Measurement:
+        """Noisy readings."""
+        q = self.q + NOISE * self._rng.normal(size=len(self.q))
+        qd = self.qd + 100 * NOISE * self._rng.normal(size=len(self.q))
+        return Measurement(self.pose.copy(), self.v.copy(), q, qd, self.drive.copy())
+
+    def acceleration(self) -> Array:
+        """(n_b,) that the drive has now."""
+        return self._base.drive_acceleration(self.v, self.drive, self.v_cmd)
+
+    def move(self, u: Array, v_cmd: Array, force: Array) -> None:
+        """One period with torques u and a force (3,) [N] on the end-effector."""
+        model, n_b = self._robot, self._robot.n_b
+        q = model.configuration(self.pose, self.q)
+        twist = self._base.T @ self.v
+        a = self._base.T @ self.acceleration()
+        v = np.append(twist, self.qd)
+        M = pin.crba(model.pin, self._data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        h = pin.nonLinearEffects(model.pin, self._data, q, v)
+        pull = self.jacobian()[:3].T @ force
+        self.qd = self.qd + DT * np.linalg.solve(M[3:, 3:], u + pull - h[3:] - M[3:, :3] @ a)
+        self.q, self.v_cmd = self.q + DT * self.qd, v_cmd.copy()
+        v_b, self.drive = self._follow(self.v.tolist(), self.drive, v_cmd.tolist())
+        cos, sin = np.cos(self.pose[2]), np.sin(self.pose[2])
+        self.pose = self.pose + DT * np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ twist
+        self.v = np.array(v_b)
+        assert len(self.v) == n_b
+
+
+def reference_at(t: float, start: pin.SE3, way: str) -> Reference | None:
+    """In and out along a direction within the path's time, or None on a guided path."""
+    if way == "pulled":
+        return None
+    along = np.array([0.0, -0.12, 0.0] if way == "beside" else [-0.08, 0.0, -0.03])
+    w = 2 * np.pi / (STEPS * DT)
+    share, speed, change = (1 - np.cos(w * t)) / 2, w * np.sin(w * t) / 2, w**2 * np.cos(w * t) / 2
+    pose = pin.SE3(
+        start.rotation @ pin.exp3(0.1 * share * np.ones(3)), start.translation + share * along
+    )
+    still = np.zeros(3)
+    return Reference(pose, np.append(speed * along, still), np.append(change * along, still))
+
+
+def along(
+    path: Path, data: BorderData, steps: int = STEPS
+) -> Iterator[tuple[ControlStep, dict[str, Array]]]:
+    """Both answers at each step of a path; the robot follows the commands of the controller."""
+    robot, config = robot_of(path.base), Config()
+    controller = Controller(robot, data, config, name=path.controller, dt=DT)
+    oracle = Oracle(robot, data, config, path.controller, DT)
+    plant = Plant(robot, path.way)
+    start = plant.place()
+    for k in range(steps):
+        if k == RECONFIGURED:
+            for each in (controller, oracle):
+                each.configure(config.replace("border.d_b", 0.17))
+        m = plant.measure()
+        if k == GAP:
+            m = m._replace(qd_m=m.qd_m * np.nan)
+        given = m, reference_at(k * DT, start, path.way)
+        a = plant.acceleration() if k % 50 < 25 else None
+        step = controller.step(*given, base_acceleration=a)
+        yield step, oracle.step(*given, base_acceleration=a)
+        force = np.array([0.0, -20.0 if k < STEPS / 2 else 40.0, 0.0]) * (path.way == "pulled")
+        plant.move(step.u_cmd, step.v_cmd, force)
+
+
+def comparable(name: str, step: ControlStep, plain: dict[str, Array]) -> tuple[Array, Array]:
+    """A quantity of both, as far as this step computes it."""
+    ours, theirs = np.atleast_1d(getattr(step, name)), np.atleast_1d(plain[name])
+    if name in LIMITS:
+        ours = ours[: len(theirs)]
+    if name in ("J_sca", "b_sca"):  # rows of T_rep, only where they are active
+        there = plain["B"] > 0.0
+        there[: -3 * step.n_mob] = True
+        return ours[there], theirs[there]
+    if name in ACTIVE_ONLY:
+        there = plain["beta"][: step.n_mob] > 0.0
+        return ours[there], theirs[there]
+    return ours, theirs
+
+
+def differences(step: ControlStep, plain: dict[str, Array]) -> dict[str, tuple[float, float]]:
+    """Of each quantity the largest difference, infinite where only one is NaN, and its size."""
+    found = {}
+    for name in (q.name for q in QUANTITIES if q.name not in NOT_COMPARED):
+        if name in TRACKING_ONLY and not plain["tracking"]:
+            continue
+        ours, theirs = comparable(name, step, plain)
+        differ = (ours != theirs) & ~(np.isnan(ours) & np.isnan(theirs))
+        away = np.abs(ours[differ] - theirs[differ]).max(initial=0.0)
+        size = np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0)
+        found[name] = float(away if np.isfinite(away) else np.inf), float(size)
     return found
 
 
-def answers(controller: Controller, given: list[Moment]) -> list[ControlOutput]:
-    """Each moment's answer."""
-    outputs = []
-    for measurement, reference, base_acceleration in given:
-        controller.reset()
-        outputs.append(controller.step(measurement, reference, base_acceleration=base_acceleration))
-    return outputs
+def first_disagreements(
+    steps: list[dict[str, tuple[float, float]]],
+) -> dict[str, tuple[int, float]]:
+    """The quantities that differ, with the first step and the largest share of the scale."""
+    found = {}
+    for name in dict.fromkeys(name for step in steps for name in step):
+        away, size = np.array([step.get(name, (0.0, 0.0)) for step in steps]).T
+        share = away / max(size.max() or 1.0, STILL if name in OF_BASE else 0.0)
+        if share.max() >= AGREES:
+            found[name] = int(np.argmax(share >= AGREES)), float(share.max())
+    return found
 
 
-def met_a_limit(output: ControlOutput) -> bool:
-    """Whether the arm's part met one of its limits."""
-    assert output.workings is not None
-    limits = output.workings.limits
-    reached = limits.C @ output.workings.qdd
-    return bool(((reached < limits.l + 1e-6) | (reached > limits.u - 1e-6)).any())
+@pytest.mark.parametrize("path", PATHS, ids=["-".join(path).replace(" ", "_") for path in PATHS])
+def test_every_quantity_agrees_along_a_path(path: Path, border_data: BorderData) -> None:
+    steps, rows, failures = [], [], 0.0
+    for step, plain in along(path, border_data):
+        steps.append(differences(step, plain))
+        rows.append(np.append(plain["B"], plain["beta"]) > 0.0)
+        failures = float(plain["failures"])
+    assert first_disagreements(steps) == {}
+    changes = np.diff(np.array(rows).astype(int), axis=0)
+    assert (changes > 0).any(), "no pair enters its buffer"
+    assert (changes < 0).any(), "no pair leaves its buffer"
+    assert failures == 1.0  # the reading that is not a number
 
 
-@pytest.mark.slow
-def test_random_states_are_answered_alike(
-    robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = moments(robot, border_data, STATES, seed=0)
-    fast = answers(Controller(robot, border_data, Config()), given)
-    oracle = plain_controller(robot, border_data, Config(), monkeypatch)
-    assert isinstance(oracle.state, PlainState)
-    use_plain_parts(monkeypatch)
-    plain = answers(oracle, given)
-    kinds = dict.fromkeys(("active", "several rows", "tracking", "free", "limited"), 0)
-    for a, b in zip(fast, plain, strict=True):
-        assert a.solved
-        assert b.solved
-        limited = met_a_limit(b)
-        kinds["active"] += a.avoidance.beta_m > 0
-        kinds["several rows"] += len(a.inserted.rows) > 1
-        kinds["tracking"] += a.tracking
-        kinds["limited" if limited else "free"] += 1
-        agree(a.avoidance.xdd_m, b.avoidance.xdd_m)
-        agree(a.base_acceleration, b.base_acceleration, AGREES_LIMITED)
-        agree(a.u_a, b.u_a, AGREES_LIMITED if limited else AGREES)
-    assert min(kinds.values()) > STATES / 50, kinds
-
-
-def agree(a: np.ndarray, b: np.ndarray, share: float = AGREES) -> None:
-    np.testing.assert_allclose(a, b, rtol=0.0, atol=share * max(1.0, float(np.abs(b).max())))
+def test_the_paths_compare_each_quantity_of_the_table(border_data: BorderData) -> None:
+    """A quantity added to the table must be compared, and the oracle computes no others."""
+    path = Path("dbb", "differential", "beside")
+    step, plain = next(along(path, border_data, steps=1))
+    named = {q.name for q in QUANTITIES} - NOT_COMPARED
+    assert set(plain) == named
+    assert set(differences(step, plain)) == named

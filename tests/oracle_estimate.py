@@ -1,0 +1,78 @@
+"""The arm's estimate for the oracle: Kalman filters with their matrices written out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.config import EstimateConfig
+from app.robot.state import Measurement
+
+Array = np.ndarray
+
+FEWEST = 8  # samples of the noise before the filter begins
+FARTHEST = 10.0  # [-] of the way at a joint's top speed
+
+
+class Estimate:
+    """Position, velocity and external acceleration of each joint, and the noise of its readings."""
+
+    def __init__(self, qd_max: Array, n_b: int, dt: float) -> None:
+        n_m = len(qd_max)
+        self._qd_max, self._dt = qd_max, dt
+        self.x, self.P, self.variances = (
+            np.zeros((3, n_m)),
+            np.zeros((n_m, 3, 3)),
+            np.zeros((2, n_m)),
+        )
+        self.last, self.samples, self.v_last = np.zeros((3, n_m)), 0, np.full(n_b, np.nan)
+
+    def gap(self) -> None:
+        """No reading in this step."""
+        self.v_last = np.full_like(self.v_last, np.nan)
+
+    def update(self, m: Measurement, known: Array, config: EstimateConfig) -> None:
+        """One reading; `known` (n_m,) is the acceleration by torques and base, or NaN."""
+        q, qd, dt = m.q_m, m.qd_m, self._dt
+        way = np.abs(q - self.x[0] - dt * self.x[1])
+        continued = np.isfinite(known[0]) and (way <= FARTHEST * dt * self._qd_max).all()
+        if continued:
+            self._learn(q, qd, known, config.window)
+        else:
+            self.last = np.array([q - dt * qd, q, np.full_like(q, np.nan)])
+        least, ratio = config.least_noise, config.velocity_noise
+        of_q, of_qd = self.variances
+        noise = np.maximum(of_q, least**2)
+        noise = np.array(
+            [noise, np.max([of_qd, ratio**2 * of_q, np.full_like(q, (least / dt) ** 2)], axis=0)]
+        )
+        if continued and self.samples >= FEWEST:
+            self._filter(q, qd, known, noise, config.push_change)
+        else:
+            self.x = np.array([q, qd, self.x[2]])
+            drift = np.full_like(q, config.push_change**2)
+            self.P = np.array([np.diag(each) for each in np.array([*noise, drift]).T])
+        self.v_last = m.base_velocity.copy()
+
+    def _learn(self, q: Array, qd: Array, known: Array, window: float) -> None:
+        """Noise of positions from third differences, of velocities from the way between two."""
+        before, now, unknown_before = self.last
+        unknown = q - 2 * now + before - self._dt**2 * known
+        of_q, of_qd = (unknown - unknown_before) ** 2 / 20, (qd - (q - now) / self._dt) ** 2
+        counted = np.isfinite(of_q)
+        self.samples += int(counted[0])
+        share = max(1 / max(self.samples, 1), -np.expm1(-self._dt / window))
+        self.variances[1] += share * (of_qd - self.variances[1])
+        self.variances[0, counted] += share * (of_q - self.variances[0])[counted]
+        self.last = np.array([now, q, unknown])
+
+    def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: float) -> None:
+        """Predict over dt, then correct by the position, then by the velocity."""
+        dt = self._dt
+        F, G = np.array([[1, dt, dt**2], [0, 1, dt], [0, 0, 1]]), np.array([dt**2, dt, 0])
+        for i in range(len(q)):
+            x = F @ self.x[:, i] + G * known[i]
+            P = F @ self.P[i] @ F.T + np.diag([0, 0, drift**2 * dt])
+            for k, reading in enumerate((q[i], qd[i])):
+                gain = P[:, k] / (P[k, k] + noise[k, i])
+                x, P = x + gain * (reading - x[k]), P - np.outer(gain, P[k])
+            self.x[:, i], self.P[i] = x, P
