@@ -76,14 +76,15 @@ def test_csv_and_parquet_hold_the_same_numbers_and_those_of_the_steps(taken, raw
         for i in range(7):
             assert raw[f"q_panda_joint{i + 1}_rad"][k] == step.truth.q_m[i]
             assert raw[f"qd_panda_joint{i + 1}_radps"][k] == step.truth.qd_m[i]
-            assert raw[f"u_panda_joint{i + 1}_nm"][k] == step.output.u_a[i]
+            assert raw[f"u_panda_joint{i + 1}_nm"][k] == step.control.u_cmd[i]
         pose = [raw[name][k] for name in ("base_x_m", "base_y_m", "base_yaw_rad")]
         assert pose == step.truth.base_pose.tolist()
         asked = [raw["base_a_mps2"][k], raw["base_aw_radps2"][k]]
-        assert asked == step.output.base_acceleration.tolist()
-        for pair, d in zip(step.output.avoidance.pairs, step.distances, strict=True):
-            assert raw[f"d_{pair.closest.pair.name}_m"][k] == d
-            assert raw[f"beta_{pair.closest.pair.name}"][k] == pair.beta
+        assert asked == step.control.a_base_cmd.tolist()
+        w = step.control
+        for pair, d, beta in zip(w.pairs, step.distances, w.beta, strict=True):
+            assert raw[f"d_{pair.name}_m"][k] == d
+            assert raw[f"beta_{pair.name}"][k] == beta
 
 
 def jump(values: np.ndarray) -> float:
