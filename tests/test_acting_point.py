@@ -138,8 +138,8 @@ def test_step_size_is_proportional_to_d_over_score_within_its_bounds() -> None:
     force = ForceConfig(alpha_gain=0.001, alpha_min=0.0)
     assert alpha(0.1, 1.0, force) == pytest.approx(0.0001, rel=0.002)
     assert alpha(0.1, -1.0, force) == alpha(0.1, 1.0, force)
-    assert alpha(0.05, 1.0, force) == pytest.approx(step_size(0.1, 1.0, force) / 2)
-    assert alpha(0.1, 2.0, force) == pytest.approx(step_size(0.1, 1.0, force) / 2, rel=0.002)
+    assert alpha(0.05, 1.0, force) == pytest.approx(alpha(0.1, 1.0, force) / 2)
+    assert alpha(0.1, 2.0, force) == pytest.approx(alpha(0.1, 1.0, force) / 2, rel=0.002)
     assert alpha(1.0, 0.0, force) == force.alpha_max
     for d, score in ((0.1, 1e9), (-0.1, 0.002)):
         assert alpha(d, score, FORCE) == FORCE.alpha_min

@@ -24,6 +24,7 @@ from app.simulation.trace.log_file import write_trace
 from app.simulation.trace.metrics import NEAR, metrics, sign_changes
 from app.simulation.trace.snapshot import QUANTITIES
 from app.simulation.trace.trace import Recorder, Trace
+from tests.steps import kept
 
 ARM = ("l1-lEE", "l1-l3", "l2-lEE")
 MOBILE = ("lm-lEE", "lm-l3")
@@ -45,7 +46,7 @@ def taken(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]
         if k in put_in:
             step = step._replace(contacts=Contacts(*map(bool, put_in[k])))
         recorder.add(session, step)
-        steps.append(step)
+        steps.append(kept(step))
     return recorder.trace(), steps
 
 

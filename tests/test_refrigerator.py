@@ -28,6 +28,7 @@ from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
 from app.simulation.trace.trace import Recorder
 from tests.robots import husky_panda
+from tests.steps import kept
 
 Array = np.ndarray
 
@@ -433,7 +434,7 @@ def whole_run(
         step = session.step(*leader(session))
         recorder.add(session, step)
         if k % 100 == 0:
-            trace.append(step)
+            trace.append(kept(step))
         if ends(step):
             break
     session.close()
