@@ -24,7 +24,7 @@ class TimedSession(Session):
         """Advance by one control step."""
         begin = perf_counter()
         step = super().step(*args, **options)
-        duration, beta = perf_counter() - begin, step.output.avoidance.beta_m
+        duration, beta = perf_counter() - begin, float(step.control.beta_m)
         self._file.write(struct.pack("4d", begin, duration, step.duration, beta))
         return step
 

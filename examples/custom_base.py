@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from app import Config, RobotModel, load_border_data, load_robot
-from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind
+from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind, Measure
 from app.robot.description import register_base_kind
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
@@ -24,10 +24,7 @@ class RailBase(BaseKind):
     max_velocity = property(lambda self: (self.max_linear_velocity_mps,))
     max_acceleration = property(lambda self: (self.max_linear_acceleration_mps2,))
     yaw_limit_nm = property(lambda self: 1e4)  # [N m] the rail holds it
-
-    def singularity(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The measure at points (…, 3), and its gradient."""
-        return np.ones(p.shape[:-1]), np.zeros(p.shape)
+    measure = property(lambda self: Measure(1.0, 0.0))  # it moves every point equally well
 
     def acceleration(self, force: BaseForce) -> np.ndarray:
         """What moves it is the force along the rail."""

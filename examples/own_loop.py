@@ -29,9 +29,10 @@ def main(duration: float = 2.0) -> float:
         command = loop.step(measured)  # a Reference as second argument makes the hand track it
         robot.step(command.u_a, command.base_velocity, hand_force=PULL)
         if k % 500 == 0:
-            near = min(command.output.avoidance.mobile, key=lambda pair: pair.closest.d)
+            w = command.step
+            i = int(w.d[: w.n_mob].argmin())
             print(
-                f"{k * DT:.1f} s: {near.closest.pair.name} {near.closest.d:.3f} m apart, "
+                f"{k * DT:.1f} s: {w.pairs[i].name} {w.d[i]:.3f} m apart, "
                 f"base at x = {measured.base_pose[0]:.3f} m"
             )
     return float(robot.measure().base_pose[0])

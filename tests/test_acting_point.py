@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from app.avoidance.mobile_acceleration import ActingPointFinder, step_size, tangential_step
+from app.avoidance.acting_point import ActingPointFinder, step_size, tangential_step
 from app.border.dbb import Border
-from app.border.nearest import BorderPoints
+from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
 from app.config import ForceConfig
@@ -43,10 +43,13 @@ def dense_border(offset: OffsetContours, step: float = 0.002) -> Border:
 def finder(
     request: pytest.FixtureRequest, offset: OffsetContours, field: ScoreField
 ) -> ActingPointFinder:
-    points = request.param == "points"
-    return ActingPointFinder(
-        BorderPoints(dense_border(offset), offset) if points else offset, field
-    )
+    borders = [dense_border(offset)] if request.param == "points" else []
+    return ActingPointFinder(BorderSearch(offset, borders), field)
+
+
+def alpha(d: float, score: float, force: ForceConfig) -> float:
+    """[m] (13) with the parameters of a force."""
+    return step_size(d, score, force.alpha_gain, force.alpha_min, force.alpha_max)
 
 
 def on_side(x: float, side: float, d: float, z: float = 0.2) -> np.ndarray:
@@ -92,7 +95,7 @@ def test_a_height_without_points_falls_back_to_the_exact_offset(
     offset: OffsetContours, field: ScoreField
 ) -> None:
     empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)), np.zeros(0))
-    finder = ActingPointFinder(BorderPoints(empty, offset), field)
+    finder = ActingPointFinder(BorderSearch(offset, [empty]), field)
     acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05), 0.05, FORCE)
     assert acting is not None
     assert acting.p_n[1] == pytest.approx(0.345 + D_B, abs=1e-4)
@@ -133,22 +136,22 @@ def test_the_tangent_is_a_horizontal_unit_vector_square_to_the_line_to_the_hand(
 
 def test_step_size_is_proportional_to_d_over_score_within_its_bounds() -> None:
     force = ForceConfig(alpha_gain=0.001, alpha_min=0.0)
-    assert step_size(0.1, 1.0, force) == pytest.approx(0.0001, rel=0.002)
-    assert step_size(0.1, -1.0, force) == step_size(0.1, 1.0, force)
-    assert step_size(0.05, 1.0, force) == pytest.approx(step_size(0.1, 1.0, force) / 2)
-    assert step_size(0.1, 2.0, force) == pytest.approx(step_size(0.1, 1.0, force) / 2, rel=0.002)
-    assert step_size(1.0, 0.0, force) == force.alpha_max
+    assert alpha(0.1, 1.0, force) == pytest.approx(0.0001, rel=0.002)
+    assert alpha(0.1, -1.0, force) == alpha(0.1, 1.0, force)
+    assert alpha(0.05, 1.0, force) == pytest.approx(alpha(0.1, 1.0, force) / 2)
+    assert alpha(0.1, 2.0, force) == pytest.approx(alpha(0.1, 1.0, force) / 2, rel=0.002)
+    assert alpha(1.0, 0.0, force) == force.alpha_max
     for d, score in ((0.1, 1e9), (-0.1, 0.002)):
-        assert step_size(d, score, FORCE) == FORCE.alpha_min
+        assert alpha(d, score, FORCE) == FORCE.alpha_min
 
 
 def test_step_size_never_changes_faster_than_twice_the_distance() -> None:
     """On the wheel axis d / |S| is 0/0: it would race from bound to bound."""
     d = np.linspace(-0.01, D_B, 161)
     for score in (0.0, 1e-6, 1e-4, 1e-3, 1e-2):
-        alpha = [step_size(each, score, FORCE) for each in d]
-        assert np.abs(np.diff(alpha)).max() <= 2.0 * (d[1] - d[0]) * (1 + 1e-9)
-    assert step_size(0.1, 0.0, ForceConfig(alpha_gain=0.0)) == FORCE.alpha_min
+        steps = [alpha(each, score, FORCE) for each in d]
+        assert np.abs(np.diff(steps)).max() <= 2.0 * (d[1] - d[0]) * (1 + 1e-9)
+    assert alpha(0.1, 0.0, ForceConfig(alpha_gain=0.0)) == FORCE.alpha_min
 
 
 def test_the_step_is_the_gradients_share_along_the_tangent() -> None:

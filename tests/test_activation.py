@@ -25,5 +25,5 @@ def test_beta_is_flat_at_both_ends_and_never_rises_with_the_distance() -> None:
 
 
 def test_beta_m_is_the_largest_of_its_pairs() -> None:
-    assert mobile_activation([0.1, 0.7, 0.3]) == 0.7
-    assert mobile_activation([]) == 0.0
+    assert mobile_activation(np.array([0.1, 0.7, 0.3])) == 0.7
+    assert mobile_activation(np.zeros(0)) == 0.0

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from app.config import AdmittanceConfig
-from app.control.admittance import AdmittanceLaw
 from app.robot.model import RobotModel
+from tests.admittance import RunningAdmittance
 
 DT = 0.001  # [s]
 
 
-def law(robot: RobotModel, **changes: float) -> AdmittanceLaw:
-    return AdmittanceLaw(robot.description.base, AdmittanceConfig(**changes))
+def law(robot: RobotModel, **changes: float) -> RunningAdmittance:
+    return RunningAdmittance(robot.description.base, AdmittanceConfig(**changes))
 
 
-def after(admittance: AdmittanceLaw, acceleration: list[float], seconds: float) -> np.ndarray:
+def after(admittance: RunningAdmittance, acceleration: list[float], seconds: float) -> np.ndarray:
     for _ in range(round(seconds / DT)):
         command = admittance.update(np.array(acceleration), DT)
     return command

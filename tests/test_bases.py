@@ -7,16 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
-from app.border.score import ScoreField
+from app.avoidance.acting_point import resultant_force
+from app.border.score import ScoreField, score_at
 from app.config import AdmittanceConfig
-from app.control.admittance import AdmittanceLaw, largest_command
+from app.control.admittance import largest_command
 from app.control.drive import Drive
 from app.robot.bases.car_like import CarLikeBase, nearest_in_cone
 from app.robot.bases.kind import BaseForce, planar
 from app.robot.state import Measurement, RobotState
 from app.simulation.plants import make_physics
 from app.simulation.plants.planar import planar_plant
+from tests.admittance import RunningAdmittance
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian
 
@@ -45,7 +46,7 @@ def test_the_gradient_of_the_score_is_that_of_finite_differences(kind: str) -> N
     numeric = jacobian(lambda step: field.score(p + step), 3)
     np.testing.assert_allclose(field.gradient(p), numeric, atol=1e-7 * np.abs(numeric).max())
     for point, S, gradient in zip(p, field.score(p), field.gradient(p), strict=True):
-        at, by_point = field.at_point(point)
+        at, by_point = score_at(field.coefficients(), point)
         assert at == pytest.approx(S, rel=1e-12)
         np.testing.assert_allclose(by_point, gradient, rtol=1e-9, atol=1e-9 * abs(S))
 
@@ -61,7 +62,7 @@ def test_a_force_does_positive_work_by_the_acceleration_that_it_asks_for(kind: s
     base, rng = base_of(kind), np.random.default_rng(0)
     for _ in range(50):
         p, f = rng.uniform(-1, 1, 3), np.append(rng.normal(size=2), 0.0)
-        x, y, w = base.T @ generate_mob_acc([PairForce(f, p)], base)
+        x, y, w = base.T @ base.A_b @ resultant_force(f[None], p[None])
         assert f[0] * (x - w * p[1]) + f[1] * (y + w * p[0]) >= 0.0
 
 
@@ -127,7 +128,7 @@ def test_the_expected_acceleration_is_what_the_drive_then_does(kind: str) -> Non
 def test_whatever_is_asked_commands_and_drive_keep_the_limits_and_are_finite(kind: str) -> None:
     base, rng = base_of(kind), np.random.default_rng(2)
     config = AdmittanceConfig()
-    law, drive = AdmittanceLaw(base, config), Drive(base, 0.01)
+    law, drive = RunningAdmittance(base, config), Drive(base, 0.01)
     top = np.array(base.max_velocity) + 1e-9
     for k in range(3000):
         size = rng.choice([0.0, 1e-300, 1e-12, 1e-3, 1.0, 1e3])
@@ -146,7 +147,7 @@ def test_whatever_is_asked_commands_and_drive_keep_the_limits_and_are_finite(kin
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_asked_is_rest(kind: str) -> None:
     base = base_of(kind)
-    law = AdmittanceLaw(base, AdmittanceConfig())
+    law = RunningAdmittance(base, AdmittanceConfig())
     for _ in range(300):
         np.testing.assert_array_equal(law.update(np.zeros(base.n_b), 0.001), np.zeros(base.n_b))
 
@@ -193,7 +194,7 @@ def test_a_moving_car_does_not_turn_back_for_a_small_advantage(before: float) ->
 def test_a_wish_to_turn_on_the_spot_moves_a_car_along_its_tightest_arc(w_dot: float) -> None:
     """A pure torque does not deadlock, and does not chatter."""
     base = car()
-    law, drive = AdmittanceLaw(base, AdmittanceConfig()), Drive(base, 0.001)
+    law, drive = RunningAdmittance(base, AdmittanceConfig()), Drive(base, 0.001)
     noise, commands = np.random.default_rng(0), []
     turned = 0.0
     for _ in range(3000):

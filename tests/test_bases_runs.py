@@ -73,12 +73,12 @@ def test_a_steering_angle_that_cannot_be_read_is_no_answer_to_rely_on() -> None:
     robot = robot_on("car-like")
     loop = ControlLoop(robot, border("car-like"))
     good = at_rest(robot, np.array(robot.description.arm.ready_position))
-    assert loop.step(good).output.solved
+    assert loop.step(good).step.solved
     command = loop.step(good._replace(drive=np.array([np.nan])))
-    assert not command.output.solved
+    assert not command.step.solved
     assert np.isfinite(command.u_a).all()
     assert np.isfinite(command.base_velocity).all()
-    assert loop.controller.failures == 1
-    assert loop.step(good).output.solved
+    assert loop.controller.last.failures == 1
+    assert loop.step(good).step.solved
     with pytest.raises(MeasurementError, match=r"measurement.drive must be 1 numbers"):
         loop.step(good._replace(drive=np.zeros(2)))

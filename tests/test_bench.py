@@ -11,7 +11,7 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.config import Config
-from app.control.controller import Controller
+from app.control.control_loop import ControlLoop
 from app.robot.model import RobotModel
 from benchmarks.step import bench as bench_module
 from benchmarks.step import paths as paths_module
@@ -28,6 +28,12 @@ KEYS = {
     "step_max_us",
     "floor_p50_us",
     "step_all_p50_us",
+    "guided_p50_us",
+    "guided_p99_us",
+    "guided_ratio",
+    "tracking_p50_us",
+    "tracking_p99_us",
+    "tracking_ratio",
     "stages_p50_us",
     "step_p50_us_by_points",
     "border_build_s",
@@ -43,31 +49,26 @@ def recorded(robot: RobotModel, border_data: BorderData) -> list[paths_module.Pa
     with pytest.MonkeyPatch.context() as patch:
         lateral, *_, fold, tracking = paths_module.PATHS
         chosen = (lateral.changed(duration=2.5), fold.changed(duration=0.3))
-        patch.setattr(paths_module, "PATHS", (*chosen, tracking.changed(duration=0.3)))
+        patch.setattr(paths_module, "PATHS", (*chosen, tracking.changed(duration=2.5)))
         return paths_module.record(robot, border_data, seed=0)
 
 
 def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data) -> None:
-    assert [len(path) for path in recorded] == [2500, 300, 300]
+    assert [len(path) for path in recorded] == [2500, 300, 2500]
     assert recorded[0][0].reference is None
     assert recorded[2][0].reference is not None
-    times = time_steps(Controller(robot, border_data, Config()), recorded)
-    assert len(times.step) == 3100
+    times = time_steps(ControlLoop(robot, border_data, Config()), recorded)
+    assert len(times.step) == 5300
     assert times.both.any()
+    assert times.guided_by_one.any()
+    assert times.tracking_by_both.any()
     assert (times.step > 1.0).all()
     np.testing.assert_array_equal(times.mobile, times.active[:, :2].sum(axis=1))
 
 
 def test_stages_are_parts_of_the_step(recorded, robot, border_data) -> None:
-    stages = time_stages(Controller(robot, border_data, Config()), recorded[:1])
-    assert set(stages) == {
-        "kinematics_dynamics",
-        "distances",
-        "acting_point",
-        "task",
-        "qp",
-        "rest",
-    }
+    stages = time_stages(ControlLoop(robot, border_data, Config()), recorded[:1])
+    assert set(stages) == {"update_estimate", "pinocchio", "distances", "algorithm_2", "rest"}
     assert min(stages.values()) > 0.5
 
 

@@ -5,16 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.avoidance.mobile_acceleration import (
-    ActingPointFinder,
-    PairForce,
-    avoidance_force,
-    generate_mob_acc,
-)
+from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resultant_force
 from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.nearest import BorderPoints
+from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
 from app.config import ForceConfig
@@ -25,8 +20,13 @@ FORCE = ForceConfig()
 
 
 @pytest.fixture(scope="module")
-def surface(robot: RobotModel) -> OffsetContours:
+def offset(robot: RobotModel) -> OffsetContours:
     return OffsetContours(robot, D_B)
+
+
+@pytest.fixture(scope="module")
+def surface(offset: OffsetContours) -> BorderSearch:
+    return BorderSearch(offset)
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def border(border_data: BorderData) -> Border:
 
 
 @pytest.fixture(scope="module")
-def points(border: Border, surface: OffsetContours) -> BorderPoints:
-    return BorderPoints(border, surface)
+def points(border: Border, offset: OffsetContours) -> BorderSearch:
+    return BorderSearch(offset, [border])
 
 
 def hand_path(seed: int, steps: int) -> np.ndarray:
@@ -63,7 +63,7 @@ def acting_points(finder: ActingPointFinder, path: np.ndarray) -> np.ndarray:
 
 
 def test_the_surface_is_within_two_millimetres_of_the_exact_offset(
-    robot: RobotModel, surface: OffsetContours
+    robot: RobotModel, surface: BorderSearch
 ) -> None:
     """Between heights and rays too, edges included."""
     rng = np.random.default_rng(0)
@@ -78,7 +78,7 @@ def test_the_surface_is_within_two_millimetres_of_the_exact_offset(
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_the_acting_point_is_continuous_on_the_surface_and_not_on_the_points(
-    points: BorderPoints, surface: OffsetContours, robot: RobotModel, seed: int
+    points: BorderSearch, surface: BorderSearch, robot: RobotModel, seed: int
 ) -> None:
     """On a path sampled ten times finer its largest step is at least eight times smaller."""
     field = ScoreField.of(robot, "lEE")
@@ -95,7 +95,7 @@ def test_the_acting_point_is_continuous_on_the_surface_and_not_on_the_points(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
-    points: BorderPoints, surface: OffsetContours, robot: RobotModel, seed: int
+    points: BorderSearch, surface: BorderSearch, robot: RobotModel, seed: int
 ) -> None:
     field, base = ScoreField.of(robot, "lEE"), robot.description.base
     largest = {}
@@ -108,8 +108,7 @@ def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
             assert acting is not None
             n = np.array([0.0, np.sign(p_b[1]), 0.0])
             f = avoidance_force(p_b, acting.p_act, d, n, FORCE.f_max, D_B)
-            forces = [PairForce(f, acting.p_act)]
-            accelerations.append(generate_mob_acc(forces, base))
+            accelerations.append(base.A_b @ resultant_force(f[None], acting.p_act[None]))
         largest[border] = largest_step(np.array(accelerations))
     assert largest[surface] * 20.0 < largest[points]
 
@@ -123,7 +122,7 @@ def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
     climb=st.floats(-1.0, 1.0),
 )
 def test_near_points_outside_the_base_have_near_feet(
-    surface: OffsetContours,
+    surface: BorderSearch,
     robot: RobotModel,
     x: float,
     y: float,
@@ -148,9 +147,7 @@ def test_near_points_outside_the_base_have_near_feet(
 
 
 @pytest.mark.parametrize("depth", [0.03, 0.07, 0.12])
-def test_the_foot_walks_around_an_edge_without_a_jump(
-    surface: OffsetContours, depth: float
-) -> None:
+def test_the_foot_walks_around_an_edge_without_a_jump(surface: BorderSearch, depth: float) -> None:
     """Around the vertical edge the border is an arc of radius d_b; the foot is that much faster."""
     turn = np.linspace(-0.05, np.pi / 2 + 0.05, 20001)
     round_edge = (D_B - depth) * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
@@ -159,7 +156,7 @@ def test_the_foot_walks_around_an_edge_without_a_jump(
     assert ratio < 1.3 * D_B / (D_B - depth)
 
 
-def test_left_and_right_are_mirror_images(surface: OffsetContours) -> None:
+def test_left_and_right_are_mirror_images(surface: BorderSearch) -> None:
     rng = np.random.default_rng(1)
     for p in rng.uniform([-0.6, 0.35, 0.0], [0.6, 0.49, 0.3], (50, 3)):
         left, right = surface.nearest(p), surface.nearest(p * [1, -1, 1])

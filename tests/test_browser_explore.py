@@ -69,7 +69,7 @@ def test_an_explored_posture_is_what_a_run_from_there_begins_with(robot, border_
     )
     ensemble.reset(tuple(q_m), (0.5, -0.2, 0.7))
     step = ensemble.step()
-    np.testing.assert_array_equal(found.base_acceleration, step.output.base_acceleration)
+    np.testing.assert_array_equal(found.base_acceleration, step.control.a_base_cmd)
     np.testing.assert_allclose([pair.d for pair in found.pairs], step.distances, atol=1e-12)
     ensemble.restart()
     np.testing.assert_array_equal(ensemble.step().truth.q_m, step.truth.q_m)

@@ -12,13 +12,14 @@ from app.avoidance.closest_points import DistanceMonitor
 from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.config import Config
-from app.control.admittance import AdmittanceLaw
 from app.control.buffer_need import RESERVE, Approach, buffer_need, least_distance
 from app.control.buffer_watch import BufferReading, BufferWatch, approach_of, buffer_warning
 from app.control.drive import Drive
 from app.robot.bases.kind import BaseKind
+from app.robot.link_pairs import ClosestPoints
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from tests.admittance import RunningAdmittance
 
 FRONT = np.array([1.0, 0.0, 0.0]), np.array([0.65, 0.0, 0.4])
 SIDE = np.array([0.0, 1.0, 0.0]), np.array([0.33, 0.45, 0.4])
@@ -119,8 +120,7 @@ def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
     The base's own admittance law and drive, and a queue for the delay; only the law's force is
     written down again.
     """
-    law, drive = AdmittanceLaw(base, config.admittance), Drive(base, DT)
-    law.reset()
+    law, drive = RunningAdmittance(base, config.admittance), Drive(base, DT)
     steps = round(config.disturbance.base_delay / DT)
     queue = deque([np.zeros(2)] * steps)
     d, least = d_b + 0.01, d_b
@@ -163,6 +163,17 @@ def test_with_the_need_a_simulated_hand_keeps_off_and_with_less_than_half_it_doe
 # The watch
 
 
+class Seen(list[ClosestPoints]):
+    """Closest points of pairs of L_m, as the watch reads them from a control step."""
+
+    @property
+    def n_mob(self) -> int:
+        return len(self)
+
+    def closest(self, i: int) -> ClosestPoints:
+        return self[i]
+
+
 @pytest.fixture
 def led(robot: RobotModel, border_data: BorderData):
     """A state with the hand beside the base, led towards it at a speed, and the pairs of L_m."""
@@ -178,7 +189,7 @@ def led(robot: RobotModel, border_data: BorderData):
         qd = J.T @ np.linalg.solve(J @ J.T, [0.0, -v, 0.0, 0.0, 0.0, 0.0])
         at = Measurement(np.zeros(3), np.array(base_velocity), q_m + late * qd, qd)
         state.update(at)
-        return state, monitor.find_closest_points()
+        return state, Seen(monitor.find_closest_points())
 
     return lead
 
@@ -255,7 +266,7 @@ def test_from_above_and_from_afar_nothing_counts(led):
     above = np.array([0.0, 0.3, math.sqrt(0.91)])
     for pair in (pairs[0]._replace(n=above), pairs[0]._replace(d=0.31)):
         watch = BufferWatch(changed(border__d_b=0.30))
-        readings = [watch.update(state, [pair], DT, gives_way=True) for _ in range(101)]
+        readings = [watch.update(state, Seen([pair]), DT, gives_way=True) for _ in range(101)]
         assert readings[-1].approach_speed_max == 0.0
 
 

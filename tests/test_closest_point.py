@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor, SmoothPoints
-from app.avoidance.self_collision import SelfCollisionAvoidance
 from app.border.cache import BorderData
 from app.config import Config
+from app.control.controller import Controller
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Hull
@@ -65,13 +65,11 @@ def test_where_a_capsule_turns_parallel_to_a_face_the_point_moves_on_and_the_lib
 def test_the_base_is_asked_for_no_jump_there(
     robot: RobotModel, border_data: BorderData, follower: Follower
 ) -> None:
-    state, asked = RobotState(robot), []
-    avoidance = SelfCollisionAvoidance(state, border_data.pairs, border_data.clouds, Config())
+    controller, asked = Controller(robot, border_data, Config()), []
     direction = np.random.default_rng(0).normal(size=7)
     for s in np.linspace(-1e-2, 1e-2, 2001):
-        state.update(at_rest(robot, PARALLEL + s * direction))
-        found = avoidance.update()
-        asked.append(found.beta_m * found.xdd_m)
+        controller.reset()
+        asked.append(controller.step(at_rest(robot, PARALLEL + s * direction)).base_avoidance)
     assert np.abs(asked).max() > 0.1
     v, w = np.abs(np.diff(asked, axis=0)).max(axis=0)
     assert v < 0.002

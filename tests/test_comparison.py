@@ -18,6 +18,7 @@ from app.simulation.scenarios import LINES, SCENARIOS
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import Score
+from tests.steps import kept
 
 pytestmark = pytest.mark.slow
 
@@ -45,7 +46,7 @@ def make(robot: RobotModel, border_data: BorderData, q_start) -> Iterator:
 
 
 def run(ensemble: Ensemble, seconds: float) -> list[Step]:
-    return [ensemble.step() for _ in range(round(seconds / DT))]
+    return [kept(ensemble.step()) for _ in range(round(seconds / DT))]
 
 
 def apart(ensemble: Ensemble, i: int = 0) -> float:
@@ -66,7 +67,7 @@ def test_a_ghost_of_the_same_controller_stays_where_the_robot_is(make, physics, 
     ensemble.pull(PULL)
     ensemble.pull(ELBOW)
     steps = run(ensemble, seconds)
-    assert max(step.output.activation for step in steps) > 0.05
+    assert max(step.control.activation for step in steps) > 0.05
     assert apart(ensemble) < 1e-6  # QP solvers are warm-started from different pasts
     main, ghost = ensemble.scores()
     np.testing.assert_allclose(main[1:], ghost[1:], atol=1e-5)
@@ -122,13 +123,13 @@ def test_scores_are_those_of_the_steps(make):
     steps = run(ensemble, 1.2)
     score = ensemble.scores()[0]
     poses = np.array([step.truth.base_pose for step in steps])
-    asked = np.array([step.output.base_acceleration for step in steps])
-    torques = np.array([step.output.u_a for step in steps])
+    asked = np.array([step.control.a_base_cmd for step in steps])
+    torques = np.array([step.control.u_cmd for step in steps])
     mobile = [
         d
         for step in steps
-        for pair, d in zip(step.output.avoidance.pairs, step.distances, strict=True)
-        if pair.closest.pair.a == "lm"
+        for pair, d in zip(step.control.pairs, step.distances, strict=True)
+        if pair.a == "lm"
     ]
     expected = Score(
         "dbb",
@@ -162,7 +163,7 @@ def test_scenarios_resets_and_parameters_are_for_all(make, q_start):
     for session in sessions:
         np.testing.assert_array_equal(session.physics.measure().q_m, q_start)
     step = ensemble.step()
-    assert (step.output.tracking, step.t) == (False, 0.0)
+    assert (step.control.tracking, step.t) == (0.0, 0.0)
     assert ensemble.scores()[0].error_max == 0.0  # they count anew
     reading = ensemble.ghosts[1].reading()
     assert reading.controller == "none"

@@ -9,17 +9,17 @@ import pinocchio as pin
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor, SmoothPoints
-from app.avoidance.task import Distances
 from app.border.cache import BorderData
 from app.config import Config
-from app.control.controller import Controller, ControlOutput
+from app.control.controller import Controller
 from app.control.explanation import explain
-from app.control.limits import barrier_bounds
+from app.control.quantities import ControlStep
 from app.control.tasks import Reference
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.shapes import Box
 from app.robot.state import Measurement, RobotState
 from tests.nearest import library_nearest
+from tests.qps import Limits
 from tests.robots import husky_panda, with_mobile_shapes
 
 Array = np.ndarray
@@ -64,7 +64,7 @@ def controller_of(data: BorderData, name: str, *shapes: Box) -> Controller:
     return Controller(with_mobile_shapes(shapes), data, AT_ONCE, name=name)
 
 
-def asked(controller: Controller, m: Measurement, acceleration: Array) -> ControlOutput:
+def asked(controller: Controller, m: Measurement, acceleration: Array) -> ControlStep:
     """The answer where the hand is asked for an acceleration (3,) [m/s²]."""
     controller.reset()
     controller.step(m)
@@ -73,22 +73,23 @@ def asked(controller: Controller, m: Measurement, acceleration: Array) -> Contro
     return controller.step(m, Reference(pose, np.zeros(6), np.append(acceleration, np.zeros(3))))
 
 
-def missed(output: ControlOutput) -> Array:
+def missed(output: ControlStep) -> Array:
     """(k,) [m/s²] of what each barrier asks."""
-    kept, workings = output.inserted.kept, output.workings
-    assert kept is not None
-    assert workings is not None
-    return barrier_bounds(kept, AT_ONCE.barrier) - kept.J @ workings.qdd
+    C, l, _, _ = barriers(output)
+    return l - C @ output.qdd
+
+
+def barriers(output: ControlStep) -> Limits:
+    """Those of the arm's QP, which stand behind torques and joints."""
+    return Limits(*(each[2 * len(output.q_m) :] for each in Limits.of(output)))
 
 
 @pytest.mark.parametrize("name", ["dbb", "barrier"])
 def test_a_base_of_two_parts_is_kept_from_as_two_bases_of_one_part_each(
     border_data: BorderData, name: str
 ) -> None:
-    def kept(*shapes: Box) -> Distances:
-        found = controller_of(border_data, name, *shapes).step(in_the_corner(0)).inserted.kept
-        assert found is not None
-        return found
+    def kept(*shapes: Box) -> Limits:
+        return barriers(controller_of(border_data, name, *shapes).step(in_the_corner(0)))
 
     n = len(border_data.pairs.mobile)
     for both, deck, wall in zip(kept(DECK, WALL), kept(DECK), kept(WALL), strict=True):
@@ -109,6 +110,11 @@ def test_in_a_corner_the_arm_is_held_back_by_both_faces(
     assert missed(output).max() < 0.1
     bounds = explain(controller, output, AT_ONCE, np.zeros(2)).bounds
     assert [bound.where for bound in bounds if bound.kind == "barrier"] == ["lm-lEE"]
+
+
+def reaction(output: ControlStep) -> Array:
+    """(n_m,) [N m] the arm's share of the force: in a guided arm's objective besides u_0."""
+    return output.h[2:] - output.c_low[2:] - output.u_free
 
 
 def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData) -> None:
@@ -149,10 +155,10 @@ def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:
     halves = controller_of(border_data, "dbb", FRONT, REAR)
     for seed in range(2):
         m = near_both(FRONT, REAR, (UP, UP), seed)
-        guided = [controller.step(m).inserted.u_a for controller in (whole, halves)]
+        guided = [reaction(controller.step(m)) for controller in (whole, halves)]
         assert np.abs(guided[0]).max() > 0.1
         np.testing.assert_allclose(guided[1], guided[0], atol=0.05 * np.abs(guided[0]).max())
         one, two = (asked(each, m, -20.0 * np.array(UP)) for each in (whole, halves))
         assert -1.0 < missed(two)[:2].min() <= missed(two).max() < 0.1  # both nearly met
-        np.testing.assert_allclose(two.u_a, one.u_a, atol=0.02 * np.abs(one.u_a).max())
-        assert halves.failures == halves.given_up == 0
+        np.testing.assert_allclose(two.u_cmd, one.u_cmd, atol=0.02 * np.abs(one.u_cmd).max())
+        assert two.failures == two.given_up == 0

@@ -14,6 +14,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Disturbances, Session, Step, VelocityTracking
+from tests.steps import kept
 
 LATERAL = LINES["guiding-lateral"]
 PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer
@@ -54,11 +55,11 @@ def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
 
 
 def pulled(session: Session, steps: int) -> list[Step]:
-    return [session.step(pull=PULL) for _ in range(steps)]
+    return [kept(session.step(pull=PULL)) for _ in range(steps)]
 
 
 def path(steps: list[Step]) -> np.ndarray:
-    return np.array([np.concatenate([*s.truth, s.output.u_a, s.base_command]) for s in steps])
+    return np.array([np.concatenate([*s.truth, s.control.u_cmd, s.base_command]) for s in steps])
 
 
 @pytest.mark.slow
@@ -68,7 +69,7 @@ def test_without_disturbance_the_sensors_say_the_truth_and_the_commands_arrive(m
     assert all(step.measurement is step.truth for step in steps)
     np.testing.assert_array_equal(session.physics.commands, [s.base_command for s in steps])
     assert np.abs(session.physics.commands).max() > 0.0
-    d = [[pair.closest.d for pair in s.output.avoidance.pairs] for s in steps]
+    d = [s.control.d[: len(s.control.pairs)] for s in steps]
     np.testing.assert_array_equal([s.distances for s in steps], d)
 
 
@@ -128,16 +129,14 @@ def test_velocities_are_exact_where_they_are_constant_and_late_by_8_ms_where_the
 
 def test_distances_and_error_of_a_step_are_true_under_noise(make, robot: RobotModel):
     session = make(encoder_noise=0.005)
-    reader = PairDistances(
-        robot, [p.closest.pair for p in pulled(session, 1)[0].output.avoidance.pairs]
-    )
+    reader = PairDistances(robot, pulled(session, 1)[0].control.pairs)
     state = RobotState(robot)
     seen = []
     for step in pulled(session, 40):
         reader.update(robot.configuration(step.truth.base_pose, step.truth.q_m))
         true = [reader.distance(i) for i in range(len(step.distances))]
         np.testing.assert_allclose(step.distances, true, atol=1e-9)
-        seen.append(np.subtract(true, [p.closest.d for p in step.output.avoidance.pairs]))
+        seen.append(np.subtract(true, step.control.d[: len(true)]))
         state.update(step.truth)
         error = np.linalg.norm(state.T_world_ee.translation - PULL)
         assert step.ee_error == pytest.approx(error, abs=1e-12)
@@ -203,9 +202,9 @@ def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_b
 
 def test_a_mass_error_changes_the_torques_live(make):
     session = make()
-    before = pulled(session, 20)[-1].output.u_a
+    before = pulled(session, 20)[-1].control.u_cmd
     session.configure(Config().replace("disturbance.mass_error", 0.2))
-    after = pulled(session, 15)[-1].output.u_a  # torques have a largest rate
+    after = pulled(session, 15)[-1].control.u_cmd  # torques have a largest rate
     np.testing.assert_allclose(after, 1.2 * before, atol=0.3)  # [N m] gravity is nearly all of it
     assert np.abs(after - before).max() > 2.0
 
@@ -216,4 +215,4 @@ def test_another_controller_on_the_same_model_has_the_right_masses(
     session = make(mass_error=0.3)
     step = session.step(pull=PULL)
     answer = Controller(robot, border_data, Config()).step(step.measurement)
-    assert np.abs(answer.u_a * 1.3 - step.output.u_a).max() < 0.05
+    assert np.abs(answer.u_cmd * 1.3 - step.control.u_cmd).max() < 0.05

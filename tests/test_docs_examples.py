@@ -33,7 +33,7 @@ def test_the_loop_of_the_readme_runs_and_holds_the_arm() -> None:
     assert np.abs(state.g[2:]).max() > 1.0  # [N m] there is something to hold
     np.testing.assert_allclose(names["command"].u_a, state.g[2:], atol=1e-4)
     np.testing.assert_allclose(names["command"].base_velocity, 0.0, atol=1e-6)
-    assert names["loop"].controller.failures == 0
+    assert names["loop"].controller.last.failures == 0
 
 
 def examples() -> list[str]:

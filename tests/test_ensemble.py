@@ -60,7 +60,7 @@ def numbers(step: Step) -> list[float]:
         step.ee_error,
         *step.truth.q_m,
         *step.truth.base_pose,
-        *step.output.u_a,
+        *step.control.u_cmd,
         *step.hand_force,
         *step.distances,
         *step.contacts,
@@ -90,8 +90,8 @@ def test_it_leads_until_its_end_and_then_the_hand_is_free(make):
     ensemble = make()
     ensemble.play(TRACKING.changed(duration=0.2))
     assert (ensemble.leading, ensemble.ends) == ("tracking", 0.2)
-    taken = [ensemble.step() for _ in range(300)]
-    assert [step.output.tracking for step in taken] == [True] * 200 + [False] * 100
+    taken = [bool(ensemble.step().control.tracking) for _ in range(300)]
+    assert taken == [True] * 200 + [False] * 100
     assert (ensemble.leading, ensemble.ends) == ("", None)
 
 

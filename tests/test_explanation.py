@@ -10,28 +10,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import Config
 from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
-from app.control.controller import CONTROLLERS, Controller, ControlOutput, Stack, Workings
-from app.control.estimate import ArmEstimate
+from app.control.controller import CONTROLLERS, Controller
 from app.control.explanation import Explanation, Level, NearPair, explain, level_readings, split
-from app.control.limits import barrier_bounds
-from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
-from app.control.tasks import (
-    Reference,
-    end_effector_error,
-    end_effector_task,
-    free_arm_torque,
-)
+from app.control.limits import barrier_bound
+from app.control.quantities import ControlStep
+from app.control.tasks import Reference, free_arm_torque, reaction_torque
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.loop.pacing import Pacer
 from app.simulation.session import Session
 from app.simulation.trace.snapshot import make_snapshot
+from tests.qps import Limits, Objective, Rows, hand_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("holding.weight", 0.01)
@@ -72,19 +66,19 @@ def explained(
     reference: Reference | None = None,
     config: Config = AT_ONCE,
     command: np.ndarray = REST,
-) -> tuple[Explanation, ControlOutput]:
+) -> tuple[Explanation, ControlStep]:
     controller.reset()
     controller.configure(config)
-    output = controller.step(m, reference)
+    output = controller.step(m, reference).copy()
     return explain(controller, output, config, command), output
 
 
-def qdd_of(controller: Controller, output: ControlOutput) -> np.ndarray:
+def qdd_of(controller: Controller, output: ControlStep) -> np.ndarray:
     """q̈ by the equation of motion, from torques and the base's acceleration alone."""
     state = controller.state
-    qdd_b = np.linalg.solve(state.model.J_m, output.base_acceleration)
+    qdd_b = np.linalg.solve(state.model.J_m, output.a_base_cmd)
     M_a = state.M[2:]
-    rest = output.u_a - state.h[2:] - M_a[:, :2] @ qdd_b
+    rest = output.u_cmd - state.h[2:] - M_a[:, :2] @ qdd_b
     return np.concatenate([qdd_b, np.linalg.solve(M_a[:, 2:], rest)])
 
 
@@ -103,6 +97,11 @@ def here(controller: Controller, m: Measurement, *, off: float = 0.0) -> Referen
 # Forces
 
 
+def number_of(output: ControlStep, pair: NearPair) -> int:
+    """Which of the pairs of a step it is."""
+    return [each.name for each in output.pairs].index(f"{pair.a}-{pair.b}")
+
+
 @given(
     st.floats(-np.pi, np.pi), st.floats(0, 600), st.floats(-np.pi, np.pi), st.floats(-1.57, 1.57)
 )
@@ -119,16 +118,15 @@ def test_away_and_turn_add_up_and_are_along_and_across_the_normal(heading, size,
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_force_is_that_of_the_pair_and_its_parts_make_the_bases_acceleration(robot, dbb, seed):
     why, output = explained(dbb, near(robot, "lm-lEE", seed))
-    by_name = {pair.closest.pair.name: pair for pair in output.avoidance.mobile}
     assert why.forces
     for pair in why.near:
         if pair.force is None:
             continue
-        f = by_name[f"{pair.a}-{pair.b}"].f
+        f = output.f[number_of(output, pair)]
         np.testing.assert_allclose([*pair.force.f, 0.0], f, atol=1e-12)
         np.testing.assert_allclose(np.add(pair.force.away, pair.force.turn), f[:2], atol=1e-9)
     total = sum(np.add(f.away_acceleration, f.turn_acceleration) for f in why.forces)
-    np.testing.assert_allclose(total, output.inserted.base_acceleration, atol=1e-9)
+    np.testing.assert_allclose(total, output.base_avoidance, atol=1e-9)
     np.testing.assert_allclose(why.base_avoidance, total, atol=1e-9)
 
 
@@ -136,14 +134,12 @@ def test_the_force_is_that_of_the_pair_and_its_parts_make_the_bases_acceleration
 def test_the_turn_draws_the_better_part_of_the_border_to_the_hand(robot, dbb, seed):
     """And the rest of the force moves the base away from it."""
     why, output = explained(dbb, near(robot, "lm-lEE", seed))
-    by_name = {pair.closest.pair.name: pair for pair in output.avoidance.mobile}
     for pair in why.near:
         if pair.force is None:
             continue
-        acting = by_name[f"{pair.a}-{pair.b}"].acting
-        assert acting is not None
+        i = number_of(output, pair)
         assert np.dot(pair.force.away, pair.n[:2]) < 0.0 or pair.above == 1.0
-        step = np.array(acting.p_t - acting.p_n)[:2]
+        step = (output.p_t[i] - output.p_n[i])[:2]
         assert np.dot(pair.force.turn, step) <= 1e-9
         assert pair.force.score >= pair.force.score_near - 1e-12
 
@@ -151,16 +147,16 @@ def test_the_turn_draws_the_better_part_of_the_border_to_the_hand(robot, dbb, se
 @pytest.mark.parametrize("seed", SEEDS)
 def test_determinant_reachability_and_score_are_the_fields_at_p_act(robot, dbb, seed):
     why, output = explained(dbb, near(robot, "lm-l3", seed))
-    for pair in output.avoidance.mobile:
-        if pair.acting is None:
+    for pair, p_act, p_n in zip(output.pairs, output.p_act, output.p_n, strict=False):
+        if np.isnan(p_act[0]):
             continue
-        field = ScoreField.of(robot, pair.closest.pair.b)
-        force = next(p.force for p in why.near if (p.a, p.b) == tuple(pair.closest.pair))
+        field = ScoreField.of(robot, pair.b)
+        force = next(p.force for p in why.near if (p.a, p.b) == tuple(pair))
         assert force is not None
-        assert force.determinant == pytest.approx(float(field.singularity(pair.acting.p_act)))
-        assert force.reachability == pytest.approx(float(field.reachability(pair.acting.p_act)))
-        assert force.score == pytest.approx(float(field.score(pair.acting.p_act)))
-        assert force.score_near == pytest.approx(float(field.score(pair.acting.p_n)))
+        assert force.determinant == pytest.approx(float(field.singularity(p_act)))
+        assert force.reachability == pytest.approx(float(field.reachability(p_act)))
+        assert force.score == pytest.approx(float(field.score(p_act)))
+        assert force.score_near == pytest.approx(float(field.score(p_n)))
 
 
 def test_nothing_depends_on_where_the_base_stands_and_how_it_is_turned(robot, dbb):
@@ -183,8 +179,7 @@ def test_the_hands_slack_is_what_the_torques_leave_of_its_task(robot, controller
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
-    error = end_effector_error(controller.state, reference)
-    task = end_effector_task(controller.state, error, AT_ONCE.task)
+    task = hand_task(controller.state, reference, AT_ONCE.task)
     w = task.b - task.J @ qdd_of(controller, output)
     hand = level(why, "hand")
     assert hand.linear is not None
@@ -218,9 +213,10 @@ def test_the_posture_gives_up_what_its_joints_do_not_get(robot, dbb, seed):
 @pytest.mark.parametrize("pair", ["lm-lEE", "l1-l3"])
 def test_a_guided_arm_gives_up_what_is_asked_beyond_carrying_itself(robot, dbb, pair):
     why, output = explained(dbb, near(robot, pair, 0))
-    M_aa = dbb.state.M[2:, 2:]
-    u_0 = free_arm_torque(dbb.state) + output.inserted.u_a
-    expected = np.linalg.norm(np.linalg.solve(M_aa, output.u_a - u_0))
+    u_0, near_base = free_arm_torque(output.g, output.qd, robot.joint_damping), slice(output.n_mob)
+    distances, f_arm = (output.d[near_base], output.J[near_base]), AT_ONCE.force.f_arm
+    u_0 += reaction_torque(*distances, f_arm, float(output.d_b), 2)
+    expected = np.linalg.norm(np.linalg.solve(output.M[2:, 2:], output.u_cmd - u_0))
     assert level(why, "free").angular == pytest.approx(expected, abs=1e-5)
 
 
@@ -228,17 +224,16 @@ def test_a_guided_arm_gives_up_what_is_asked_beyond_carrying_itself(robot, dbb, 
 def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(robot, dbb, gap):
     _, output = explained(dbb, near(robot, "l1-l3", 0))
     e = np.eye(9)
-    given_rows = TaskRows(e[:2], np.zeros(2), np.zeros(2), 1.0)
-    rows = [TaskRows(e[[5]], np.zeros(1), np.array([b]), 1.0) for b in (1.0, 1.0 + gap)]
+    objective, base = Objective(e, np.zeros(9)), Rows(e[:2], np.zeros(2), np.ones(2))
+    rows = Rows(e[[5, 5]], np.array([1.0, 1.0 + gap]), np.ones(2))
     limits = Limits(e[:1], np.array([-1e6]), np.array([1e6]), np.full(1, 1e-6))
-    objective, above = Objective(e, np.zeros(9)), (given_rows, *rows)
-    whole = insert_rows(objective, above, 1e-6)
-    qdd = TaskQP().solve(whole, limits)
-    rest, stack = np.zeros(2), Stack(objective, objective, None)
-    workings = Workings(rest, rest, above[1:], stack, limits, np.array([REST, REST]), qdd)
-    inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
-    output = output._replace(inserted=inserted)
-    links, free = level_readings(robot.description.base, output, workings)
+    above = Rows(*map(np.concatenate, zip(base, rows, strict=True)))
+    output.qdd[:] = solved(inserted(objective, above, 1e-6), limits)
+    (output.H_low[:], output.c_low[:]), (output.H[:], output.c[:]) = objective, objective
+    assert len(output.pairs) - output.n_mob >= 2
+    output.B[:] = 0.0
+    output.J_sca[2:4], output.b_sca[2:4], output.B[2:4] = rows
+    links, free = level_readings(robot.description.base, output)
     assert links == ("links", pytest.approx(np.sqrt(2.0) * gap / 2.0, abs=1e-4), None)
     assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-4)
 
@@ -248,8 +243,8 @@ def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, d
     seeds = (explained(dbb, near(robot, "lm-lEE", s, 0.02, 0.04), config=strong) for s in range(20))
     why, output = next((w, o) for w, o in seeds if any(b.where == "base" for b in w.bounds))
     most = np.array(robot.description.base.max_acceleration)
-    wanted = output.avoidance.beta_m * output.avoidance.xdd_m  # β = 1: nothing else is wanted
-    assert output.avoidance.beta_m == 1.0
+    wanted = output.beta_m * output.xdd_m  # β = 1: nothing else is wanted
+    assert output.beta_m == 1.0
     excess = np.maximum(np.abs(wanted) - most, 0.0)
     assert level(why, "base")[1:] == pytest.approx(tuple(excess), abs=1e-2)
     kinds = {bound.kind for bound in why.bounds if bound.where == "base"}
@@ -268,8 +263,8 @@ def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold
     m = near(robot, "lm-lEE", seed)
     m = Measurement(m.base_pose, REST, m.q_m, np.zeros(7))
     why, output = explained(Controller(slow, border_data, AT_ONCE), m)
-    wanted = output.avoidance.beta_m * output.avoidance.xdd_m  # at rest nothing else is wanted
-    missing = np.abs(wanted - output.base_acceleration)
+    wanted = output.beta_m * output.xdd_m  # at rest nothing else is wanted
+    missing = np.abs(wanted - output.a_base_cmd)
     assert level(why, "base")[1:] == pytest.approx(tuple(missing), abs=1e-9)
     assert np.linalg.norm(missing) > 0.5 * np.linalg.norm(wanted) > 0.0
     assert not [b for b in why.bounds if b.where == "base" and "acceleration" in b.kind]
@@ -279,19 +274,21 @@ def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(seed):
+def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(robot, dbb, seed):
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(9, 9))
     objective = Objective(A @ A.T + np.eye(9), 3.0 * rng.normal(size=9))
     softness = np.repeat([0.0, 1e-6], 3)
     limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3), softness)
-    qdd = TaskQP().solve(objective, limits)
-    low, high = met(limits, qdd)
+    qdd, w = solved(objective, limits), dbb.last.copy()
+    w.C[:6], w.l[:6], w.u[:6], w.slack_weight[:6] = limits
+    w.n_limits[()], w.qdd[:] = 6, qdd
+    low, high = met(w)
     assert (low | high).any()
     for i in range(6):
         for side, at in ((limits.l, low[i]), (limits.u, high[i])):
             kept, side[i] = side[i], 10.0 * side[i]
-            moved = np.abs(TaskQP().solve(objective, limits) - qdd).max()
+            moved = np.abs(solved(objective, limits) - qdd).max()
             side[i] = kept
             assert (moved > 10 * TOLERANCE) == at
 
@@ -300,7 +297,7 @@ def test_a_torque_limit_is_reported_for_the_joints_whose_torque_is_at_it(robot, 
     m = near(robot, "lm-lEE", 2)
     for off in (0.0, 0.8):
         why, output = explained(dbb, m, here(dbb, m, off=off))
-        full = np.abs(output.u_a) >= robot.tau_max - 1e-5
+        full = np.abs(output.u_cmd) >= robot.tau_max - 1e-5
         joints = robot.description.arm.joints
         reported = {bound.where for bound in why.bounds if bound.kind == "torque"}
         assert reported == {joint for joint, at in zip(joints, full, strict=True) if at}
@@ -326,24 +323,25 @@ def test_a_joint_that_is_braked_before_its_limit_says_which_one(robot, dbb, kind
     assert why.bounds == ()
 
 
-def test_a_torque_that_cannot_change_so_fast_is_reported_until_it_has_arrived(
-    robot, dbb, monkeypatch
-):
-    monkeypatch.setattr(ArmEstimate, "update", lambda _, measured, *__: measured)
+def test_a_torque_that_cannot_change_so_fast_is_reported_until_it_has_arrived(robot, dbb):
     slow = Config()  # and a robot that stands still is not held
     m = near(robot, "l1-l3", 0)
     dbb.reset()
     dbb.configure(slow)
+
+    def step() -> ControlStep:
+        dbb.last.v_last[:] = np.nan  # a gap: nobody is thought to hold the arm
+        return dbb.step(m)
+
     for _ in range(3):
-        output = dbb.step(m)
+        output = step()
         why = explain(dbb, output, slow, REST)
-        low, high = output.workings.torque
-        late = np.minimum(output.u_a - low, high - output.u_a) < TOLERANCE
+        late = np.minimum(output.u_cmd - output.u_min, output.u_max - output.u_cmd) < TOLERANCE
         joints = [b.where for b in why.bounds if b.kind == "torque rate"]
         assert joints == [j for j, at in zip(robot.description.arm.joints, late, strict=True) if at]
         assert joints
     for _ in range(200):
-        output = dbb.step(m)
+        output = step()
     assert "torque rate" not in {b.kind for b in explain(dbb, output, slow, REST).bounds}
 
 
@@ -378,11 +376,11 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
     for seed in range(6):
         why, output = explained(controllers["barrier"], near(robot, "lm-lEE", seed, 0.01, 0.06))
         qdd = qdd_of(controllers["barrier"], output)
-        kept = output.inserted.kept
-        bounds = barrier_bounds(kept, AT_ONCE.barrier)
-        for J, least, pair in zip(kept.J, bounds, output.avoidance.pairs, strict=True):
+        c, moves = AT_ONCE.barrier, zip(output.Jdqd, output.d_dot, output.d, strict=True)
+        bounds = [barrier_bound(*at, d - c.d_min, c.rate, c.leaving) for *at, d in moves]
+        for J, least, pair in zip(output.J, bounds, output.pairs, strict=True):
             at = J @ qdd < least + AT_ONCE.task.softness + TOLERANCE
-            name = pair.closest.pair.name
+            name = pair.name
             assert (Bound(name, "barrier", upper=False) in why.bounds) == at
             reading = next((p for p in why.near if f"{p.a}-{p.b}" == name), None)
             assert (reading is not None and reading.held) == at
@@ -390,14 +388,13 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
     assert held == {True, False}
 
 
-def test_without_a_solution_it_says_so_and_still_what_is_near(robot, dbb, monkeypatch):
-    def fail(*_, **__):
-        raise NoSolutionError("none")
-
-    monkeypatch.setattr(TaskQP, "solve", fail)
-    why, output = explained(dbb, near(robot, "lm-lEE", 0))
+def test_without_a_solution_it_says_so_and_still_what_is_near(robot, dbb):
+    dbb.reset()
+    dbb.configure(AT_ONCE)
+    output = dbb.step(near(robot, "lm-lEE", 0), base_acceleration=np.full(2, np.nan))
+    why = explain(dbb, output, AT_ONCE, REST)
     assert not why.solved
-    assert output.workings is None
+    assert np.isnan(output.qdd).all()
     assert why.levels == ()
     assert why.near[0].b == "lEE"
 

@@ -80,7 +80,7 @@ def test_the_simulation_steps_the_very_same_loop(
     monkeypatch.setattr(app.ControlLoop, "step", step)
     taken = session.step()
     assert isinstance(session.loop, app.ControlLoop)
-    assert commands[0].output is taken.output
+    assert commands[0].step is taken.control
     assert commands[0].base_velocity is taken.base_command
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.avoidance.task import Distances, distances_of
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.limits import force_bound
@@ -18,6 +17,14 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.trace.snapshot import QUANTITIES
 from tests.robots import random_measurement
+
+
+class Distance(NamedTuple):
+    """A pair's distance and how it moves."""
+
+    d: float
+    J: np.ndarray
+    d_dot: float
 
 
 class Near:
@@ -31,25 +38,29 @@ class Near:
             m = random_measurement(rng)
             self.state.update(m._replace(base_velocity=np.zeros(2), qd_m=np.zeros(7)))
             self._nearest = int(np.argmin(self._monitor.distances()))
-            if 0.02 < self.distance().d[0] < 0.15:
+            if 0.02 < self.distance().d < 0.15:
                 return
 
-    def distance(self) -> Distances:
+    def distance(self) -> Distance:
         """That pair's in the state as it is now."""
-        found = self._monitor.find_nearest(Config().activation.blend)
-        rows = slice(self._nearest, self._nearest + 1)
-        return distances_of(self.state, found).of(rows)
+        found, i = self._monitor.find_nearest(Config().activation.blend), self._nearest
+        n, core = found.points[:, 2], found.points[:, 3]
+        J, _, d_dot = self.state.distance_motions(found.joints, core, n)
+        return Distance(float(found.d[i]), J[i], float(d_dot[i]))
 
-    def bound(self) -> float:
-        """[N]"""
-        return force_bound(self.state, self.distance())
+    def bound(self, d: float | None = None) -> float:
+        """[N], at another distance [m] if one is given."""
+        distance, state = self.distance(), self.state
+        d = distance.d if d is None else d
+        M, g, tau_max = state.M, state.g, state.model.tau_max
+        return force_bound(d, distance.J, distance.d_dot, M, g, tau_max)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_at_rest_torques_within_their_limits_hold_the_bound_and_no_more(robot, border_data, seed):
     near = Near(robot, border_data, seed)
     bound = near.bound()
-    needed = near.state.g[2:] + bound * near.distance().J[0, 2:]
+    needed = near.state.g[2:] + bound * near.distance().J[2:]
     assert bound > 0.0
     assert np.max(np.abs(needed) / robot.tau_max) == pytest.approx(1.0)
 
@@ -59,7 +70,7 @@ def test_a_pair_that_comes_nearer_bears_less_by_what_stops_it_within_its_distanc
     robot, border_data, seed
 ):
     near = Near(robot, border_data, seed)
-    state, still, ((d,), (J,), *_) = near.state, near.bound(), near.distance()
+    state, still, (d, J, _) = near.state, near.bound(), near.distance()
     J = J[2:]
     M = state.M[2:, 2:]
     along = np.linalg.solve(M, J)
@@ -75,19 +86,19 @@ def test_a_pair_that_comes_nearer_bears_less_by_what_stops_it_within_its_distanc
 
 def test_bodies_that_touch_bear_nothing(robot, border_data):
     near = Near(robot, border_data, 0)
-    assert force_bound(near.state, near.distance()._replace(d=np.zeros(1))) == 0.0
+    assert near.bound(d=0.0) == 0.0
 
 
 def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_data):
     near = Near(robot, border_data, 0)
-    twice = Distances(*[np.repeat(each, 2, axis=0) for each in near.distance()])
-    avoidance = SimpleNamespace(n_mobile=2, beta=(0.5, 0.0), near=twice)
-    session: Any = SimpleNamespace(controller=SimpleNamespace(state=near.state))
+    d, J, d_dot = (np.array([each, each]) for each in near.distance())
+    pairs = {"n_mob": 2, "beta": np.array([0.5, 0.0]), "d": d, "J": J, "d_dot": d_dot}
+    control = SimpleNamespace(**pairs, M=near.state.M, g=near.state.g)
+    session: Any = SimpleNamespace(model=robot)
     quantity: Any = QUANTITIES["force_bound"]
 
     def step(t: float, **fields: Any) -> Any:
-        output = SimpleNamespace(avoidance=avoidance)
-        return SimpleNamespace(**{"t": t, "pulls": ("a pull",), "output": output} | fields)
+        return SimpleNamespace(**{"t": t, "pulls": ("a pull",), "control": control} | fields)
 
     rows = [quantity.row(session, step(k / 1000))[0] for k in range(41)]
     known = [k for k, force in enumerate(rows) if not math.isnan(force)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.config import HoldingConfig
-from app.control.tasks import base_with_hand, carried
+from app.control.transition import limit_ee_drag, uncompensated_base_jacobian
 from app.robot.assets import package_roots
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -31,6 +31,20 @@ def ready(model: RobotModel) -> RobotState:
     state = RobotState(model)
     state.update(at_rest(model, np.array(model.description.arm.ready_position)))
     return state
+
+
+def carried(state: RobotState, speed: float) -> Array:
+    """(3, n_b) how the base's axes move the hand where the arm does not compensate."""
+    model = state.model
+    return uncompensated_base_jacobian(state.J_ee, model.qd_max, model.J_m_inv, speed)
+
+
+def base_with_hand(
+    state: RobotState, wanted: Array, held: Array, weight: float, drag: Array
+) -> Array:
+    """(n_b,) the base acceleration that does not drag the hand along, of so many base masses."""
+    mass = weight * state.model.description.base.mass_kg
+    return limit_ee_drag(wanted, held, inertia_of(state), mass, drag)
 
 
 def inertia_of(state: RobotState) -> Array:

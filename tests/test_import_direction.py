@@ -78,7 +78,7 @@ def test_a_module_imports_only_from_its_own_room_and_those_before(path: Path) ->
     ("room", "source", "culprit"),
     [
         ("robot", "import app.border.dbb", "app.border.dbb"),
-        ("border", "from app.avoidance.task import TaskRows", "app.avoidance.task"),
+        ("border", "from app.avoidance.task import activation", "app.avoidance.task"),
         ("avoidance", "from app import control", "app.control"),
         ("control", "def f():\n    from ..simulation import person", "app.simulation"),
         ("config", "from . import robot", "app.robot"),

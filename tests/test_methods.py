@@ -5,12 +5,12 @@ import pinocchio as pin
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.avoidance.task import distance_of
 from app.border.cache import BorderData
 from app.config import BarrierConfig, Config
-from app.control.controller import CONTROLLERS, Controller, ControlOutput
-from app.control.limits import barrier_bounds
-from app.control.tasks import Reference, base_rest_acceleration
+from app.control.controller import CONTROLLERS, Controller
+from app.control.limits import barrier_bound
+from app.control.quantities import ControlStep
+from app.control.tasks import Reference
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
@@ -49,12 +49,17 @@ def here(controller: Controller, acceleration: np.ndarray) -> Reference:
     return Reference(pin.SE3(controller.state.T_world_ee), np.zeros(6), acceleration)
 
 
-def realised(controller: Controller, output: ControlOutput) -> np.ndarray:
+def realised(controller: Controller, output: ControlStep) -> np.ndarray:
     """(n,) q̈ that torques and base acceleration of an answer give."""
     state = controller.state
-    wheels = np.linalg.solve(state.model.J_m, output.base_acceleration)
-    rhs = output.u_a - state.h[2:] - state.M[2:, :2] @ wheels
+    wheels = np.linalg.solve(state.model.J_m, output.a_base_cmd)
+    rhs = output.u_cmd - state.h[2:] - state.M[2:, :2] @ wheels
     return np.concatenate([wheels, np.linalg.solve(state.M[2:, 2:], rhs)])
+
+
+def bound(Jdqd: float, d_dot: float, d: float, config: BarrierConfig) -> float:
+    """[m/s²] of a barrier."""
+    return barrier_bound(Jdqd, d_dot, d - config.d_min, config.rate, config.leaving)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -66,15 +71,15 @@ def test_repulsive_never_moves_the_base_by_itself(
     m = near(robot, seed, 0.02, 0.12)
     output = controller.step(m)
     assert output.activation > 0.0
-    rest = base_rest_acceleration(controller.state, Config().task)
-    np.testing.assert_allclose(output.base_acceleration, rest, atol=1e-12)
+    rest = -Config().task.base_damping * output.base_velocity
+    np.testing.assert_allclose(output.a_base_cmd, rest, atol=1e-12)
     reference = here(controller, np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0]))
-    tracked = controller.step(m, reference).base_acceleration
+    tracked = controller.step(m, reference).a_base_cmd.copy()
     far = Config().replace("border.d_b", 0.06).replace("activation.d_full", 0.0)
     controller.configure(far)
     alone = controller.step(m, reference)
     if alone.activation == 0.0:
-        np.testing.assert_allclose(tracked, alone.base_acceleration, atol=1e-9)
+        np.testing.assert_allclose(tracked, alone.a_base_cmd, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -86,13 +91,15 @@ def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
     controller = Controller(robot, border_data, config, name="repulsive")
     m = near(robot, seed, 0.01, 0.05, speed=0.01)
     output = controller.step(m)
-    (row,) = output.inserted.rows_arm
-    assert row.beta == 1.0
-    assert row.J.shape == (3, robot.n)
-    assert not row.J[:, :2].any()
-    np.testing.assert_allclose(row.J @ realised(controller, output), row.b, atol=1e-2)
-    n = output.avoidance.mobile[0].closest.n
-    np.testing.assert_allclose(row.xdd + 30.0 * (row.J @ controller.state.qd), 3.0 * n, atol=1e-9)
+    first, joint = 2 + len(output.pairs) - output.n_mob, robot.body_joints["lEE"]
+    rows = slice(first, first + 3)
+    np.testing.assert_array_equal(output.B[rows], np.ones(3))
+    assert not output.B[first + 3 :].any()
+    J, b = output.J_sca[rows], output.b_sca[rows]
+    assert not J[:, :2].any()
+    np.testing.assert_allclose(J @ realised(controller, output), b, atol=1e-2)
+    xdd = b + controller.state.point_bias(joint, output.p_b[0])
+    np.testing.assert_allclose(xdd + 30.0 * (J @ output.qd), 3.0 * output.normal[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -103,15 +110,13 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     controller = Controller(robot, border_data, AT_ONCE, name="barrier")
     m = near(robot, seed, 0.051, 0.08, speed=0.02)
     controller.step(m)
-    towards = np.concatenate(
-        [-20.0 * controller.step(m).avoidance.mobile[0].closest.n, np.zeros(3)]
-    )
+    towards = np.concatenate([-20.0 * controller.step(m).normal[0], np.zeros(3)])
     output = controller.step(m, here(controller, towards))
     assert output.solved
     qdd = realised(controller, output)
-    kept = output.inserted.kept
-    assert kept is not None
-    for J, least in zip(kept.J, barrier_bounds(kept, AT_ONCE.barrier), strict=True):
+    assert output.n_limits == 2 * robot.n_m + len(output.pairs)
+    for J, Jdqd, d_dot, d in zip(output.J, output.Jdqd, output.d_dot, output.d, strict=True):
+        least = bound(Jdqd, d_dot, d, AT_ONCE.barrier)
         assert J @ qdd >= least - 2 * Config().task.softness * (20.0 + abs(least))
 
 
@@ -126,8 +131,9 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
     pairs = PairDistances(robot, candidate_pairs(robot))
     index = [p.name for p in pairs.pairs].index("lm-lEE")
     (closest,) = DistanceMonitor(state, [pairs.pairs[index]]).find_closest_points()
-    left = distance_of(state, closest).beyond(config.d_min)
-    (J,), (least,) = left.J, barrier_bounds(left, config)
+    joints = np.array([[robot.body_joints[body] for body in closest.pair]])
+    (J,), *moves = state.distance_motions(joints, closest.core[None], closest.n[None])
+    least = bound(*[float(each[0]) for each in moves], closest.d, config)
 
     def distance(t: float) -> float:
         v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)
@@ -153,8 +159,8 @@ def test_every_method_answers_far_away_as_none_does(
         ZERO, np.array([0.1, -0.1]), np.array(robot.description.arm.ready_position), np.full(7, 0.1)
     )
     expected, output = plain.step(m), controller.step(m)
-    np.testing.assert_allclose(output.u_a, expected.u_a, atol=1e-5)
-    np.testing.assert_allclose(output.base_acceleration, expected.base_acceleration, atol=1e-5)
+    np.testing.assert_allclose(output.u_cmd, expected.u_cmd, atol=1e-5)
+    np.testing.assert_allclose(output.a_base_cmd, expected.a_base_cmd, atol=1e-5)
 
 
 def run_a_line(
@@ -169,7 +175,7 @@ def run_a_line(
     clearance, path = np.inf, 0.0
     for _ in range(4000):
         step = session.step(reference=scenario.reference(session.t, orientation))
-        clearance = min(clearance, *(p.closest.d for p in step.output.avoidance.mobile))
+        clearance = min(clearance, *step.control.d[: step.control.n_mob].tolist())
         path += float(np.abs(step.measurement.base_velocity).sum()) * 0.001
     session.close()
     return clearance, step.ee_error, path

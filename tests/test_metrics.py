@@ -24,6 +24,7 @@ from app.simulation.trace.log_file import write_trace
 from app.simulation.trace.metrics import NEAR, metrics, sign_changes
 from app.simulation.trace.snapshot import QUANTITIES
 from app.simulation.trace.trace import Recorder, Trace
+from tests.steps import kept
 
 ARM = ("l1-lEE", "l1-l3", "l2-lEE")
 MOBILE = ("lm-lEE", "lm-l3")
@@ -45,7 +46,7 @@ def taken(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]
         if k in put_in:
             step = step._replace(contacts=Contacts(*map(bool, put_in[k])))
         recorder.add(session, step)
-        steps.append(step)
+        steps.append(kept(step))
     return recorder.trace(), steps
 
 
@@ -76,14 +77,15 @@ def test_csv_and_parquet_hold_the_same_numbers_and_those_of_the_steps(taken, raw
         for i in range(7):
             assert raw[f"q_panda_joint{i + 1}_rad"][k] == step.truth.q_m[i]
             assert raw[f"qd_panda_joint{i + 1}_radps"][k] == step.truth.qd_m[i]
-            assert raw[f"u_panda_joint{i + 1}_nm"][k] == step.output.u_a[i]
+            assert raw[f"u_panda_joint{i + 1}_nm"][k] == step.control.u_cmd[i]
         pose = [raw[name][k] for name in ("base_x_m", "base_y_m", "base_yaw_rad")]
         assert pose == step.truth.base_pose.tolist()
         asked = [raw["base_a_mps2"][k], raw["base_aw_radps2"][k]]
-        assert asked == step.output.base_acceleration.tolist()
-        for pair, d in zip(step.output.avoidance.pairs, step.distances, strict=True):
-            assert raw[f"d_{pair.closest.pair.name}_m"][k] == d
-            assert raw[f"beta_{pair.closest.pair.name}"][k] == pair.beta
+        assert asked == step.control.a_base_cmd.tolist()
+        w = step.control
+        for pair, d, beta in zip(w.pairs, step.distances, w.beta, strict=True):
+            assert raw[f"d_{pair.name}_m"][k] == d
+            assert raw[f"beta_{pair.name}"][k] == beta
 
 
 def jump(values: np.ndarray) -> float:

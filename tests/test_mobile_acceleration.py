@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from app.avoidance.mobile_acceleration import (
-    PairForce,
-    avoidance_force,
-    generate_mob_acc,
-    resultant_force,
-)
+from app.avoidance.acting_point import avoidance_force, generate_mob_acc, resultant_force
 from app.robot.bases.differential import control_point_jacobian, free_acceleration, mobile_jacobian
 from app.robot.bases.kind import BaseForce
 from tests.robots import husky_panda
@@ -58,11 +53,12 @@ def test_the_accelerations_do_the_same_work_as_the_forces() -> None:
     """M v̇ and I ω̇ are the generalised forces of the non-slipping base: equal virtual power."""
     rng = np.random.default_rng(0)
     m, inertia, r, b = 60.0, 8.0, 0.165, 0.51
-    forces = [PairForce(np.append(rng.normal(size=2), 0.0), rng.normal(size=3)) for _ in range(3)]
+    forces = [(np.append(rng.normal(size=2), 0.0), rng.normal(size=3)) for _ in range(3)]
     base = husky_panda().description.base.model_copy(
         update={"mass_kg": m, "inertia_kgm2": inertia, "wheel_radius_m": r, "half_track_m": b}
     )
-    v_dot, w_dot = generate_mob_acc(forces, base)
+    f, p_act = map(np.array, zip(*forces, strict=True))
+    v_dot, w_dot = generate_mob_acc(base.A_b, resultant_force(f, p_act))
     for wheels in np.eye(2):
         v, w = mobile_jacobian(r, b) @ wheels
         power = sum(
@@ -72,10 +68,18 @@ def test_the_accelerations_do_the_same_work_as_the_forces() -> None:
 
 
 def test_the_resultant_is_the_sum() -> None:
-    forces = [PairForce(np.array([1.0, 2.0, 0.0]), np.array([0.5, -1.0, 0.3]))] * 3
-    np.testing.assert_allclose(resultant_force(forces), [3.0, 6.0, 6.0])
-    assert resultant_force([]) == BaseForce(0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(generate_mob_acc([], husky_panda().description.base), np.zeros(2))
+    f, p_act = np.tile([1.0, 2.0, 0.0], (3, 1)), np.tile([0.5, -1.0, 0.3], (3, 1))
+    np.testing.assert_allclose(resultant_force(f, p_act), [3.0, 6.0, 6.0])
+    nothing = resultant_force(np.zeros((0, 3)), np.zeros((0, 3)))
+    np.testing.assert_array_equal(nothing, np.zeros(3))
+    A_b = husky_panda().description.base.A_b
+    np.testing.assert_array_equal(generate_mob_acc(A_b, nothing), np.zeros(2))
+
+
+def test_a_pair_without_a_force_needs_no_acting_point() -> None:
+    f, p_act = np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0]]), np.full((2, 3), np.nan)
+    p_act[0] = 0.5, -1.0, 0.3
+    np.testing.assert_allclose(resultant_force(f, p_act), [1.0, 2.0, 2.0])
 
 
 def test_17_18_a_force_accelerates_along_x_and_its_torque_about_the_centre() -> None:

@@ -12,6 +12,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
+from tests.steps import kept
 
 pytestmark = pytest.mark.slow
 
@@ -29,21 +30,21 @@ def steps(robot: RobotModel, border_data: BorderData) -> list[Step]:
     session = Session(robot, border_data, Config())
     session.reset(q_m)
     ways = [(a, b, s) for a, b in pairwise(places) for s in np.linspace(0, 1, round(LEG / DT))]
-    taken = [session.step(pull=a + s * s * (3 - 2 * s) * (b - a)) for a, b, s in ways]
+    taken = [kept(session.step(pull=a + s * s * (3 - 2 * s) * (b - a))) for a, b, s in ways]
     session.close()
     return taken
 
 
 def test_nothing_touches_and_every_qp_has_a_solution(steps):
-    assert not any(any(step.contacts) or not step.output.solved for step in steps)
+    assert not any(any(step.contacts) or not step.control.solved for step in steps)
     least = min(min(step.distances[:2]) for step in steps)
     assert least > 0.95 * Config().barrier.d_min  # soft, and led at 0.1 m/s
 
 
 def test_the_normal_turns_from_upwards_to_sideways_and_back(steps):
     """Else the way would not have led over the edge inside of the buffer."""
-    nearest = [min(step.output.avoidance.mobile, key=lambda p: p.closest.d) for step in steps]
-    inside = np.array([p.closest.n[2] for p in nearest if p.beta > 0.0])
+    nearest = [(w := step.control, int(w.d[: w.n_mob].argmin())) for step in steps]
+    inside = np.array([w.normal[i, 2] for w, i in nearest if w.beta[i] > 0.0])
     assert inside.min() < 0.7
     assert inside.max() > 0.8
 
@@ -51,7 +52,7 @@ def test_the_normal_turns_from_upwards_to_sideways_and_back(steps):
 def test_neither_torques_nor_the_base_jump(steps):
     """The limit of the torques' rate, which would hide a jump, is not met."""
     for before, after in pairwise(steps):
-        jump = np.abs(after.output.u_a - before.output.u_a).max()
+        jump = np.abs(after.control.u_cmd - before.control.u_cmd).max()
         assert jump < 0.75 * Config().limit.torque_rate * DT
-        asked = after.output.base_acceleration - before.output.base_acceleration
+        asked = after.control.a_base_cmd - before.control.a_base_cmd
         assert np.abs(asked).max() < 0.1

@@ -10,10 +10,10 @@ from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.score import ScoreField
 from app.config import Config
-from app.control.admittance import AdmittanceLaw
 from app.robot.model import RobotModel
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.session import DT
+from tests.admittance import RunningAdmittance
 
 
 def test_the_link_pairs_of_1_and_their_split_in_2(border_data: BorderData) -> None:
@@ -95,7 +95,7 @@ def test_a_border_has_at_least_the_50_000_points_of_4_3(border_data: BorderData,
 def test_the_arm_is_controlled_at_1_khz_and_the_base_at_10_hz(robot: RobotModel) -> None:
     """§4.1, counted: the command changes at every hundredth control step and at no other."""
     assert DT == 0.001
-    law = AdmittanceLaw(robot.description.base, Config().admittance)
+    law = RunningAdmittance(robot.description.base, Config().admittance)
     commands = [law.update(np.array([0.3, 0.0]), DT)[0] for _ in range(500)]
     renewed = [
         k

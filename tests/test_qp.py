@@ -8,11 +8,12 @@ from scipy.optimize import nnls
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.control import qp
 from app.control.controller import Controller
-from app.control.qp import Limits, NoSolutionError, Objective, TaskQP
+from app.control.qp import solve_qp, solve_qp_step
+from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
+from tests.qps import NONE, Limits, NoSolutionError, Objective, solved
 from tests.robots import random_measurement
 
 Array = np.ndarray
@@ -74,7 +75,7 @@ def test_where_no_limit_is_met_it_is_the_unconstrained_least(seed: int) -> None:
     objective = random_objective(rng)
     wide = Limits(rng.normal(size=(M, N)), np.full(M, -1e6), np.full(M, 1e6), softness_of(3))
     expected = np.linalg.solve(objective.H, -objective.c)
-    np.testing.assert_allclose(TaskQP().solve(objective, wide), expected, rtol=1e-9)
+    np.testing.assert_allclose(solved(objective, wide), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("hard", [0, 5])
@@ -83,7 +84,7 @@ def test_another_solver_finds_the_same_optimum(seed: int, hard: int) -> None:
     rng = np.random.default_rng(seed)
     objective, limits = random_objective(rng), random_limits(rng, (0.1, 1.0, 3.0)[seed % 3], hard)
     expected = by_least_distance(objective, limits)
-    qdd = TaskQP().solve(objective, limits)
+    qdd = solved(objective, limits)
     np.testing.assert_allclose(qdd, expected, atol=3e-6)
     far = misses(limits, np.linalg.solve(objective.H, -objective.c))
     assert far.max() > 0.1  # else this would be the law above
@@ -92,28 +93,24 @@ def test_another_solver_finds_the_same_optimum(seed: int, hard: int) -> None:
 @pytest.mark.parametrize("hard", [0, 5])
 @pytest.mark.parametrize("seed", range(30))
 def test_where_active_sets_do_not_settle_proxqp_finds_the_same_optimum(
-    monkeypatch: pytest.MonkeyPatch, seed: int, hard: int
+    seed: int, hard: int
 ) -> None:
     rng = np.random.default_rng(seed)
     objective, limits = random_objective(rng), random_limits(rng, (0.1, 1.0, 3.0)[seed % 3], hard)
-    expected = TaskQP().solve(objective, limits)
-    some = expected[:2] + 0.01  # given, and to be given up
-    rest, moved = TaskQP().solve(objective, limits, some), TaskQP().change(objective, limits, some)
-    kernel, calls = qp.least_within, []
-
-    def unsettled(*args: Array) -> tuple[Array, bool]:
-        calls.append(len(args[3]))  # limits
-        return kernel(*args)[0], False
-
-    monkeypatch.setattr(qp, "least_within", unsettled)
-    monkeypatch.setattr(qp, "change_within", lambda *args: (args[-1], False))
-    np.testing.assert_allclose(TaskQP().solve(objective, limits), expected, atol=3e-6)
-    assert calls == [M, 0]
-    np.testing.assert_allclose(TaskQP().solve(objective, limits, some), rest, atol=3e-6)
-    np.testing.assert_allclose(TaskQP().change(objective, limits, some), moved, atol=3e-6)
+    problem = *objective, *limits
+    expected, found = solve_qp(*problem, NONE)
+    assert found
+    some = expected[:2] + 0.01  # fixed, or to be changed
+    for by_active_sets, by_proxqp, fixed in (
+        (solve_qp, solved_by_proxqp, NONE),
+        (solve_qp, solved_by_proxqp, some),
+        (solve_qp_step, changed_by_proxqp, some),
+    ):
+        x, found = by_active_sets(*problem, fixed)
+        assert found
+        np.testing.assert_allclose(by_proxqp(OpenQP(*problem, fixed)), x, atol=3e-6)
     for spoiled in (limits._replace(l=limits.l * np.nan), limits._replace(C=limits.C * np.inf)):
-        with pytest.raises(NoSolutionError):
-            TaskQP().solve(objective, spoiled)
+        assert np.isnan(solved_by_proxqp(OpenQP(*objective, *spoiled, NONE))).all()
 
 
 class Turning:
@@ -132,10 +129,10 @@ class Turning:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_what_was_solved_before_does_not_matter(seed: int) -> None:
-    turning, solver = Turning(seed), TaskQP()
+    turning = Turning(seed)
     for s in np.linspace(0.0, 1.0, 201):
         problem = turning.at(s)
-        found = solver.solve(*problem)
+        found = solved(*problem)
         np.testing.assert_allclose(found, by_least_distance(*problem), atol=1e-5)
 
 
@@ -147,7 +144,7 @@ def test_a_soft_limit_gives_in_by_its_share_of_what_is_asked_beyond_it(seed: int
     bound = asked - rng.uniform(0.1, 5.0)
     for softness in (1e-3, 1e-2, 0.1):
         limits = Limits(C, np.array([-np.inf]), np.array([bound]), np.array([softness]))
-        beyond = float(C[0] @ TaskQP().solve(objective, limits)) - bound
+        beyond = float(C[0] @ solved(objective, limits)) - bound
         share = softness / (1.0 + softness)
         assert beyond == pytest.approx(share * (asked - bound), rel=1e-4)
 
@@ -158,7 +155,7 @@ def test_no_light_joint_is_thrown_about_to_brake_a_heavy_one_beyond_its_torque()
     C = np.vstack([M, np.eye(2)])
     l, u = np.array([-1.0, -5.0, -np.inf, -1.0]), np.array([1.0, 5.0, -10.0, 1.0])
     limits = Limits(C, l, u, np.repeat([0.0, 1e-6], 2))
-    missed = misses(limits, TaskQP().solve(Objective(M, np.zeros(2)), limits))
+    missed = misses(limits, solved(Objective(M, np.zeros(2)), limits))
     assert missed[2] > 9.0
     assert missed[3] < 0.02 * missed[2]
 
@@ -175,7 +172,7 @@ def test_soft_limits_that_contradict_each_other_and_hard_ones_leave_the_hard_one
     l = np.concatenate([l, np.where(np.isfinite(u[:3]), u[:3], l[:3]) + apart, l[-3:] - 50.0])
     u = np.concatenate([u, np.full(3, np.inf), l[-6:-3] - apart])
     limits = Limits(C, l, u, softness_of(5, m=len(C)))
-    qdd = TaskQP().solve(objective, limits)
+    qdd = solved(objective, limits)
     missed = misses(limits, qdd)
     assert missed[:5].max() <= 1e-6
     assert missed[5:].max() > 0.1
@@ -187,10 +184,10 @@ def test_the_answer_moves_as_the_data_do_while_limits_come_and_go(seed: int) -> 
     """Steps four times as fine have a largest change about a quarter as large."""
 
     def largest_change(steps: int) -> tuple[float, int]:
-        turning, solver, found, met = Turning(seed), TaskQP(), [], set()
+        turning, found, met = Turning(seed), [], set()
         for s in np.linspace(0.0, 1.0, steps + 1):
             objective, limits = turning.at(s)
-            found.append(solver.solve(objective, limits))
+            found.append(solved(objective, limits))
             reached = limits.C @ found[-1]
             met.add(tuple((reached > limits.u - 1e-4) | (reached < limits.l + 1e-4)))
         return float(np.abs(np.diff(found, axis=0)).max()), len(met)
@@ -204,11 +201,11 @@ def test_the_answer_moves_as_the_data_do_while_limits_come_and_go(seed: int) -> 
 def test_hard_limits_that_contradict_each_other_are_an_error_and_the_next_call_is_well() -> None:
     C = np.vstack([np.eye(N)[0], np.eye(N)[0]])
     both = Limits(C, np.array([1.0, -2.0]), np.array([2.0, -1.0]), np.zeros(2))
-    solver, objective = TaskQP(), Objective(np.eye(N), np.zeros(N))
+    objective = Objective(np.eye(N), np.zeros(N))
     with pytest.raises(NoSolutionError):
-        solver.solve(objective, both)
+        solved(objective, both)
     one = Limits(C, np.array([1.0, -2.0]), np.array([2.0, 3.0]), np.zeros(2))
-    assert solver.solve(objective, one)[0] == pytest.approx(1.0, abs=1e-6)
+    assert solved(objective, one)[0] == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -218,13 +215,13 @@ def test_what_is_not_finite_has_no_solution_and_spoils_no_later_one(
     where: str, value: float
 ) -> None:
     rng = np.random.default_rng(0)
-    solver, objective, limits = TaskQP(), random_objective(rng), random_limits(rng, 1.0, 4)
-    good = solver.solve(objective, limits)
+    objective, limits = random_objective(rng), random_limits(rng, 1.0, 4)
+    good = solved(objective, limits)
     H, c, C = objective.H.copy(), objective.c.copy(), limits.C.copy()
     {"H": H, "c": c, "C": C}[where].flat[0] = value
     with pytest.raises(NoSolutionError):
-        solver.solve(Objective(H, c), limits._replace(C=C))
-    np.testing.assert_allclose(solver.solve(objective, limits), good, atol=1e-5)
+        solved(Objective(H, c), limits._replace(C=C))
+    np.testing.assert_allclose(solved(objective, limits), good, atol=1e-5)
 
 
 @pytest.mark.slow
@@ -250,13 +247,12 @@ def test_no_hard_state_is_left_without_an_answer_and_no_torque_leaves_its_range(
             reference = Reference(at, rng.normal(size=6), rng.normal(size=6))
         output = controller.step(m, reference, base_acceleration=rng.uniform(-1, 1, 2))
         assert output.solved
-        assert output.workings is not None
-        workings, state = output.workings, controller.state
-        missed = misses(workings.limits, workings.qdd)
-        assert missed[workings.limits.softness == 0.0].max() <= room
-        u_a = state.M[2:] @ workings.qdd + state.h[2:]
-        np.testing.assert_allclose(output.u_a, u_a, atol=room)  # nothing is clipped afterwards
+        limits = Limits.of(output)
+        missed = misses(limits, output.qdd)
+        assert missed[limits.slack_weight == 0.0].max() <= room
+        u_a = output.M[2:] @ output.qdd + output.h[2:]
+        np.testing.assert_allclose(output.u_cmd, u_a, atol=room)  # nothing is clipped afterwards
         counts["limited"] += missed.max() > 1e-6
-        counts["near"] += output.avoidance.beta_m > 0.0
-    assert [(c.failures, c.given_up) for c in controllers] == [(0, 0)] * 4
+        counts["near"] += output.beta_m > 0.0
+    assert [(c.last.failures, c.last.given_up) for c in controllers] == [(0, 0)] * 4
     assert min(counts.values()) > 150, counts

@@ -24,7 +24,7 @@ def after_release(robot: RobotModel, data: BorderData, config: Config) -> tuple[
     session.reset(q_m)
     for s in np.linspace(0.0, 1.0, round(2.0 / DT)):
         step = session.step(pull=START + s * s * (3 - 2 * s) * MOVE)
-    assert step.output.avoidance.beta_m > 0.1  # it is let go inside the buffer
+    assert step.control.beta_m > 0.1  # it is let go inside the buffer
     path = speed = 0.0
     for _ in range(round(10.0 / DT)):
         speed = abs(float(session.step().measurement.base_velocity[0]))

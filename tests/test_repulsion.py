@@ -1,12 +1,14 @@
 """Laws of the repulsive rows, (20) to (23)."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from finite_differences import jacobian
 
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
-from app.avoidance.task import TaskRows, distance_of, generate_rep_acc
+from app.avoidance.task import generate_rep_acc
 from app.border.cache import BorderData
 from app.config import RepulsionConfig
 from app.robot.link_pairs import PairDistances, candidate_pairs
@@ -14,6 +16,26 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 
 CONFIG = RepulsionConfig(k_p=60.0, k_v=30.0)
+
+
+class Motion(NamedTuple):
+    """How a distance moves: ḋ = J q̇, d̈ = J q̈ + J̇ q̇."""
+
+    J: np.ndarray
+    Jdqd: float
+    d_dot: float
+
+    @property
+    def xdd(self) -> float:
+        """[m/s²] the acceleration that separates the pair."""
+        return generate_rep_acc(self.d_dot, CONFIG.k_p, CONFIG.k_v)
+
+
+def motion_of(state: RobotState, closest: ClosestPoints) -> Motion:
+    """That of a pair."""
+    joints = np.array([[state.model.body_joints[body] for body in closest.pair]])
+    J, Jdqd, d_dot = state.distance_motions(joints, closest.core[None], closest.n[None])
+    return Motion(J[0], float(Jdqd[0]), float(d_dot[0]))
 
 
 class Moving:
@@ -39,27 +61,27 @@ class Moving:
         self.state.update(measurement)
         return self.monitor.find_closest_points()
 
-    def row(self, closest: ClosestPoints) -> TaskRows:
-        """That parts a pair."""
-        return generate_rep_acc(distance_of(self.state, closest), CONFIG, 1.0)
+    def motion(self, closest: ClosestPoints) -> Motion:
+        """That of a pair at present."""
+        return motion_of(self.state, closest)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_J_r_is_the_gradient_of_the_distance(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for i, closest in enumerate(moving.at(0.0, moving.qd)):
-        row = moving.row(closest)
+        row = moving.motion(closest)
         numeric = jacobian(lambda qd, i=i: moving.at(1.0, qd)[i].d, robot.n)
         moving.at(0.0, moving.qd)
-        np.testing.assert_allclose(row.J[0], numeric, atol=2e-5)
+        np.testing.assert_allclose(row.J, numeric, atol=2e-5)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_distances_within_the_robot_do_not_depend_on_the_base(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for closest in moving.at(0.0, moving.qd):
-        row = moving.row(closest)
-        np.testing.assert_allclose(row.J[0, :2], 0.0, atol=1e-12)
+        row = moving.motion(closest)
+        np.testing.assert_allclose(row.J[:2], 0.0, atol=1e-12)
 
 
 def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndarray:
@@ -99,9 +121,9 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
             found = nearest.closest(i)
             if not 0.02 < found.d < 0.15 or abs(true - again) > 0.02 * (1.0 + abs(true)):
                 continue  # d has a kink there
-            _, (J,), (Jdqd,), _ = distance_of(state, found)
+            J, Jdqd, _ = motion_of(state, found)
             across = _across(state, found)
-            error = float(J @ qdd) + float(Jdqd) - float(true)
+            error = float(J @ qdd) + Jdqd - float(true)
             errors.append((error, error + across / found.d))
     return np.abs(errors)
 
@@ -130,10 +152,10 @@ def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotM
     moving = Moving(robot, 3)
     moving.at(0.0, np.zeros(robot.n))
     closest = moving.monitor.find_closest_points()[-1]
-    assert moving.row(closest).xdd[0] == pytest.approx(60.0)
-    row = moving.row(closest)
-    moving.at(0.0, row.J[0] / np.linalg.norm(row.J[0]) ** 2)  # distance grows by 1 m/s
-    assert moving.row(closest).xdd[0] == pytest.approx(30.0)
+    assert moving.motion(closest).xdd == pytest.approx(60.0)
+    J = moving.motion(closest).J
+    moving.at(0.0, J / np.linalg.norm(J) ** 2)  # distance grows by 1 m/s
+    assert moving.motion(closest).xdd == pytest.approx(30.0)
 
 
 def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> None:
@@ -147,8 +169,8 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
             if not -0.05 < closest.d < -0.005:
                 continue
             found += 1
-            row = moving.row(closest)
-            along = row.J[0] / np.linalg.norm(row.J[0]) ** 2 * 1e-3
+            J = moving.motion(closest).J
+            along = J / np.linalg.norm(J) ** 2 * 1e-3
             assert moving.at(1.0, along)[i].d > closest.d
             moving.at(0.0, np.zeros(robot.n))
 
@@ -157,5 +179,5 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
 def test_the_speed_is_the_jacobians(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for closest in moving.at(0.0, moving.qd):
-        _, (J,), _, (speed,) = distance_of(moving.state, closest)
+        J, _, speed = moving.motion(closest)
         assert speed == pytest.approx(float(J @ moving.qd))

@@ -8,10 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from app.avoidance.self_collision import BUFFER_RATE
 from app.border.cache import BorderData
 from app.config import Config
-from app.control.admittance import AdmittanceLaw
+from app.control.algorithm import BUFFER_RATE
 from app.control.controller import Controller
 from app.control.drive import Drive
 from app.errors import DescriptionError, TargetError, UnknownNameError
@@ -20,6 +19,8 @@ from app.robot.state import Measurement
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
+from tests.admittance import RunningAdmittance
+from tests.steps import kept
 
 LATERAL = LINES["guiding-lateral"]
 PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer
@@ -56,25 +57,22 @@ def run(robot: RobotModel, border_data: BorderData, q_start: np.ndarray) -> list
 
 def pulled(session: Session, steps: int, target: np.ndarray | None = PULL) -> list[Step]:
     """Steps while a person pulls."""
-    return [session.step(pull=target) for _ in range(steps)]
+    return [kept(session.step(pull=target)) for _ in range(steps)]
 
 
 def numbers(step: Step) -> np.ndarray:
     """All that is physical in a step, without the real time that it took."""
-    m, out = step.measurement, step.output
+    m, w = step.measurement, step.control
     return np.concatenate(
         [
-            [step.t, step.ee_error, out.activation, out.avoidance.beta_m, out.solved],
+            [step.t, step.ee_error, w.activation, w.beta_m, w.solved],
             *m,
-            out.u_a,
-            out.base_acceleration,
+            w.u_cmd,
+            w.a_base_cmd,
             step.base_command,
             step.hand_force,
             step.contacts,
-            *(
-                [pair.closest.d, *pair.closest.p_a, *pair.closest.p_b]
-                for pair in out.avoidance.pairs
-            ),
+            *(each.ravel() for each in (w.d, w.p_a, w.p_b)),
         ]
     )
 
@@ -88,9 +86,9 @@ def same(a: list[Step], b: list[Step]) -> None:
 def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
     """Of plants alone it is asked in `test_physics_plants.py`, of each of them."""
     a, b = make(physics), make(physics)
-    steps = [(a.step(pull=PULL), b.step(pull=PULL)) for _ in range(1200)]
+    steps = [(kept(a.step(pull=PULL)), kept(b.step(pull=PULL))) for _ in range(1200)]
     same([first for first, _ in steps], [second for _, second in steps])
-    assert steps[-1][0].output.activation > 0.0  # avoidance was part of it
+    assert steps[-1][0].control.activation > 0.0  # avoidance was part of it
 
 
 @pytest.mark.slow
@@ -127,10 +125,10 @@ def test_the_wheels_roll_as_far_as_the_base_goes(make, physics):
 def test_a_reset_forgets_the_persons_hold_and_the_count_of_failures(make, q_start):
     session = make()
     pulled(session, 300)
-    session.controller.failures = 3
+    session.controller.last.failures[()] = 3
     session.reset(q_start)
     step = session.step(pull=PULL)
-    assert session.controller.failures == 0
+    assert session.controller.last.failures == 0
     assert np.linalg.norm(step.hand_force) < 0.1  # he takes hold where the hand is now
 
 
@@ -156,13 +154,14 @@ def test_the_controllers_answer_depends_on_its_sensors_alone(
     It never meets the person, whose force therefore has no way into the answer.
     """
     assert max(np.linalg.norm(step.hand_force) for step in run) > 1.0
-    assert max(step.output.activation for step in run) > 0.05
+    assert max(step.control.activation for step in run) > 0.05
     blind = Controller(robot, border_data, Config())
     blind.reset()
     for step, expected in zip(run, expected_accelerations(robot, run), strict=True):
-        answer = blind.step(step.measurement, None, base_acceleration=expected)
-        np.testing.assert_array_equal(answer.u_a, step.output.u_a)
-        np.testing.assert_array_equal(answer.base_acceleration, step.output.base_acceleration)
+        answer = blind.step_with_drive(step.measurement, None)
+        np.testing.assert_array_equal(answer.u_cmd, step.control.u_cmd)
+        np.testing.assert_array_equal(answer.a_base_cmd, step.control.a_base_cmd)
+        np.testing.assert_allclose(step.control.a_base_meas, expected, rtol=1e-9, atol=1e-12)
 
 
 def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndarray]:
@@ -179,10 +178,9 @@ def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndar
 def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(
     run: list[Step], robot: RobotModel
 ):
-    law = AdmittanceLaw(robot.description.base, Config().admittance)
-    law.reset()
+    law = RunningAdmittance(robot.description.base, Config().admittance)
     for step in run:
-        command = law.update(step.output.base_acceleration, DT)
+        command = law.update(step.control.a_base_cmd, DT)
         np.testing.assert_array_equal(step.base_command, command)
 
 
@@ -203,10 +201,10 @@ def test_another_configuration_holds_from_the_next_step_on_and_another_buffer_by
     before = pulled(session, 5)[-1]
     wide = Config().replace("border.d_b", 0.30).replace("hand.stiffness", 900.0)
     session.configure(wide)
-    assert before.output.activation == 0.0
+    assert before.control.activation == 0.0
     after = pulled(session, round(0.15 / BUFFER_RATE / DT) + 1)
     assert session.controller.d_b == pytest.approx(0.30)
-    beta = np.array([step.output.avoidance.beta_m for step in after])
+    beta = np.array([step.control.beta_m for step in after])
     assert beta[-1] > 0.1
     assert np.abs(np.diff(beta)).max() < 0.05, "a jump would throw the arm"
     assert session.config is wide
@@ -268,7 +266,7 @@ def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goe
     monkeypatch.setattr(session._disturbances, "sensed", sensed)
     while len(steps) < 120:
         steps += pulled(session, 1)
-    assert all(np.isfinite(step.output.u_a).all() for step in steps)
+    assert all(np.isfinite(step.control.u_cmd).all() for step in steps)
     assert all(np.isfinite(step.base_command).all() for step in steps)
-    assert [k for k, step in enumerate(steps) if not step.output.solved] == list(spoiled)
-    assert session.controller.failures == len(spoiled)
+    assert [k for k, step in enumerate(steps) if not step.control.solved] == list(spoiled)
+    assert session.controller.last.failures == len(spoiled)

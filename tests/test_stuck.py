@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.tasks import Reference
@@ -99,20 +98,17 @@ def test_a_hand_that_keeps_to_its_way_is_not_told(session: Session, short: Step)
 def test_a_border_that_pushes_the_base_away_from_the_hands_target_is_told(
     session, short: Step, push: float, told: bool
 ):
-    class Pushed:
-        base_acceleration = np.array([push, 0.0])  # forwards, as the target lies
-        rows_links = ()
-
-    output = short.output._replace(inserted=Pushed())
-    stuck = find_stuck(session.model, short._replace(output=output))
+    control = short.control.copy()
+    control.B[:2], control.xdd_m[:] = 1.0, (push, 0.0)  # forwards, as the target lies
+    stuck = find_stuck(session.model, short._replace(control=control))
     assert ("border against hand" in stuck.reasons) == told
 
 
 def test_links_within_their_buffer_and_joints_at_their_speeds_are_told(session, short: Step):
-    assert short.output.inserted.rows_links == ()
-    row = TaskRows(np.zeros((1, session.model.n)), np.zeros(1), np.zeros(1), 0.02)
-    inserted = short.output.inserted._replace(rows_links=(row,))
-    near = short._replace(output=short.output._replace(inserted=inserted))
+    control = short.control.copy()
+    assert not control.B.any()
+    control.B[2] = 0.02
+    near = short._replace(control=control)
     assert find_stuck(session.model, near).reasons == ("links too near",)
     fast = short._replace(truth=short.truth._replace(qd_m=-session.model.qd_max))
     assert "joint speeds" in find_stuck(session.model, fast).reasons
@@ -143,7 +139,7 @@ def test_the_base_drives_to_a_target_that_the_arm_alone_does_not_reach(
     session = Session(robot, border_data, Config())
     session.reset(np.array(robot.description.arm.ready_position))
     for step in until_rest(session, rests_at(session, np.array(target)), 11000):
-        assert step.output.solved
+        assert step.control.solved
     assert step.ee_error < 1e-3
     assert np.abs(step.truth.base_velocity).max() < STILL
     assert find_stuck(robot, step) is None

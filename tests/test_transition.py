@@ -8,8 +8,8 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from app.avoidance.task import TaskRows, activation, generate_avoidance_task
-from app.control.qp import Objective, insert_rows
+from app.avoidance.task import activation, generate_avoidance_task
+from tests.qps import Objective, Rows, inserted, least
 
 Array = np.ndarray
 
@@ -24,27 +24,22 @@ class Problem:
         rng = np.random.default_rng(seed)
         A = rng.normal(size=(N, N))
         self.objective = Objective(A @ A.T + np.eye(N), rng.normal(size=N))
-        self.groups = [
-            (rng.normal(size=(k, N)), rng.normal(size=k), rng.normal(size=k))
-            for k in (2, *[1] * singles)
-        ]
+        self.J_m, self.xdd_m = rng.normal(size=(2, N)), rng.normal(size=2)
+        self.J_r, self.b_r = rng.normal(size=(singles, N)), rng.normal(size=singles)
 
-    def rows(self, betas: list[float]) -> list[TaskRows]:
-        return [
-            TaskRows(J, Jdqd, xdd, beta)
-            for (J, Jdqd, xdd), beta in zip(self.groups, betas, strict=True)
-        ]
+    def rows(self, betas: list[float]) -> Rows:
+        """T_sca for β_m and the β of each single row."""
+        k, (beta_m, *beta_r) = 2 + len(self.b_r), betas
+        rows, links = Rows(np.empty((k, N)), *np.empty((2, k))), np.array(beta_r)
+        generate_avoidance_task(self.J_m, self.xdd_m, beta_m, self.J_r, self.b_r, links, *rows)
+        return rows
 
     def solve(self, betas: list[float], softness: float = SOFT) -> Array:
-        return least(insert_rows(self.objective, self.rows(betas), softness))
+        return least(inserted(self.objective, self.rows(betas), softness))
 
     def printed(self, betas: list[float]) -> Array:
         """All active rows at once, blended with the one solution without any of them."""
         return printed_blend(self.objective, self.rows(betas))
-
-
-def least(objective: Objective) -> Array:
-    return np.linalg.solve(objective.H, -objective.c)
 
 
 def strictly(objective: Objective, J: Array, b: Array) -> Array:
@@ -54,12 +49,11 @@ def strictly(objective: Objective, J: Array, b: Array) -> Array:
     return np.linalg.lstsq(kkt, np.concatenate([-objective.c, b]), rcond=None)[0][:n]
 
 
-def printed_blend(objective: Objective, rows: list[TaskRows]) -> Array:
-    active = [row for row in rows if row.beta > 0.0]
+def printed_blend(objective: Objective, rows: Rows) -> Array:
+    J, b, B = rows.of(rows.beta > 0.0)
     without = least(objective)
-    if not active:
+    if not len(b):
         return without
-    b, J, B = generate_avoidance_task(active)
     return strictly(objective, J, B * b + (1 - B) * (J @ without))
 
 
@@ -68,8 +62,8 @@ def test_rows_at_beta_zero_are_not_there_whatever_the_others_do(seed: int) -> No
     problem = Problem(seed)
     np.testing.assert_array_equal(problem.solve([0.0] * 4), least(problem.objective))
     betas = [0.3, 0.8, 0.0, 1.0]
-    others = [row for row in problem.rows(betas) if row.beta > 0.0]
-    alone = least(insert_rows(problem.objective, others, SOFT))
+    rows = problem.rows(betas)
+    alone = least(inserted(problem.objective, rows.of(rows.beta > 0.0), SOFT))
     np.testing.assert_array_equal(problem.solve(betas), alone)
 
 
@@ -78,8 +72,7 @@ def test_rows_at_beta_zero_are_not_there_whatever_the_others_do(seed: int) -> No
 def test_a_row_alone_is_the_blend_of_29(seed: int, beta: float) -> None:
     """β b + (1 - β) J q̈_2*, to the softness; at β = 1 it holds, and the rest is the best."""
     problem = Problem(seed, singles=1)
-    J, Jdqd, xdd = problem.groups[1]
-    wanted, without = xdd - Jdqd, least(problem.objective)
+    J, wanted, without = problem.J_r, problem.b_r, least(problem.objective)
     target = beta * wanted + (1 - beta) * (J @ without)
     qdd = problem.solve([0.0, beta])
     asked = float(np.abs(wanted - J @ without)[0])
@@ -92,7 +85,7 @@ def test_a_row_alone_is_the_blend_of_29(seed: int, beta: float) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_at_B_identity_the_avoidance_task_is_met_but_for_the_softness(seed: int) -> None:
     problem = Problem(seed)
-    b, J, B = generate_avoidance_task(problem.rows([1.0] * 4))
+    J, b, B = problem.rows([1.0] * 4)
     np.testing.assert_array_equal(B, np.ones(5))
     missing = [np.abs(J @ problem.solve([1.0] * 4, s) - b).max() for s in (1e-2, 1e-4, 1e-6)]
     assert missing[0] > 20 * missing[1] > 400 * missing[2]
@@ -105,19 +98,18 @@ def test_at_B_identity_the_avoidance_task_is_met_but_for_the_softness(seed: int)
 @pytest.mark.parametrize("seed", range(10))
 def test_a_row_in_full_force_holds_whatever_others_do(seed: int) -> None:
     problem = Problem(seed)
-    J, Jdqd, xdd = problem.groups[1]
     for others in (0.0, 0.2, 0.9):
         qdd = problem.solve([others, 1.0, others, others], 1e-7)
-        np.testing.assert_allclose(J @ qdd, xdd - Jdqd, atol=1e-4)
+        np.testing.assert_allclose(problem.J_r[0] @ qdd, problem.b_r[0], atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_the_order_of_the_rows_does_not_matter(seed: int) -> None:
     problem = Problem(seed)
     rows = problem.rows([0.4, 0.7, 0.2, 1.0])
-    expected = least(insert_rows(problem.objective, rows, SOFT))
-    for order in ([3, 2, 1, 0], [1, 3, 0, 2]):
-        found = least(insert_rows(problem.objective, [rows[i] for i in order], SOFT))
+    expected = least(inserted(problem.objective, rows, SOFT))
+    for order in ([4, 3, 2, 1, 0], [2, 4, 0, 3, 1]):
+        found = least(inserted(problem.objective, rows.of(order), SOFT))
         np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
@@ -150,13 +142,13 @@ def test_the_cost_grows_linearly_with_the_rows(seed: int) -> None:
     """Sixty rows, where combinations of them could not even be counted, in sixty times one's."""
     rng = np.random.default_rng(seed)
     objective = Problem(seed).objective
-    rows = [TaskRows(rng.normal(size=(1, N)), np.zeros(1), np.ones(1), 0.5) for _ in range(60)]
+    rows = Rows(rng.normal(size=(60, N)), np.ones(60), np.full(60, 0.5))
 
     def seconds(count: int) -> float:
-        times = []
+        times, some = [], rows.of(np.arange(count))
         for _ in range(15):
             begin = perf_counter()
-            insert_rows(objective, rows[:count], SOFT)
+            inserted(objective, some, SOFT)
             times.append(perf_counter() - begin)
         return min(times)
 
@@ -179,15 +171,8 @@ def run_into_walls(blend, seed: int, k_v: float) -> tuple[float, float]:
     before = float(v @ v)
     for _ in range(40_000):
         d = normals @ p
-        rows = [
-            TaskRows(
-                J[None, :],
-                np.zeros(1),
-                np.array([60.0 - k_v * (J @ v)]),
-                activation(float(x), 0.15, 0.05),
-            )
-            for J, x in zip(normals, d, strict=True)
-        ]
+        beta = np.array([activation(x, 0.15, 0.05) for x in d.tolist()])
+        rows = Rows(normals, 60.0 - k_v * (normals @ v), beta)
         v = v + dt * blend(free, rows)
         p = p + dt * v
         if (d > 0.151).all() and (normals @ v > 0.0).all():
@@ -196,8 +181,8 @@ def run_into_walls(blend, seed: int, k_v: float) -> tuple[float, float]:
     return before, float(v @ v)
 
 
-def soft_blend(objective: Objective, rows: list[TaskRows]) -> Array:
-    return least(insert_rows(objective, rows, SOFT))
+def soft_blend(objective: Objective, rows: Rows) -> Array:
+    return least(inserted(objective, rows, SOFT))
 
 
 @pytest.mark.slow
@@ -218,7 +203,7 @@ def test_nothing_gains_energy_by_running_into_two_buffers_and_leaving_them() -> 
 
 def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
     """The diagonal of (27): β_m, β_m, β_r,1, …, β_r,k."""
-    b, J, B = generate_avoidance_task(Problem(0).rows([0.3, 0.1, 0.9, 0.0]))
+    J, b, B = Problem(0).rows([0.3, 0.1, 0.9, 0.0])
     np.testing.assert_array_equal(B, [0.3, 0.3, 0.1, 0.9, 0.0])
     assert J.shape == (5, N)
     assert b.shape == (5,)

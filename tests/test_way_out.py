@@ -91,4 +91,4 @@ def test_the_first_torques_are_near_those_that_hold_the_arm(
     session.reset(starts.draw("penetration", seed))
     step = session.step()
     g = session.controller.state.g[2:]
-    assert np.abs(step.output.u_a - g).max() <= Config().limit.torque_rate * DT + 1e-6
+    assert np.abs(step.control.u_cmd - g).max() <= Config().limit.torque_rate * DT + 1e-6

@@ -249,6 +249,8 @@ def performance_table(found: Figures) -> str:
             ("step_p99_us", "the same, 99th percentile"),
             ("step_own_p50_us", "the quickest of three such steps, median"),
             ("floor_p50_us", "the libraries' bare calls, median"),
+            ("guided_p50_us", "`ControlLoop.step`, guided with one pair in the buffer, median"),
+            ("tracking_p50_us", "`ControlLoop.step`, tracking with both pairs in it, median"),
         ):
             if key in step:
                 rows.append([what, number(step[key], "µs")])

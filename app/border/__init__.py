@@ -9,5 +9,5 @@
     cache.py      files of what is made offline; pairs and clouds of a robot, from one or sampled
     reach/        reachability maps, to which (9) is fitted
 
-(12) to (16) are in `app.avoidance.mobile_acceleration`.
+(12) to (16) are in `app.avoidance.acting_point`.
 """

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
-from app.avoidance.task import distance_of
 from app.config import Config
 from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState
@@ -115,7 +114,8 @@ def _samples(pose: Pose) -> list[Sample]:
         if abs(fine[i] - coarse[i]) > _KINK * (1.0 + abs(fine[i])):
             found.append(Sample(pair.name, None))
             continue
-        _, (J,), (Jdqd,), _ = distance_of(state, closest)
+        joints = np.array([[state.model.body_joints[body] for body in closest.pair]])
+        (J,), (Jdqd,), _ = state.distance_motions(joints, closest.core[None], closest.n[None])
         bias, across = _fixed_points(state, closest)
         without = float(J @ qdd_all) + bias - float(fine[i])
         law = float(J @ qdd_all) + Jdqd - float(fine[i])

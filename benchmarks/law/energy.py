@@ -83,7 +83,7 @@ def _play(case: Restless) -> dict[str, Any]:
             base_speed = max(base_speed, abs(float(step.truth.base_velocity[0])))
             d = min(step.distances[: robot.n_mobile])
             nearest, inside = min(nearest, d), inside + (d < robot.config.border.d_b)
-        failures = session.controller.failures
+        failures = int(session.controller.last.failures)
     return {
         "place": case.place,
         "number": case.number,

@@ -75,7 +75,7 @@ def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, An
             links = min(links, *step.distances[n:])
             contacts += step.contacts.arm_base or step.contacts.arm_arm
             shares.append(joint_share(step, robot.model))
-        failures = session.controller.failures
+        failures = int(session.controller.last.failures)
     return {
         "kind": curve.kind,
         "duration_s": curve.duration,
@@ -103,7 +103,7 @@ def _limits_met(model: Any, step: Step) -> str:
     met = {
         "q": left < _AT_POSITION,
         "v": np.abs(qd) > _AT_SPEED * model.qd_max,
-        "u": np.abs(step.output.u_a) > _AT_TORQUE * model.tau_max,
+        "u": np.abs(step.control.u_cmd) > _AT_TORQUE * model.tau_max,
     }
     return " ".join(f"{what}{i + 1}" for what, at in met.items() for i in np.flatnonzero(at))
 

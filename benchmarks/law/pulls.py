@@ -86,7 +86,7 @@ def play(case: Held) -> dict[str, Any]:
         back = max(back, float(np.linalg.norm(moment.v)))  # since the nearest instant
         person = max(person, moment.person_speed)
         force = max(force, float(np.linalg.norm(step.person.hand)))
-        torque = max(torque, float(np.max(np.abs(step.output.u_a) / tau_max)))
+        torque = max(torque, float(np.max(np.abs(step.control.u_cmd) / tau_max)))
         contacts += step.contacts.arm_base or step.contacts.arm_arm
         shares.append(joint_share(step, robot.model))
     steps.close()
@@ -109,7 +109,7 @@ def play(case: Held) -> dict[str, Any]:
         "steps": len(shares),
         "steps_over_1": sum(s > 1.0 for s in shares),
         "steps_over_1.01": sum(s > 1.01 for s in shares),
-        "failures": moment.session.controller.failures,
+        "failures": int(moment.session.controller.last.failures),
     }
 
 

@@ -107,7 +107,7 @@ def play(case: Release) -> dict[str, Any]:
         "least_distance_m": nearest,
         "contact_steps": contacts,
         "joint_speed_share": share,
-        "failures": moment.session.controller.failures,
+        "failures": int(moment.session.controller.last.failures),
     }
 
 

@@ -13,7 +13,9 @@ from app.border.cache import BorderData
 from app.border.config import SamplingConfig
 from app.border.sampling import sample_clouds
 from app.config import Config
-from app.control.controller import Controller, ControlOutput
+from app.control.control_loop import ControlLoop
+from app.control.controller import Controller
+from app.control.quantities import ControlStep
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.system import peak_memory
@@ -25,6 +27,8 @@ from benchmarks.step.timing import time_stages, time_steps
 
 POINTS = (50_000, 500_000, 5_000_000)
 """Points of the synthetic borders."""
+Array = np.ndarray
+
 _PROCESSES = 2
 _REPEATS = 3  # of each control step
 _RESELECTED = (0.10, 0.12, 0.18, 0.20, 0.15)  # [m] d_b that are asked for one after the other
@@ -55,7 +59,7 @@ def bench(
     on_stage("control steps")
     steps = _steps(model, data, paths, seed)
     on_stage("stages of a step")
-    stages = time_stages(Controller(model, data, Config()), paths)
+    stages = time_stages(ControlLoop(model, data, Config()), paths)
     on_stage("another d_b")
     reselect = _reselect(model, data)
     memory = peak_memory()
@@ -88,19 +92,20 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
     Each step is taken again a few times; the quickest is its own time, without what else the
     machine did just then.
     """
-    floor = Floor(model, data.pairs, seed)
+    floor, loop = Floor(model, data.pairs, seed), ControlLoop(model, data, Config())
     floors: list[float] = []
 
-    def after(moment: Moment, output: ControlOutput) -> None:
-        if sum(pair.beta > 0.0 for pair in output.avoidance.mobile) >= 2:
-            floors.append(floor.time(moment))
+    def after(moment: Moment, step: ControlStep) -> None:
+        near = (step.beta[: step.n_mob] > 0.0).any()
+        floors.append(floor.time(moment) if near else np.nan)
 
-    alone, *again = (time_steps(Controller(model, data, Config()), paths) for _ in range(_REPEATS))
+    alone, *again = (time_steps(loop, paths) for _ in range(_REPEATS))
     own = np.min([alone.step, *(times.step for times in again)], axis=0)
-    time_steps(Controller(model, data, Config()), paths[:1], after)
+    beside = time_steps(loop, (paths[0], paths[-1]), after)
+    bare = np.array(floors)
     active = alone.step[alone.both]
     names = [pair.name for pair in data.pairs.all]
-    p50, bare = float(np.median(active)), float(np.median(floors))
+    p50, floor_p50 = float(np.median(active)), float(np.median(bare[beside.both]))
     return {
         "paths": [{"name": p.name, "start_m": p.start, "move_m": p.move} for p in PATHS],
         "steps": len(alone.step),
@@ -117,12 +122,22 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
         "step_own_p99_us": float(np.percentile(own[alone.both], 99)),
         "step_all_own_p50_us": float(np.median(own)),
         "step_all_own_p99_us": float(np.percentile(own, 99)),
-        "floor_p50_us": bare,
-        "floor_ratio": p50 / bare,
+        **_figures("guided", alone.step[alone.guided_by_one], bare[beside.guided_by_one]),
+        **_figures("tracking", alone.step[alone.tracking_by_both], bare[beside.tracking_by_both]),
+        "floor_p50_us": floor_p50,
+        "floor_ratio": p50 / floor_p50,
         "floor_qps": [
             dict(zip(("unknowns", "equalities", "inequalities"), floor.size, strict=True))
         ],
     }
+
+
+def _figures(name: str, steps: Array, floors: Array) -> dict[str, float | None]:
+    """Median, 99th percentile [µs] and ratio to the floor of some steps; None if there are none."""
+    known = len(steps) > 0 and len(floors) > 0
+    p50, p99 = np.percentile(steps, (50, 99)).tolist() if known else (None, None)
+    ratio = p50 / float(np.median(floors)) if known else None
+    return {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_ratio": ratio}
 
 
 def _reselect(model: RobotModel, data: BorderData) -> float:

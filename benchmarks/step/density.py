@@ -11,7 +11,7 @@ from app.border.cache import BorderData
 from app.border.dbb import DISTANCE_UNIT, make_cloud, quantise_points
 from app.border.offset import RAYS, OffsetContours
 from app.config import Config
-from app.control.controller import Controller
+from app.control.control_loop import ControlLoop
 from app.robot.model import RobotModel
 from benchmarks.step.paths import Path
 from benchmarks.step.timing import time_steps
@@ -31,16 +31,16 @@ def by_points(
     the least of each one's medians counts: the machine's own speed changes from second to second.
     """
     offset = OffsetContours(model, Config().border.d_b)
-    controllers = {}
+    loops = {}
     for count in counts:
         dense = _dense(data, offset, count, seed)
         for kind in KINDS:
             config = Config().replace("border.kind", kind)
-            controllers[kind, count] = Controller(model, dense, config)
-    medians: dict[tuple[str, int], list[float]] = {key: [] for key in controllers}
+            loops[kind, count] = ControlLoop(model, dense, config)
+    medians: dict[tuple[str, int], list[float]] = {key: [] for key in loops}
     for _ in range(_ROUNDS):
-        for key, controller in controllers.items():
-            times = time_steps(controller, paths)
+        for key, loop in loops.items():
+            times = time_steps(loop, paths)
             medians[key].append(float(np.median(times.step[times.both])))
     return {kind: {str(count): min(medians[kind, count]) for count in counts} for kind in KINDS}
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
-
-import numpy as np
 
 from app.border.cache import BorderData
 from app.config import Config
@@ -17,27 +16,24 @@ from app.simulation.scenarios import LINES
 from app.simulation.scenarios.line import LineScenario
 from app.simulation.session import DT
 
-Array = np.ndarray
-
 
 class Moment(NamedTuple):
-    """The arguments of `Controller.step`."""
+    """The arguments of `ControlLoop.step`."""
 
     measurement: Measurement
     reference: Reference | None
-    base_acceleration: Array
 
 
 Path = list[Moment]
 
-_FOLD = LINES["guiding-fold"]
+_LATERAL, _FOLD = LINES["guiding-lateral"], LINES["guiding-fold"]
 PATHS: tuple[LineScenario, ...] = (
-    LINES["guiding-lateral"],  # both pairs of L_m
+    _LATERAL,  # both pairs of L_m
     LINES["guiding-front"],
     LINES["guiding-above"],
     _FOLD,
     _FOLD.changed(start=(0.30, 0.45, 0.90), move=(0.0, -0.50, -0.10)),  # all pairs of the arm
-    LINES["tracking"].changed(duration=8.0),
+    replace(_LATERAL, name="tracking-lateral", mode="tracking"),  # the same, tracked
 )
 """Hand paths of 48 s in which every pair is active at times; for the paper's robot."""
 
@@ -70,9 +66,7 @@ def record(
             for k in range(round(scenario.duration / DT)):
                 lead = leader(session)
                 step = session.step(*lead)
-                if step.output.workings is not None:
-                    given = step.output.workings.base_given
-                    path.append(Moment(step.measurement, lead.reference, given))
+                path.append(Moment(step.measurement, lead.reference))
                 if k % 200 == 0:
                     on_progress(before + session.t)
         finally:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
-from app.control.controller import Controller, ControlOutput
+from app.control import controller as controller_module
+from app.control.control_loop import ControlLoop
+from app.control.quantities import ControlStep
+from app.robot.link_pairs import PairDistances
 from app.simulation.loop.pacing import settled
 from benchmarks.step.paths import Moment, Path
 
@@ -25,52 +30,62 @@ class Times(NamedTuple):
         step: (N,) [µs] that it took.
         mobile: (N,) how many pairs of L_m were active.
         active: (N, pairs) which pairs were active.
+        tracking: (N,) whether the end-effector had a reference.
     """
 
     step: Array
     mobile: Array
     active: Array
+    tracking: Array
 
     @property
     def both(self) -> Array:
         """(N,) whether two pairs of L_m, or all that there are, were active."""
         return self.mobile >= min(2, int(self.mobile.max()))
 
+    @property
+    def guided_by_one(self) -> Array:
+        """(N,) whether the arm was guided with one active pair of L_m."""
+        return (self.mobile == 1) & ~self.tracking
+
+    @property
+    def tracking_by_both(self) -> Array:
+        """(N,) whether the arm tracked a reference with `both` active."""
+        return self.both & self.tracking
+
 
 def time_steps(
-    controller: Controller,
+    loop: ControlLoop,
     paths: Sequence[Path],
-    after: Callable[[Moment, ControlOutput], None] = lambda _, __: None,
+    after: Callable[[Moment, ControlStep], None] = lambda _, __: None,
 ) -> Times:
     """Time every step of all paths; the first path is begun once more, unmeasured, to warm up.
 
+    A step is a whole call of `ControlLoop.step`.
+
     Args:
-        controller: Starts anew at each path.
+        loop: Starts anew at each path.
         paths: What it is given.
         after: Called after each measured step, outside of its time.
     """
-    controller.reset()
+    loop.reset()
     for moment in paths[0][:_WARM_UP]:
-        _step(controller, moment)
-    times, mobile, active = [], [], []
+        loop.step(*moment)
+    times, active, tracking = [], [], []
     gc.collect()
     with settled():
         for path in paths:
-            controller.reset()
+            loop.reset()
             for moment in path:
                 begin = perf_counter()
-                output = _step(controller, moment)
+                step = loop.step(*moment).step
                 times.append(perf_counter() - begin)
-                mobile.append(sum(pair.beta > 0.0 for pair in output.avoidance.mobile))
-                active.append([pair.beta > 0.0 for pair in output.avoidance.pairs])
-                after(moment, output)
-    return Times(1e6 * np.array(times), np.array(mobile), np.array(active))
-
-
-def _step(controller: Controller, moment: Moment) -> ControlOutput:
-    return controller.step(
-        moment.measurement, moment.reference, base_acceleration=moment.base_acceleration
-    )
+                active.append(step.beta > 0.0)
+                tracking.append(moment.reference is not None)
+                after(moment, step)
+    found, mobile = np.array(active), loop.controller.last.n_mob
+    counts = found[:, :mobile].sum(axis=1)
+    return Times(1e6 * np.array(times), counts, found, np.array(tracking))
 
 
 class Stages:
@@ -79,8 +94,19 @@ class Stages:
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
 
-    def wrap(self, owner: Any, method: str, name: str) -> None:
-        """Time a method of an object from now on, as a stage or a part of one."""
+    @contextmanager
+    def timing(self, parts: Sequence[tuple[str, Any, str]]) -> Iterator[None]:
+        """Time functions within the block: of each the stage, its owner and its name there."""
+        plain = [getattr(owner, name) for _, owner, name in parts]
+        for stage, owner, name in parts:
+            self._wrap(owner, name, stage)
+        try:
+            yield
+        finally:
+            for function, (_, owner, name) in zip(plain, parts, strict=True):
+                setattr(owner, name, function)
+
+    def _wrap(self, owner: Any, method: str, name: str) -> None:
         function = getattr(owner, method)
 
         def timed(*args: Any, **options: Any) -> Any:
@@ -98,30 +124,25 @@ class Stages:
         return spent
 
 
-def time_stages(controller: Controller, paths: Sequence[Path]) -> dict[str, float]:
+def time_stages(loop: ControlLoop, paths: Sequence[Path]) -> dict[str, float]:
     """[µs] median of each stage over the steps with both pairs of L_m active.
 
-    In a run of its own, since the clocks take time too. The controller's methods stay wrapped.
+    In a run of its own, since the clocks take time too.
     """
-    stages = Stages()
-    avoidance, solver = controller._avoidance, controller._solver
-    stages.wrap(controller.state, "update", "kinematics_dynamics")
-    stages.wrap(avoidance._monitor, "find_nearest", "distances")
-    for finder in avoidance._finders.values():
-        stages.wrap(finder, "find_acting_point", "acting_point")
-    stages.wrap(avoidance, "update", "avoidance")
-    stages.wrap(solver, "solve", "qp")
-    spent: list[dict[str, float]] = []
-    wholes = time_steps(controller, paths, lambda _, __: spent.append(stages.take()))
+    stages, spent = Stages(), list[dict[str, float]]()
+    with stages.timing(_PARTS):
+        wholes = time_steps(loop, paths, lambda _, __: spent.append(stages.take()))
     rows = []
-    for whole, parts in zip(wholes.step, spent, strict=True):
-        get = {name: 1e6 * parts.get(name, 0.0) for name in _PARTS}
-        within = get.pop("avoidance")
-        get["task"] = within - get["distances"] - get["acting_point"]
-        get["rest"] = whole - sum(get.values())
-        rows.append(get)
+    for whole, parts in zip(wholes.step, spent[-len(wholes.step) :], strict=True):
+        get = {name: 1e6 * parts.get(name, 0.0) for name, _, _ in _PARTS}
+        rows.append(get | {"rest": whole - sum(get.values())})
     chosen = np.flatnonzero(wholes.both)
     return {name: float(np.median([rows[i][name] for i in chosen])) for name in rows[0]}
 
 
-_PARTS = ("kinematics_dynamics", "distances", "acting_point", "avoidance", "qp")
+_PARTS = (
+    ("update_estimate", controller_module, "update_estimate"),
+    ("pinocchio", pin, "computeAllTerms"),
+    ("distances", PairDistances, "update_from"),
+    ("algorithm_2", controller_module, "run_algorithm_2"),
+)

@@ -1,0 +1,41 @@
+"""The base's admittance law, running by itself, for tests that need no controller."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.config import AdmittanceConfig
+from app.control.admittance import (
+    admissible_command,
+    largest_command,
+    next_command,
+    virtual_damping,
+    virtual_mass,
+)
+from app.robot.bases.kind import BaseKind
+
+Array = np.ndarray
+
+
+class RunningAdmittance:
+    """Commanded accelerations in, velocity commands out, renewed once a period."""
+
+    def __init__(self, base: BaseKind, config: AdmittanceConfig) -> None:
+        """The law of a base at rest."""
+        self._base, self._period = base, config.period
+        self._M, self._D = virtual_mass(base, config), virtual_damping(base, config)
+        self._v_max, self._a_max = largest_command(base, config), np.array(base.max_acceleration)
+        self._sum, self._t = np.zeros(base.n_b), 0.0
+        self.command = np.zeros(base.n_b)
+        """(n_b,) [m/s or rad/s] the velocity command in force."""
+
+    def update(self, acceleration: Array, dt: float) -> Array:
+        """The command (n_b,) after a step of dt [s] with an acceleration (n_b,)."""
+        self._sum, self._t = self._sum + acceleration * dt, self._t + dt
+        if self._t >= self._period - dt / 2:
+            mean, before = self._sum / self._t, self.command
+            law = self._t, self._M, self._D, self._a_max, self._v_max
+            command = next_command(mean, before, *law)
+            self.command = admissible_command(self._base, command, before, self._v_max)
+            self._sum, self._t = np.zeros(len(mean)), 0.0
+        return self.command
