@@ -311,11 +311,9 @@ _SOLUTION = (
 )
 
 _RESCUE = (
-    Quantity(
-        "qp_open", "", "", "1", "", "", "1, 2, 3: the QP that the active sets did not solve; 0 none"
-    ),
-    Quantity("qp_x", "", "3 n", "", "joints", "", "solutions of these QPs by ProxQP; NaN: none"),
-    Quantity("qp_tried", "", "3", "1", "", "", "1 where ProxQP was tried"),
+    Quantity("qp_open", "", "", "1", "", "", "1 to 4: the problem that is left to Python; 0 none"),
+    Quantity("qp_x", "", "4 n", "", "joints", "", "solutions of these by ProxQP; NaN: none"),
+    Quantity("qp_tried", "", "4", "1", "", "", "1 where ProxQP was tried"),
     Quantity("qp_H", "", "n n", "", "joints", "", "Hessian of the open QP"),
     Quantity("qp_c", "", "n", "", "joints", "", "its linear term"),
     Quantity("qp_fixed", "", "n_b", "", "joints", "", "its fixed first entries"),

@@ -197,8 +197,6 @@ def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
     controller = _controller(options.robot, options.controller, path.limits, h)
     motion, state = _motion(path), RobotState(load(options.robot).model)
     most = load(options.robot).model.base_acceleration_max
-    controller.reset()
-    controller.q_posture = motion.arm.middle.copy()
     asked, touching = [], []
     for t in times:
         measured, base_acceleration, qdd = motion.at(float(t))
@@ -211,10 +209,11 @@ def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
                 state.v_ee.copy(),
                 state.J_ee @ qdd_all + state.Jdqd_ee,
             )
-        controller.estimate.begin_anew()  # the motion is not that of the torques
-        output = controller.step(measured, reference, base_acceleration=base_acceleration)
-        asked.append(np.clip(output.base_acceleration, -most, most))
-        touching.append(min(pair.closest.d for pair in output.avoidance.pairs) <= 0.0)
+        controller.reset()  # the motion is not that of the torques
+        controller.last.q_posture[:] = motion.arm.middle
+        w = controller.step(measured, reference, base_acceleration=base_acceleration)
+        asked.append(np.clip(w.a_base_cmd, -most, most))
+        touching.append(w.d[: len(w.pairs)].min() <= 0.0)
     steps = np.diff(np.array(asked), axis=0)
     steps[np.array(touching)[1:] | np.array(touching)[:-1]] = 0.0
     return np.column_stack([np.linalg.norm(steps[:, :-1], axis=1), np.abs(steps[:, -1])])
