@@ -97,7 +97,7 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 def cascade(levels: list[Task]) -> Array:
     """q̈ (n,): each level's min ‖w‖ among the q̈ that leave the slacks of those above it as they are.
 
-    Paper: Eq. (26), and (29) with T_sca on top.
+    Paper: Eq. (26), (29), the latter with T_sca on top.
     """
     qdd = np.zeros(levels[0].J.shape[1])
     above = np.empty((0, len(qdd)))

@@ -4,7 +4,7 @@ Some rows take one state and solve for q̈ by both, others compare runs. Each is
 less is better.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ from app.studies.paper.experiments import (
 _STATES = 40  # of the lateral guiding, from the first one in the buffer to the last
 _ENTERS = 1e-9  # [-] β of a row that has just entered
 _FAR = 1.0  # [m] of a target that is out of reach
-_FINER = 2_000  # [-] steps of a line between two states
+_LINE = 200  # [-] states on a line between two postures
 
 
 class Departure(NamedTuple):
@@ -86,10 +86,9 @@ def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of (29) as printed, with another diagonal of B; rows at 0 are not there."""
-    below, active = hqp.tasks_below(w, gains), B > 0.0
-    T_sca = hqp.Task(w.J_sca[active], w.b_sca[active])
-    return hqp.inserted(T_sca, B[active], below, hqp.cascade(below))
+    """q̈ (n,) of (29) as printed, with another diagonal of B, or NaN where there is none."""
+    w.B[:] = B
+    return hqp.solved_by_hierarchy(w, gains)
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
@@ -100,6 +99,9 @@ def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
     qdd_b = np.linalg.solve(w.J_sca[:n_b, :n_b], B[:n_b] * w.b_sca[:n_b])
     qdd_a = np.linalg.solve(H[n_b:, n_b:], -(c[n_b:] + H[n_b:, :n_b] @ qdd_b))
     return np.concatenate([qdd_b, qdd_a])
+
+
+SOLVERS: tuple[Callable[[ControlStep, Array, TaskConfig], Array], ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float) -> Array:
@@ -121,19 +123,19 @@ def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
 def _of_states(sources: Sources) -> Iterator[Departure]:
     gains = sources.config.task
     controller = Controller(sources.model, sources.data, sources.config, name="hqp")
-    both = [lambda w, B: printed(w, B, gains), lambda w, B: here(w, B, gains)]
     enters, left = [], []
     for q_m in postures(sources):
         w = held(controller, q_m)
         absent, entered = (activations(w, 0.5, beta) for beta in (0.0, _ENTERS))
-        enters.append([_torque(w, solve(w, entered) - solve(w, absent)) for solve in both])
+        changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
+        enters.append([_torque(w, change) for change in changes])
         left.append(left_as_printed(held(controller, q_m, 0.001), gains))
     w = held(controller, postures(sources)[0], _FAR)
     demands = [np.linalg.norm(hqp.end_effector(w, gains).b), np.linalg.norm(w.b_ee)]
-    yield Departure("(26) strict levels", "step_radps2", *steepest(sources, controller, both))
+    yield Departure("(26) strict levels", "step_radps2", *steepest(sources, controller))
     yield Departure("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *map(float, demands))
     yield Departure("(29) reference on the left", "off_at_zero_radps2", max(left), 0.0)
-    yield Departure("(29) a row enters", "torque_jump_nm", *np.max(enters, axis=0).tolist())
+    yield Departure("(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist())
 
 
 def postures(sources: Sources) -> list[Array]:
@@ -144,19 +146,20 @@ def postures(sources: Sources) -> list[Array]:
     return list(log.of("q_m")[chosen])
 
 
-def steepest(sources: Sources, controller: Controller, both: Sequence) -> list[float]:
+def steepest(sources: Sources, controller: Controller) -> list[float]:
     """[rad/s²] largest change of q̈ by each from step to step of a line of postures.
 
     The base's rows and one of links are in full force, so that with T_2 as many rows as axes are.
     """
     ends = np.array(postures(sources))[[0, -1]]
     ends[1] += 0.5 * (sources.model.q_limits.mean(axis=0) - ends[0])
-    line = ends[0] + np.linspace(0.0, 1.0, _FINER // 10)[:, None] * (ends[1] - ends[0])
     found = []
-    for q_m in line:
-        w = held(controller, q_m)
-        found.append([solve(w, activations(w, 1.0, 1.0)) for solve in both])
-    return np.linalg.norm(np.diff(found, axis=0), axis=2).max(axis=0).tolist()
+    for share in np.linspace(0.0, 1.0, _LINE):
+        w = held(controller, ends[0] + share * (ends[1] - ends[0]))
+        B = activations(w, 1.0, 1.0)
+        found.append([solve(w, B, sources.config.task) for solve in SOLVERS])
+    changes = np.linalg.norm(np.diff(found, axis=0), axis=2)
+    return np.nanmax(changes, axis=0).tolist()
 
 
 def _torque(w: ControlStep, qdd: Array) -> float:
