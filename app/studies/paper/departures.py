@@ -5,7 +5,7 @@ less is better.
 """
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -32,7 +32,10 @@ from app.studies.paper.experiments import (
 _STATES = 40  # of the lateral guiding, from the first one in the buffer to the last
 _ENTERS = 1e-9  # [-] β of a row that has just entered
 _FAR = 1.0  # [m] of a target that is out of reach
-_LINE = 200  # [-] states on a line between two postures
+_LINE, _HALVINGS = 100, 20  # [-] postures on a line, and how often its steepest step is halved
+
+
+Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 
 
 class Departure(NamedTuple):
@@ -60,7 +63,10 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
     places = np.arange(len(rows))[::-1]
     for k, name in enumerate(("hqp", "dbb")):
         values = np.maximum(table["here" if k else "printed"].astype(float), _ENTERS)
-        look = {"color": style.METHOD_COLOURS[name], "label": style.METHOD_NAMES[name]}
+        look: dict[str, Any] = {
+            "color": style.METHOD_COLOURS[name],
+            "label": style.METHOD_NAMES[name],
+        }
         ax.barh(places + 0.2 - 0.4 * k, values, 0.36, **look)
     ax.set_xscale("log")
     ax.set_yticks(places, [f"{row.place}\n{row.key}" for row in rows])
@@ -101,15 +107,19 @@ def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
     return np.concatenate([qdd_b, qdd_a])
 
 
-SOLVERS: tuple[Callable[[ControlStep, Array, TaskConfig], Array], ...] = (printed, here)
+SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
-def activations(w: ControlStep, base: float, link: float) -> Array:
-    """The diagonal of B with the base's rows and that of the nearest pair of links at these β."""
+def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
+    """The diagonal of B with the base's rows and that of a pair of L_m^c at these β."""
     B = np.zeros(len(w.B))
-    B[: w.n_b] = base
-    B[w.n_b + int(np.argmin(w.d[w.n_mob : len(w.pairs)]))] = link
+    B[: w.n_b], B[w.n_b + pair] = base, link
     return B
+
+
+def nearest_links(w: ControlStep) -> int:
+    """Which pair of L_m^c is nearest."""
+    return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
@@ -126,13 +136,15 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
     enters, left = [], []
     for q_m in postures(sources):
         w = held(controller, q_m)
-        absent, entered = (activations(w, 0.5, beta) for beta in (0.0, _ENTERS))
+        pair = nearest_links(w)
+        absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
         changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
         enters.append([_torque(w, change) for change in changes])
         left.append(left_as_printed(held(controller, q_m, 0.001), gains))
     w = held(controller, postures(sources)[0], _FAR)
     demands = [np.linalg.norm(hqp.end_effector(w, gains).b), np.linalg.norm(w.b_ee)]
-    yield Departure("(26) strict levels", "step_radps2", *steepest(sources, controller))
+    jumps = [jump(sources, controller, solve) for solve in SOLVERS]
+    yield Departure("(26) strict levels", "jump_radps2", *jumps)
     yield Departure("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *map(float, demands))
     yield Departure("(29) reference on the left", "off_at_zero_radps2", max(left), 0.0)
     yield Departure("(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist())
@@ -146,20 +158,33 @@ def postures(sources: Sources) -> list[Array]:
     return list(log.of("q_m")[chosen])
 
 
-def steepest(sources: Sources, controller: Controller) -> list[float]:
-    """[rad/s²] largest change of q̈ by each from step to step of a line of postures.
+def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
+    """[rad/s²] the change of q̈ that is left where it is steepest on a line of postures.
 
-    The base's rows and one of links are in full force, so that with T_2 as many rows as axes are.
+    The base's rows and one between links are in full force, so that with T_2 there are as many rows
+    as axes. Around the steepest step the line is halved again and again: a slope vanishes, a jump
+    does not. No solution counts as q̈ = 0.
     """
-    ends = np.array(postures(sources))[[0, -1]]
-    ends[1] += 0.5 * (sources.model.q_limits.mean(axis=0) - ends[0])
-    found = []
-    for share in np.linspace(0.0, 1.0, _LINE):
-        w = held(controller, ends[0] + share * (ends[1] - ends[0]))
-        B = activations(w, 1.0, 1.0)
-        found.append([solve(w, B, sources.config.task) for solve in SOLVERS])
-    changes = np.linalg.norm(np.diff(found, axis=0), axis=2)
-    return np.nanmax(changes, axis=0).tolist()
+    gains, (first, *_, last) = sources.config.task, postures(sources)
+    last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
+    pair = nearest_links(held(controller, first))
+
+    def at(share: float) -> Array:
+        w = held(controller, first + share * (last - first))
+        return np.nan_to_num(solve(w, activations(w, 1.0, 1.0, pair), gains))
+
+    shares = np.linspace(0.0, 1.0, _LINE)
+    found = [at(share) for share in shares]
+    k = int(np.linalg.norm(np.diff(found, axis=0), axis=1).argmax())
+    (a, b), (qdd_a, qdd_b) = shares[k : k + 2], found[k : k + 2]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (a + b)
+        qdd = at(middle)
+        if np.linalg.norm(qdd - qdd_a) > np.linalg.norm(qdd_b - qdd):
+            b, qdd_b = middle, qdd
+        else:
+            a, qdd_a = middle, qdd
+    return float(np.linalg.norm(qdd_b - qdd_a))
 
 
 def _torque(w: ControlStep, qdd: Array) -> float:
