@@ -36,7 +36,7 @@ from app.robot.state import Measurement, RobotState, checked, pinocchio_views
 from app.strict import Array
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_HIERARCHY = 3  # place of its problem among those that are left to Python
+_HIERARCHY = 3  # place of its solution in `qp_x`
 _UNKNOWN = ("d_b", "u_a", "v_last", "q_posture")  # NaN until they are known
 
 

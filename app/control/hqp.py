@@ -95,7 +95,7 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 
 
 def cascade(levels: list[Task]) -> Array:
-    """q̈ (n,): each level's min ‖w‖ among the q̈ that leave the slacks of those above it as they are.
+    """q̈ (n,): min ‖w‖ level by level, each without a change of the slacks above it.
 
     Paper: Eq. (26), (29), the latter with T_sca on top.
     """

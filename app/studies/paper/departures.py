@@ -1,7 +1,6 @@
-"""Where the law departs from (26) to (29): what the printed form does, beside ours.
+"""The departures from (26) to (29), measured: the printed form beside ours.
 
-Some rows take one state and solve for q̈ by both, others compare runs. Each is a number of which
-less is better.
+Some rows solve for q̈ at a state by both, others compare runs. Smaller numbers are better.
 """
 
 from collections.abc import Callable, Iterator
@@ -76,7 +75,7 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
         figure,
         {"": table},
         measured,
-        ["Less is better. `docs/departures.md` gives the reason of each departure."],
+        ["Smaller numbers are better. `docs/departures.md` gives the reason of each departure."],
     )
 
 
@@ -159,7 +158,7 @@ def postures(sources: Sources) -> list[Array]:
 
 
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
-    """[rad/s²] the change of q̈ that is left where it is steepest on a line of postures.
+    """[rad/s²] the remaining change of q̈ at the steepest place of a line of postures.
 
     The base's rows and one between links are in full force, so that with T_2 there are as many rows
     as axes. Around the steepest step the line is halved again and again: a slope vanishes, a jump
