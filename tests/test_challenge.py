@@ -66,7 +66,13 @@ def test_what_was_seen_is_told_at_once_and_each_controller_when_it_is_known(monk
     gate.set()
     wait_for(lambda: challenge.progress is None, 10.0)
     assert asked[0] == "none"
-    assert [each.controller for each in challenge.tried] == ["dbb", "none", "repulsive", "barrier"]
+    assert [each.controller for each in challenge.tried] == [
+        "dbb",
+        "none",
+        "hqp",
+        "repulsive",
+        "barrier",
+    ]
     assert "kept 39 mm" in challenge_html(challenge, Course())
     assert challenge.case is not None
     assert challenge.case.figures

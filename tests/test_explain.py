@@ -242,6 +242,7 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("base", "none", "avoidance is off: nothing gives way"),
         ("above", "dbb", "base's top (its buffer is 15 cm), where no motion of the base helps"),
         ("high above", "dbb", "the arm itself will stay 3 cm away"),
+        ("high above", "hqp", "the printed controller has nothing else that holds the arm"),
         ("last", "dbb", "and the arm itself keeps its distance."),
         ("inside", "dbb", "The hand is 4 mm inside the outline of the base's front"),
         ("edge", "dbb", "The hand is at the edge of the 15 cm buffer around the base's front"),

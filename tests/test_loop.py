@@ -313,7 +313,7 @@ def test_another_controller_is_used_at_once_also_while_paused(loop: SimulationLo
 
 
 def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLoop) -> None:
-    with pytest.raises(UnknownNameError, match="barrier, dbb, none, repulsive"):
+    with pytest.raises(UnknownNameError, match="barrier, dbb, hqp, none, repulsive"):
         loop.send(Choose("dbbb"))
     assert until(loop, lambda s: s.t > 0.1).controller == "dbb"
 

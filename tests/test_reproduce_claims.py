@@ -13,6 +13,7 @@ from app.simulation.run import RunResult
 from app.studies.paper import claims
 from app.studies.paper.claims import CLAIMS, DIRECTIONS, Claim, claims_of
 from app.studies.paper.experiments import (
+    AS_PRINTED,
     DOOR,
     DOOR_NONE,
     FRONT,
@@ -108,6 +109,9 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
             claims.not_reached,
         ),
         (TRACKING_NONE, {"min_clearance_m": 0.06}, claims.needed),
+        (AS_PRINTED[0], {"ee_error_final_m": 0.0011}, claims.reached_as_printed),
+        (AS_PRINTED[0], {"back": 0.01}, claims.reached_as_printed),
+        (AS_PRINTED[3], {"min_clearance_m": 0.029}, claims.guided_as_printed),
         (FRONT, {"back": 0.0}, claims.guided_back),
         (LATERAL, {"beta_step": 0.06}, claims.continuous),
         (FRONT, {"beta_step": 0.06}, claims.continuous),

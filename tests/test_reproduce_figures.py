@@ -15,9 +15,10 @@ from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.run import RunResult
-from app.studies.paper import acting, approach, density, offline
+from app.studies.paper import acting, approach, density, departures, offline
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
+    AS_PRINTED,
     COMPARED,
     DOOR,
     DOOR_NONE,
@@ -38,7 +39,7 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     """A second of guiding into the buffer, for every experiment on a line."""
     run = short_run(robot, border_data, LATERAL, 2.0)
     tracking = [TRACKING, TRACKING_REPULSIVE, TRACKING_NONE, WHEEL_AXIS]
-    return sources_of(robot, border_data, every([*tracking, *COMPARED], run))
+    return sources_of(robot, border_data, every([*tracking, *COMPARED, *AS_PRINTED], run))
 
 
 @pytest.fixture(scope="module")
@@ -285,3 +286,16 @@ def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
         along = door.pose(angle).rotation @ [0.0, -door.side, 0.0]
         np.testing.assert_allclose(to_middle / np.linalg.norm(to_middle), along, atol=1e-9)
         assert body.mesh.bounds[0][0] > door.hinge_position[0]
+
+
+def test_the_printed_form_is_worse_at_each_departure(
+    sources: Sources, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But for the two that compare runs, which here are one and the same."""
+    monkeypatch.setattr(departures, "_STATES", 4)
+    monkeypatch.setattr(departures, "_LINE", 20)
+    with styled():
+        measured = FIGURES["departures"].draw(sources).measured
+    assert measured.keys() > {"jump_radps2", "demand_mps2", "off_at_zero_radps2", "torque_jump_nm"}
+    for key, row in measured.items():
+        assert row["printed"] > 10.0 * row["here"] or key.startswith("ee_error"), key

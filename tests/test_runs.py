@@ -182,4 +182,4 @@ def mirrored_run(robot: RobotModel, q_start: np.ndarray) -> tuple[dict[str, Any]
 
 def test_every_controller_has_been_run():
     """A controller that is added must be shown here or in test_methods.py."""
-    assert set(CONTROLLERS) == {"dbb", "repulsive", "barrier", "none"}
+    assert set(CONTROLLERS) == {"dbb", "hqp", "repulsive", "barrier", "none"}

@@ -16,6 +16,7 @@ Figures = Mapping[str, Any]
 
 LINES = ("guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking")
 COMPARED = ("none", "repulsive", "barrier", "dbb")
+"""Methods of the tables; `dbb reproduce departures` puts `hqp` beside `dbb`."""
 PLANTS = {"planar": "pybullet", "mujoco": "MuJoCo", "mujoco-contact": "MuJoCo, wheels"}
 ENGINE_RUNS = {
     "husky_panda": (*LINES, "refrigerator"),
@@ -571,4 +572,4 @@ SETS: dict[str, ResultSet] = {
 }
 """By their names: of the files, of the tables in the pages, and on the command line."""
 
-assert set(COMPARED) == set(CONTROLLERS)
+assert {*COMPARED, "hqp"} == set(CONTROLLERS)

@@ -32,8 +32,8 @@ def reproduce(
     """Run the paper's experiments, draw its figures, judge its claims.
 
     Args:
-        figures: fig3, fig5 to fig8, fig10 to fig18, or density and continuity for §4.3; all if none
-            is named.
+        figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity for §4.3, or departures;
+            all if none is named.
         out: Folder for a PNG and CSVs a figure, `metrics.json` and `index.html`.
         seed: Seed of everything random in the runs.
     """

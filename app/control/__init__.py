@@ -1,4 +1,5 @@
 """Tasks, their QP, the controller (Algorithm 2) and the base's admittance law."""
 
-CONTROLLERS = ("dbb", "repulsive", "barrier", "none")
-"""The paper's method, those it is compared with, and the same stack without avoidance."""
+CONTROLLERS = ("dbb", "hqp", "repulsive", "barrier", "none")
+"""Our law, the controller that the paper prints, those it is compared with, and the same stack
+without avoidance."""

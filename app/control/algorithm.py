@@ -21,6 +21,9 @@ changed as little as the arm needs to stay within its own limits.
 
 **The arm** minimises the tasks with the rows of T_sca as springs against them, (29), subject to its
 limits, for the acceleration that the base really has. From q̈ follow the torques, (26).
+
+The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
+`app.control.hqp` solves.
 """
 
 import math
@@ -209,6 +212,9 @@ def algorithm_2(
     stack_avoidance_task(robot, gains, w)  #                                    8 to 13  (20)-(27)
     stack_tasks(robot, gains, w, tracking)  #                                           14  (26)
     w.qp_open[()] = 0.0
+    if gains.hierarchy:
+        take_hierarchy(robot, gains, w, base_source)
+        return
     put(w.a_base_free, -gains.base_damping * w.base_velocity)  #                      14  a_free
     if w.valid[()] != 0.0 and (tracking or gains.base_in_barrier):
         m = set_up_free_base(robot, gains, slow, w)
@@ -246,17 +252,7 @@ def algorithm_2(
         w.n_limits[()] = m
         w.solved[()] = found
         put(w.qdd, qdd)
-    if w.solved[()] != 0.0:
-        u = times(w.M[n_b:], w.qdd) + w.h[n_b:]  #                                         (26)
-    else:  # the fallback command: gravity compensation and damping, and a base that brakes
-        w.failures[()] += 1.0
-        u = w.u_free
-        put(w.a_base_cmd, -gains.base_damping * w.base_velocity)
-        fill(w.qdd, math.nan)
-    put(w.u_cmd, clip(u, w.u_min, w.u_max))
-    if not math.isnan(w.q_posture[0]):  # else the torques belong to no measured pose
-        put(w.u_a, w.u_cmd)
-    update_command(robot, gains, w)
+    put_commands(robot, gains, w)
 
 
 @compiled()
@@ -595,6 +591,39 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
         put(w.v_cmd, v)
         fill(w.a_sum, 0.0)
         w.t_sum[()] = 0.0
+
+
+@compiled()
+def put_commands(robot: Any, gains: Any, w: Any) -> None:
+    """Torques and base velocity of q̈, or the fallback command where q̈ has not been solved for."""
+    if w.solved[()] != 0.0:
+        u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  #                           (26)
+    else:  # the fallback command: gravity compensation and damping, and a base that brakes
+        w.failures[()] += 1.0
+        u = w.u_free
+        put(w.a_base_cmd, -gains.base_damping * w.base_velocity)
+        fill(w.qdd, math.nan)
+    put(w.u_cmd, clip(u, w.u_min, w.u_max))
+    if not math.isnan(w.q_posture[0]):  # else the torques belong to no measured pose
+        put(w.u_a, w.u_cmd)
+    update_command(robot, gains, w)
+
+
+@compiled()
+def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
+    """Line 15 as printed: leave q̈ to Python in `w.qp_open`, and take it when called again."""
+    if w.valid[()] != 0.0 and w.qp_tried[3] == 0.0:
+        w.qp_open[()] = 4.0
+        return
+    put(w.qdd, w.qp_x[3])
+    w.n_limits[()] = 0.0
+    w.solved[()] = w.valid[()] != 0.0 and not math.isnan(w.qdd[0])
+    put(w.a_base_des, -gains.base_damping * w.base_velocity)
+    if w.solved[()] != 0.0:
+        put(w.a_base_des, times(robot.J_m, w.qdd[: robot.n_b]))
+    put(w.a_base_cmd, clip(w.a_base_des, -robot.a_max, robot.a_max))
+    measure_base(robot, w, base_source)
+    put_commands(robot, gains, w)
 
 
 run_algorithm_2 = compiled(

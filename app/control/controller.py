@@ -24,7 +24,8 @@ from app.control.algorithm import (
     run_algorithm_2,
     update_estimate,
 )
-from app.control.inputs import gains_struct, robot_struct
+from app.control.hqp import solved_by_hierarchy
+from app.control.inputs import METHODS, gains_struct, robot_struct
 from app.control.quantities import QUANTITIES, ControlStep
 from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
@@ -38,6 +39,7 @@ from app.strict import Array
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
+_HIERARCHY = 3  # place of its solution in `qp_x`
 _UNKNOWN = ("d_b", "u_a", "v_last", "q_posture")  # NaN until they are known
 
 
@@ -99,9 +101,11 @@ class Controller:
         approaches the new one at `algorithm.BUFFER_RATE`, because a jump would throw an arm that is
         inside the buffer.
         """
-        self._config = config
+        self._config, border = config, config.border
+        if METHODS[self.name].get("hierarchy"):
+            border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
-        self._border = border_of(self._model, clouds, config.border).struct
+        self._border = border_of(self._model, clouds, border).struct
         self._gains = gains_struct(config, self._base, self.name, self._dt)
         self._slow = gains_struct(slowed(config), self._base, self.name, self._dt)
         self._largest_command = largest_command(self._base, config.admittance)
@@ -187,13 +191,16 @@ class Controller:
         return w
 
     def _rescue(self, which: int) -> None:
-        """Let ProxQP solve the open QP."""
+        """Let ProxQP solve the open problem."""
         w, m = self.last, int(self.last.qp_rows)
+        w.qp_tried[which] = 1.0
+        if which == _HIERARCHY:
+            w.qp_x[which] = solved_by_hierarchy(w, self._config.task)
+            return
         fixed = {0: 0, 1: self._model.n_b, 2: self._model.n_b}[which]
         limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
         qp = OpenQP(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
         w.qp_x[which] = changed_by_proxqp(qp) if which == 1 else solved_by_proxqp(qp)
-        w.qp_tried[which] = 1.0
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:

@@ -104,6 +104,7 @@ _GAINS: dict[str, Any] = {
     "barrier": types.i8,  # distances with a barrier: none, of L_m, all
     "base_in_barrier": _FLAG,  # the base takes part in these barriers
     "lookahead": _FLAG,  # the base makes room for the arm's distances
+    "hierarchy": _FLAG,  # q̈ solves the printed hierarchy, `app.control.hqp`
 }
 _Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ignore[misc]
 GAINS = struct_type(_Gains, _GAINS)
@@ -115,9 +116,11 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
     "dbb": {
         "base_rows": True,
         "link_rows": True,
+        "reaction": True,
         "barrier": MOBILE_BARRIER,
         "lookahead": True,
     },
+    "hqp": {"base_rows": True, "link_rows": True, "hierarchy": True},
     "repulsive": {"link_rows": True, "arm_rows": True},
     "barrier": {"barrier": EVERY_BARRIER, "base_in_barrier": True},
     "none": {},
@@ -170,7 +173,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         dt=dt,
         d_b=c.border.d_b,
         f_max=c.force.f_max,
-        f_arm=c.force.f_arm if method.get("base_rows") else 0.0,
+        f_arm=c.force.f_arm if method.get("reaction") else 0.0,
         alpha_gain=c.force.alpha_gain,
         alpha_min=c.force.alpha_min,
         alpha_max=c.force.alpha_max,
@@ -212,6 +215,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         barrier=method.get("barrier", NO_BARRIER),
         base_in_barrier=method.get("base_in_barrier", False),
         lookahead=method.get("lookahead", False),
+        hierarchy=method.get("hierarchy", False),
     )
     return _make_gains(_contiguous(values, _GAINS))
 

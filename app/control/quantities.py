@@ -156,9 +156,9 @@ command_due | | | 1 | | §4.1 | 1 if the velocity command is new
 v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command before it
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: velocity command in force
 # A QP that ProxQP has to solve
-qp_open | | | 1 | | | 1, 2, 3: the QP that the active sets did not solve; 0 none
-qp_x | | 3 n | | joints | | solutions of these QPs by ProxQP; NaN: none
-qp_tried | | 3 | 1 | | | 1 where ProxQP was tried
+qp_open | | | 1 | | | 1 to 4: the problem that is left to Python; 0 none
+qp_x | | 4 n | | joints | | solutions of these by ProxQP; NaN: none
+qp_tried | | 4 | 1 | | | 1 where ProxQP was tried
 qp_H | | n n | | joints | | Hessian of the open QP
 qp_c | | n | | joints | | its linear term
 qp_fixed | | n_b | | joints | | its fixed first entries

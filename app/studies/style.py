@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 METHOD_COLOURS = {
     "dbb": "#0072B2",
+    "hqp": "#E69F00",
     "points": "#56B4E9",
     "repulsive": "#D55E00",
     "barrier": "#CC79A7",
@@ -21,6 +22,7 @@ METHOD_COLOURS = {
 """One colour a controller; these and those below are Okabe and Ito's, told apart by all eyes."""
 METHOD_NAMES = {
     "dbb": "proposed (DBB)",
+    "hqp": "as printed (HQP)",
     "points": "proposed, border of points",
     "repulsive": "repulsive force",
     "barrier": "barrier rows",

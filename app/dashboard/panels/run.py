@@ -79,7 +79,8 @@ class RunPanel(Panel):
         self._controller = gui.add_dropdown(
             "Controller",
             CONTROLLERS,
-            hint="dbb: the base gives way, as in the paper. repulsive: a force on the arm alone. "
+            hint="dbb: the base gives way, as in the paper. hqp: the hierarchy as printed, slower "
+            "than real time. repulsive: a force on the arm alone. "
             "barrier: each distance a hard inequality. none: no avoidance.",
         )
         self._speed = gui.add_slider(
@@ -143,7 +144,8 @@ class ComparePanel(Panel):
         super().__init__(viewer)
         gui, self._shared = self._gui, viewer.shared
         gui.add_markdown(
-            "Translucent robots run the same input with other controllers and physics of their own."
+            "Translucent robots run the same input with other controllers and physics of their "
+            "own; hqp slows all of them down."
         )
         self._choices = [
             gui.add_dropdown(label, (NOBODY, *CONTROLLERS))

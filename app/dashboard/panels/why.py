@@ -114,6 +114,8 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause, also = _cause(pair, why, snapshot.config), _also(why)
     if base_cannot_help(pair):
         where = f"{cause}, where no motion of the base helps"
+        if why.controller == "hqp":
+            return f"{where}, and the printed controller has nothing else that holds the arm.{also}"
         if pair.held:
             return f"{where}: the arm itself keeps its distance{_off_target(snapshot)}.{also}"
         least = words.length(snapshot.config.barrier.d_min)

@@ -265,6 +265,22 @@ def from_any_direction(s: Sources) -> Findings:
             yield _error(run, of, most=REACHED)
 
 
+@claim("4.2.1", "departures", paper.AS_PRINTED[0])
+def reached_as_printed(s: Sources) -> Findings:
+    """The controller as printed moves the base back, and the hand reaches its target."""
+    run = s.runs[paper.AS_PRINTED[0]]
+    return _error(run, most=REACHED), _clear(run, AVOIDED), _back(run)
+
+
+@claim("4.2.2", "departures", *paper.AS_PRINTED[2:])
+def guided_as_printed(s: Sources) -> Findings:
+    """Guided by hand, the controller as printed avoids collisions by a force on the base."""
+    for name, experiment in zip(("lateral", "front"), paper.AS_PRINTED[2:], strict=True):
+        run = s.runs[experiment]
+        yield _clear(run, AVOIDED, f"{name}_")
+        yield _moved(run, f"{name}: base moves", f"{name}_")
+
+
 @claim("4.2.3", "fig18", paper.DOOR_NONE)
 def door_met(s: Sources) -> Findings:
     """Without avoidance the door collides with the base at 30 s."""

@@ -82,6 +82,10 @@ GUIDING = {
 """By the method's name and the direction from which the hand is led."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """Figure 15's experiments."""
+AS_PRINTED = tuple(
+    each._replace(controller="hqp") for each in (TRACKING, WHEEL_AXIS, LATERAL, FRONT)
+)
+"""The controller that the paper prints."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 

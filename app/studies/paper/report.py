@@ -8,7 +8,7 @@ from typing import Any
 
 from app.errors import check_name
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
-from app.studies.paper import acting, approach, density, offline
+from app.studies.paper import acting, approach, density, departures, offline
 from app.studies.paper.claims import Threshold, claims_of
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
@@ -24,7 +24,7 @@ from app.system import write_whole
 
 FIGURES = {
     name: figure
-    for module in (offline, acting, approach, density)
+    for module in (offline, acting, approach, density, departures)
     for name, figure in pictures_in(vars(module)).items()
 }
 """In the order of the paper, by their names."""

@@ -136,7 +136,7 @@ class SweepPlan:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists them."""
     controllers: tuple[str, ...] = ("dbb",)
-    """One or several of dbb, repulsive, barrier and none, with blanks or commas."""
+    """One or several of dbb, hqp, repulsive, barrier and none, with blanks or commas."""
     heights: tuple[float, ...] = (0.3,)
     """[m] of the hand on the paths from the side, one or several."""
     speeds: tuple[float, ...] = (0.025,)

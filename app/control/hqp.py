@@ -1,0 +1,125 @@
+"""The controller that the paper prints (§3.4): strict levels, (26), and their transition, (29).
+
+The compared method `hqp`. The cascade below reads like the paper and takes only those corrections
+without which it does not work:
+
+- The reference of (29) stands on the right, with J̇_sca q̇: only so does B = 0 give (26).
+- (26) leaves q̈ open where T_2 has fewer rows than the robot has axes. A lowest level closes it:
+  posture and damping, heavy on the wheels. An arm that a person guides has no T_2 (§4.2.2): its
+  lowest levels are a base at rest, then gravity compensation with joint damping.
+- A level is a row for each pair within its buffer; a row at β = 0 is not there.
+
+u is no unknown here: (26) defines it as M q̈ + C q̇ + g, and restricts q̈ by nothing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from proxsuite import proxqp
+
+from app.config import TaskConfig
+from app.control.quantities import ControlStep
+from app.strict import Array
+
+_EPS = 1e-10  # accuracy that ProxQP aims at
+_ENOUGH = 1e-6  # accuracy with which its answer counts
+
+
+class Task(NamedTuple):
+    """A level T: J q̈ + w = b with the slack w, where b = ẍ − J̇ q̇."""
+
+    J: Array
+    """(m, n)"""
+    b: Array
+    """(m,)"""
+
+
+class NoSolutionError(ArithmeticError):
+    """ProxQP has found no solution of a level."""
+
+
+def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
+    """q̈ (n,) of a control step whose tasks are stacked, or NaN where ProxQP finds none."""
+    below = tasks_below(w, gains)
+    active = w.B > 0.0
+    T_sca = Task(w.J_sca[active], w.b_sca[active])
+    try:
+        qdd_2 = cascade(below)
+        return inserted(T_sca, w.B[active], below, qdd_2) if active.any() else qdd_2
+    except NoSolutionError:
+        return np.full(len(w.qdd), np.nan)
+
+
+def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
+    """T_2 and the level below it; guided by hand there is no T_2."""
+    if w.tracking:
+        return [end_effector(w, gains), posture(w)]
+    return [base_at_rest(w, gains), gravity_compensation(w)]
+
+
+def end_effector(w: ControlStep, gains: TaskConfig) -> Task:
+    """T_2: J_2 q̈ + J̇_2 q̇ + w_2 = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
+
+    Paper: Eq. (26).
+    """
+    xdd = w.a_ref + gains.ee_damping * (w.v_ref - w.v_ee) + gains.ee_stiffness * w.e_ee
+    return Task(w.J_ee, xdd - w.Jdqd_ee)
+
+
+def posture(w: ControlStep) -> Task:
+    """Posture and damping, heavy on the wheels: the objective `w.H_low`, which is diagonal."""
+    root = np.sqrt(np.diag(w.H_low))
+    return Task(np.diag(root), -w.c_low / root)
+
+
+def base_at_rest(w: ControlStep, gains: TaskConfig) -> Task:
+    """q̈_b = −k q̇_b."""
+    return Task(np.eye(w.n_b, len(w.qd)), -gains.base_damping * w.qd[: w.n_b])
+
+
+def gravity_compensation(w: ControlStep) -> Task:
+    """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0), with u_a = M_a q̈ + h_a and u_0 = `w.u_free`."""
+    M_a, h_a = w.M[w.n_b :], w.h[w.n_b :]
+    return Task(np.linalg.solve(w.L_aa, M_a), np.linalg.solve(w.L_aa, w.u_free - h_a))
+
+
+def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
+    """q̈ (n,) with T_sca above the tasks below, whose own solution is q̈_2*.
+
+    J_sca q̈ + J̇_sca q̇ + w_sca* = B ẍ_sca + (I − B) (J_sca q̈_2* + J̇_sca q̇).
+
+    Paper: Eq. (29).
+    """
+    J, b = T_sca
+    return cascade([Task(J, B * b + (1.0 - B) * (J @ qdd_2)), *below])
+
+
+def cascade(levels: list[Task]) -> Array:
+    """q̈ (n,): min ‖w‖ level by level, each without a change of the slacks above it.
+
+    Paper: Eq. (26), (29), the latter with T_sca on top.
+    """
+    qdd = np.zeros(levels[0].J.shape[1])
+    above = np.empty((0, len(qdd)))
+    for level in levels:
+        qdd = least_slack(level, above, qdd)
+        above = np.vstack([above, level.J])
+    return qdd
+
+
+def least_slack(level: Task, above: Array, qdd: Array) -> Array:
+    """Min ‖J q̈ − b‖ subject to `above` q̈ (k,) as at the q̈ given.
+
+    Raises:
+        NoSolutionError: ProxQP has found none.
+    """
+    J, b = level
+    qp = proxqp.dense.QP(len(qdd), len(above), 0)
+    qp.settings.eps_abs, qp.settings.eps_rel, qp.settings.max_iter = _EPS, 0.0, 1000
+    qp.settings.eps_primal_inf, qp.settings.eps_dual_inf = 1e-12, 1e-14  # else feasible ones fail
+    qp.init(J.T @ J, -J.T @ b, above, above @ qdd, None, None, None)
+    qp.solve()
+    info = qp.results.info
+    if not max(info.pri_res, info.dua_res) < _ENOUGH:
+        raise NoSolutionError
+    return np.array(qp.results.x)

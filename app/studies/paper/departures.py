@@ -1,0 +1,201 @@
+"""The departures from (26) to (29), measured: the printed form beside ours.
+
+Some rows solve for q̈ at a state by both, others compare runs. Smaller numbers are better.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.config import TaskConfig
+from app.control import hqp
+from app.control.controller import Controller
+from app.control.quantities import ControlStep
+from app.control.tasks import Reference
+from app.control.transition import insert_rows
+from app.robot.state import at_rest
+from app.strict import Array
+from app.studies import style
+from app.studies.paper import drawing
+from app.studies.paper.experiments import (
+    AS_PRINTED,
+    LATERAL,
+    TRACKING,
+    WHEEL_AXIS,
+    Experiment,
+    Sources,
+)
+
+_STATES = 40  # of the lateral guiding, from the first one in the buffer to the last
+_ENTERS = 1e-9  # [-] β of a row that has just entered
+_FAR = 1.0  # [m] of a target that is out of reach
+_LINE, _HALVINGS = 100, 20  # [-] postures on a line, and how often its steepest step is halved
+
+
+Solver = Callable[[ControlStep, Array, TaskConfig], Array]
+
+
+class Departure(NamedTuple):
+    """A row of the table of departures, measured."""
+
+    place: str
+    """The equation, and what of it."""
+    key: str
+    """The name of the number, with its unit."""
+    printed: float
+    here: float
+
+
+@style.picture(
+    "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS
+)
+def figure_departures(sources: Sources) -> drawing.Drawing:
+    """A hierarchy of strict levels (26), and its transition (29) with one reference q̈_2* for all
+    rows, whose control input is continuous.
+    """
+    rows = [*_of_states(sources), *_of_runs(sources)]
+    table = drawing.table_of(("departure", "number", "printed", "here"), rows)
+    figure = style.new_figure(4.2)
+    ax = figure.subplots()
+    places = np.arange(len(rows))[::-1]
+    for k, name in enumerate(("hqp", "dbb")):
+        values = np.maximum(table["here" if k else "printed"].astype(float), _ENTERS)
+        look: dict[str, Any] = {
+            "color": style.METHOD_COLOURS[name],
+            "label": style.METHOD_NAMES[name],
+        }
+        ax.barh(places + 0.2 - 0.4 * k, values, 0.36, **look)
+    ax.set_xscale("log")
+    ax.set_yticks(places, [f"{row.place}\n{row.key}" for row in rows])
+    ax.legend(loc="lower right")
+    measured = {row.key: {"printed": row.printed, "here": row.here} for row in rows}
+    return drawing.Drawing(
+        figure,
+        {"": table},
+        measured,
+        ["Smaller numbers are better. `docs/departures.md` gives the reason of each departure."],
+    )
+
+
+def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
+    """A step at rest that tracks the pose where the end-effector is, or one that far above it."""
+    model = controller.state.model
+    measured = at_rest(model, q_m)
+    controller.state.update(measured)
+    T = controller.state.T_world_ee.copy()
+    T.translation[2] += error
+    controller.reset()
+    return controller.step(measured, Reference(pin.SE3(T), np.zeros(6), np.zeros(6)))
+
+
+def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
+    """q̈ (n,) of (29) as printed, with another diagonal of B, or NaN where there is none."""
+    w.B[:] = B
+    return hqp.solved_by_hierarchy(w, gains)
+
+
+def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
+    """The same of our law: the base's rows as the blend with rest, then the arm's QP, no limits."""
+    n_b = w.n_b
+    rows = slice(n_b, len(B))
+    H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.softness, n_b)
+    qdd_b = np.linalg.solve(w.J_sca[:n_b, :n_b], B[:n_b] * w.b_sca[:n_b])
+    qdd_a = np.linalg.solve(H[n_b:, n_b:], -(c[n_b:] + H[n_b:, :n_b] @ qdd_b))
+    return np.concatenate([qdd_b, qdd_a])
+
+
+SOLVERS: tuple[Solver, ...] = (printed, here)
+
+
+def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
+    """The diagonal of B with the base's rows and that of a pair of L_m^c at these β."""
+    B = np.zeros(len(w.B))
+    B[: w.n_b], B[w.n_b + pair] = base, link
+    return B
+
+
+def nearest_links(w: ControlStep) -> int:
+    """Which pair of L_m^c is nearest."""
+    return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
+
+
+def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
+    """[rad/s²] by which (29) with its reference on the left misses (26) at B = 0."""
+    below = hqp.tasks_below(w, gains)
+    qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
+    literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
+    return float(np.linalg.norm(literal - qdd_2))
+
+
+def _of_states(sources: Sources) -> Iterator[Departure]:
+    gains = sources.config.task
+    controller = Controller(sources.model, sources.data, sources.config, name="hqp")
+    enters, left = [], []
+    for q_m in postures(sources):
+        w = held(controller, q_m)
+        pair = nearest_links(w)
+        absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
+        changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
+        enters.append([_torque(w, change) for change in changes])
+        left.append(left_as_printed(held(controller, q_m, 0.001), gains))
+    w = held(controller, postures(sources)[0], _FAR)
+    demands = [np.linalg.norm(hqp.end_effector(w, gains).b), np.linalg.norm(w.b_ee)]
+    jumps = [jump(sources, controller, solve) for solve in SOLVERS]
+    yield Departure("(26) strict levels", "jump_radps2", *jumps)
+    yield Departure("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *map(float, demands))
+    yield Departure("(29) reference on the left", "off_at_zero_radps2", max(left), 0.0)
+    yield Departure("(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist())
+
+
+def postures(sources: Sources) -> list[Array]:
+    """(n_m,) each: of the lateral guiding, while a pair is in its buffer."""
+    log = sources.runs[LATERAL].trace
+    inside = np.flatnonzero(log[f"d_{sources.pair.name}_m"] < sources.config.border.d_b)
+    chosen = inside[np.linspace(0, len(inside) - 1, _STATES).astype(int)]
+    return list(log.of("q_m")[chosen])
+
+
+def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
+    """[rad/s²] the remaining change of q̈ at the steepest place of a line of postures.
+
+    The base's rows and one between links are in full force, so that with T_2 there are as many rows
+    as axes. Around the steepest step the line is halved again and again: a slope vanishes, a jump
+    does not. No solution counts as q̈ = 0.
+    """
+    gains, (first, *_, last) = sources.config.task, postures(sources)
+    last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
+    pair = nearest_links(held(controller, first))
+
+    def at(share: float) -> Array:
+        w = held(controller, first + share * (last - first))
+        return np.nan_to_num(solve(w, activations(w, 1.0, 1.0, pair), gains))
+
+    shares = np.linspace(0.0, 1.0, _LINE)
+    found = [at(share) for share in shares]
+    k = int(np.linalg.norm(np.diff(found, axis=0), axis=1).argmax())
+    (a, b), (qdd_a, qdd_b) = shares[k : k + 2], found[k : k + 2]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (a + b)
+        qdd = at(middle)
+        if np.linalg.norm(qdd - qdd_a) > np.linalg.norm(qdd_b - qdd):
+            b, qdd_b = middle, qdd
+        else:
+            a, qdd_a = middle, qdd
+    return float(np.linalg.norm(qdd_b - qdd_a))
+
+
+def _torque(w: ControlStep, qdd: Array) -> float:
+    """[N m] the largest change of an arm's torque by a change of q̈ (n,)."""
+    return float(np.abs(w.M[w.n_b :] @ qdd).max())
+
+
+def _of_runs(sources: Sources) -> Iterator[Departure]:
+    tracking, axis = AS_PRINTED[:2]
+
+    def compare(place: str, key: str, theirs: Experiment, ours: Experiment) -> Departure:
+        return Departure(place, key, *(sources.runs[e].figures[key] for e in (theirs, ours)))
+
+    yield compare("(29) base as commanded", "ee_error_max_m", tracking, TRACKING)
+    yield compare("(29) base's rows fix its motion", "ee_error_final_m", axis, WHEEL_AXIS)

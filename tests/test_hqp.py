@@ -1,0 +1,126 @@
+"""The controller that the paper prints: its levels, its transition, its behaviour, its jumps."""
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.controller import Controller
+from app.control.hqp import Task, cascade, inserted, solved_by_hierarchy
+from app.robot.model import RobotModel
+from app.robot.state import at_rest
+from app.simulation.run import run_scenario
+from app.simulation.scenarios import scenario_by_name
+from app.strict import Array
+from benchmarks.law.continuity import Kind, continuity
+from benchmarks.law.options import Options
+
+N = 9
+TRACKING: tuple[Kind, ...] = ("tracking",)
+
+
+def level(rng: np.random.Generator, rows: int) -> Task:
+    return Task(rng.normal(size=(rows, N)), rng.normal(size=rows))
+
+
+def levels(seed: int, *rows: int) -> list[Task]:
+    """Levels of so many rows each, and a last one that closes the null space."""
+    rng = np.random.default_rng(seed)
+    lowest = Task(np.diag(np.sqrt([1e3, 1e3, 1, 1, 1, 1, 1, 1, 1])), rng.normal(size=N))
+    return [*(level(rng, m) for m in rows), lowest]
+
+
+def slack(task: Task, qdd: Array) -> float:
+    return float(np.linalg.norm(task.J @ qdd - task.b))
+
+
+def null_space(J: Array) -> Array:
+    _, s, Vt = np.linalg.svd(J)
+    return Vt[int((s > 1e-9).sum()) :].T
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_level_disturbs_those_above(seed: int) -> None:
+    """Each level's slack is the least that the null space of those above leaves."""
+    T_sca, T_2, lowest = levels(seed, 3, 5)
+    qdd = cascade([T_sca, T_2, lowest])
+    assert slack(T_sca, qdd) < 1e-7
+    above = cascade([T_sca, T_2])
+    np.testing.assert_allclose(T_2.J @ qdd, T_2.J @ above, atol=1e-6)
+    Z = null_space(np.vstack([T_sca.J, T_2.J]))
+    np.testing.assert_allclose(Z.T @ lowest.J.T @ (lowest.J @ qdd - lowest.b), 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_contradicts_a_level_above_gives_way(seed: int) -> None:
+    T_sca, T_2, lowest = levels(seed, 4, 6)  # ten rows of nine axes
+    T_2 = Task(np.vstack([T_sca.J[:1], T_2.J[1:]]), T_2.b)
+    qdd = cascade([T_sca, T_2, lowest])
+    assert slack(T_sca, qdd) < 1e-6
+    assert (T_2.J @ qdd - T_2.b)[0] == pytest.approx(T_sca.b[0] - T_2.b[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_29_is_26_at_B_zero_and_meets_the_avoidance_task_at_B_identity(seed: int) -> None:
+    T_sca, *below = levels(seed, 3, 5)
+    qdd_2 = cascade(below)
+    np.testing.assert_allclose(inserted(T_sca, np.zeros(3), below, qdd_2), qdd_2, atol=1e-6)
+    assert slack(T_sca, inserted(T_sca, np.ones(3), below, qdd_2)) < 1e-7
+    B = np.array([0.2, 0.2, 0.7])
+    wanted = B * T_sca.b + (1.0 - B) * (T_sca.J @ qdd_2)
+    np.testing.assert_allclose(T_sca.J @ inserted(T_sca, B, below, qdd_2), wanted, atol=1e-7)
+
+
+def test_a_hierarchy_without_a_finite_solution_is_nan(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    controller = Controller(robot, border_data, Config(), name="hqp")
+    w = controller.step(at_rest(robot, np.array(robot.description.arm.ready_position)))
+    assert w.solved
+    w.M[-1, -1] = np.nan
+    assert np.isnan(solved_by_hierarchy(w, Config().task)).all()
+
+
+def test_guided_far_away_the_arm_gets_gravity_compensation_and_the_base_comes_to_rest(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    config = Config().replace("limit.torque_rate", 1e6)
+    controller = Controller(robot, border_data, config, name="hqp")
+    m = at_rest(robot, np.array(robot.description.arm.ready_position))
+    w = controller.step(m._replace(base_velocity=np.array([0.1, -0.2])))
+    np.testing.assert_allclose(w.u_cmd, w.u_free, atol=1e-6)
+    np.testing.assert_allclose(w.a_base_cmd, config.task.base_damping * np.array([-0.1, 0.2]))
+
+
+def test_a_controller_chosen_after_it_searches_the_configured_border_again(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    controller = Controller(robot, border_data, Config(), name="hqp")
+    assert controller._border.as_points
+    controller.use("dbb")
+    assert not controller._border.as_points
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["tracking", "guiding-lateral", "guiding-front"])
+def test_the_papers_results_of_4_2(robot: RobotModel, border_data: BorderData, name: str) -> None:
+    """The base gives way, nothing touches, and a tracked hand reaches its target."""
+    scenario = scenario_by_name(name)
+    figures = run_scenario(
+        robot, border_data, scenario, Config(), controller="hqp", physics="kinematic"
+    ).figures
+    assert figures["min_clearance_m"] > 0.03
+    assert figures["base_displacement_m"] > 0.05
+    assert figures["contacts"] == 0
+    if name == "tracking":
+        assert figures["ee_error_final_m"] < 1e-3
+
+
+def test_it_jumps_where_ours_does_not() -> None:
+    """Along one random motion of arm and base within the buffer; 0.3 rad/s² against 6e-7."""
+    jumps = {}
+    for name in ("hqp", "dbb"):
+        report = continuity(Options(controller=name), 1, 0.1, refined=1, first=1, kinds=TRACKING)
+        jumps[name] = report.summary["jump_radps2"]
+    assert jumps["hqp"] > 0.1
+    assert jumps["dbb"] < 1e-4
