@@ -16,6 +16,7 @@ import math
 import socket
 import struct
 import threading
+from asyncio import get_running_loop
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -34,10 +35,11 @@ from websockets.http11 import Request, Response
 from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
-_LARGEST_PICTURE = 32 * 2**20  # [bytes] what a page that was asked for a picture may answer
+LARGEST_PICTURE = 32 * 2**20  # [bytes] which only a page that was asked for one may send
 _MOST_PIXELS = 2**24  # [-] of such a picture
 _MOST_WAITING = 2  # [-] messages of a viewer that have come and are not taken yet
 _MOST_PARTS = 10_000  # [-] in which a message may come; each costs memory even if it is empty
+_SLOWEST = 10.0  # [s] from the first part of a message to its last
 _MOST_VIEWERS = 32  # [-] connections at a time
 DENSITY = "fixedDpr"
 """The one name of viser's own that a page's address may carry, of how many pixels are drawn for one
@@ -159,7 +161,7 @@ class Gate:
                 **more: Any,
             ) -> Any:
                 seen.append(True)
-                more |= {"max_size": _LARGEST_PICTURE, "max_queue": _MOST_WAITING}
+                more |= {"max_size": LARGEST_MESSAGE, "max_queue": _MOST_WAITING}
                 return original(
                     self._handler(handler),
                     *args,
@@ -190,7 +192,7 @@ class Gate:
                     del answer.headers["Content-Length"]
                     answer.headers["Content-Length"] = str(len(answer.body))
             if answer is not None:
-                host = ", ".join(request.headers.get_all("Host"))
+                host = ", ".join(request.headers.get_all("Host")).encode("ascii", "ignore").decode()
                 answer.headers.update(_HEADERS)
                 answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
             return answer
@@ -263,17 +265,17 @@ class _Checked:
                 self._gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """The next message, put together of its parts.
-
-        Raises:
-            GarbageError: It has more of them than any page sends.
-        """
-        parts = []
-        async for part in self._connection.recv_streaming(decode=False):
-            if len(parts) <= _MOST_PARTS:
+        """The next message; `websockets` counts its bytes while they arrive, this its parts."""
+        parts, late, abort = [], None, self._connection.transport.abort
+        try:
+            async for part in self._connection.recv_streaming(decode=False):
+                late = late or get_running_loop().call_later(_SLOWEST, abort)
                 parts.append(part)
-        if len(parts) > _MOST_PARTS:
-            raise GarbageError("this is no message (of too many parts)")
+                if len(parts) > _MOST_PARTS:
+                    abort()
+        finally:
+            if late is not None:
+                late.cancel()
         return b"".join(parts)
 
 
@@ -401,9 +403,8 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is no message")
-    large = RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
     if len(data) > LARGEST_MESSAGE and b"GetRenderResponseMessage" not in data[:200]:
-        raise large
+        raise RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
     try:
         message = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:
@@ -412,8 +413,6 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
         if not is_picture(message.payload):
             raise RefusedError("this is no picture that a page was asked for", message)
         return data
-    if len(data) > LARGEST_MESSAGE:
-        raise large
     for name in message.__struct_fields__:
         longest = _LONGEST_VALUE if name == "updates" else _LONGEST_NAME
         if not _is_plain(getattr(message, name), longest, _DEEPEST):

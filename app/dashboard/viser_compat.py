@@ -9,12 +9,14 @@ import io
 import json
 import logging
 import math
+import threading
 import time
 import warnings
 from collections.abc import Callable
 from types import NoneType
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import viser
 from viser import _messages
 from viser.infra import _infra
@@ -22,7 +24,14 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import CONNECTING
 
-from app.dashboard.gate import Gate, ReadLink, RefusedError, draws_in_software, read_no_link
+from app.dashboard.gate import (
+    LARGEST_PICTURE,
+    Gate,
+    ReadLink,
+    RefusedError,
+    draws_in_software,
+    read_no_link,
+)
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
@@ -37,6 +46,7 @@ _KNOCKS = (
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
+_pictures = threading.BoundedSemaphore(2)  # [-] large messages that may be under way
 STUCK = 20  # [looks] without anything delivered, after which a connection is closed
 
 
@@ -138,6 +148,26 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
     """What was uploaded by a button, which would keep it until the next one."""
     file, button._impl.value = button.value, viser.UploadedFile("", b"")
     return file
+
+
+def scene_picture(
+    client: viser.ClientHandle, height: int, width: int, timeout: float
+) -> np.ndarray:
+    """(height, width, 4) the scene as a viewer's browser draws it, which may send that much.
+
+    Raises:
+        RuntimeError: The viewer has gone.
+        TimeoutError: Nothing came within the timeout [s].
+    """
+    connection = _connection(client)
+    if connection is None:
+        raise RuntimeError("the page has gone")
+    with _pictures:
+        connection.protocol.max_message_size += LARGEST_PICTURE
+        try:
+            return client.get_render(height, width, transport_format="png", timeout=timeout)
+        finally:
+            connection.protocol.max_message_size -= LARGEST_PICTURE
 
 
 def address_of(client: viser.ClientHandle) -> str:

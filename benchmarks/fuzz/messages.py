@@ -176,7 +176,7 @@ class _Fuzz:
 
     def _verdict(self, data: bytes) -> str:
         """What the gate says of it; `websockets` ends what is longer than any message."""
-        if len(data) > gate._LARGEST_PICTURE:
+        if len(data) > gate.LARGEST_MESSAGE:
             return "garbage"
         try:
             gate.checked(data, self._uploads, self._widgets().get)

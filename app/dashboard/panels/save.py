@@ -28,6 +28,7 @@ from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.view import Viewpoint
+from app.dashboard.viser_compat import scene_picture
 from app.errors import BrowserError, OutputError, StudyError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
@@ -87,8 +88,8 @@ class FilePanel(Panel):
             Cancelled: The viewer does not want it any more.
             BrowserError: The browser gives no picture.
         """
-        asker, ask = ThreadPoolExecutor(1), self._viewer.client.get_render
-        asked = asker.submit(ask, height, width, transport_format="png", timeout=_PATIENCE)
+        asker = ThreadPoolExecutor(1)
+        asked = asker.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
         asker.shutdown(wait=False)
         while not wait([asked], _CANCEL_EVERY).done:
             self._job.check()
