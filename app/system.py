@@ -6,6 +6,7 @@ no `malloc_trim`; there the work is done without. Nothing here raises for want o
 
 import ctypes
 import fcntl
+import math
 import os
 import resource
 import secrets
@@ -60,6 +61,25 @@ def step_back(niceness: int) -> None:
     """Behind others, by 1 to 19."""
     with suppress(OSError):
         os.nice(niceness)
+
+
+def limit_this_process(seconds: float, memory: int) -> None:
+    """From now on so much more time of a core [s] and address space [bytes], then it ends.
+
+    Beyond the memory an allocation fails. macOS limits the time alone.
+    """
+    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    _lower(resource.RLIMIT_CPU, math.ceil(used + seconds))
+    with suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
+
+
+def _lower(kind: int, most: int) -> None:
+    before, hard = resource.getrlimit(kind)
+    least = min(each for each in (most, before, hard) if each != resource.RLIM_INFINITY)
+    with suppress(ValueError, OSError):
+        resource.setrlimit(kind, (least, hard))
 
 
 ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -25,6 +26,15 @@ def count_up(report: Report, most: int) -> int:
 
 def add(context: int, job: int) -> int:
     return context + job
+
+
+def killed_at_first(context: int, file: str) -> str:
+    """Ends its process until there are as many lines in a file as its name ends with."""
+    path = Path(file)
+    path.open("a").write(f"{os.getpid()}\n")
+    if len(path.read_text().splitlines()) <= int(path.name[-1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name
 
 
 def add_slowly(context: int, job: int, on_progress: Callable[[float], None]) -> int:

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from app.border.cache import DamagedFileError, read
@@ -31,7 +33,7 @@ from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.strict import parsed
+from app.strict import from_toml, text_of
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -60,9 +62,11 @@ def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line
         decode_config(f"[border]\nd_b = {value}"[:60_000].encode())
 
 
-def test_a_text_far_longer_than_any_is_refused_before_it_is_read():
+def test_a_text_far_longer_than_any_is_refused_before_it_is_read(tmp_path):
+    long = tmp_path / "robot.toml"
+    long.write_bytes(b" " * 10_000_001)
     with pytest.raises(ValueError, match="more than"):
-        parsed(pytest.fail, " " * 10_000_001)
+        text_of(long)
 
 
 def test_a_plain_array_is_no_file_of_a_border(tmp_path):
@@ -172,12 +176,39 @@ def test_a_log_whose_columns_have_no_names_in_utf8_is_refused(tmp_path):
         read_trace(path)
 
 
-def test_a_log_that_expands_to_more_than_any_log_has_is_not_expanded(tmp_path, monkeypatch):
-    path = tmp_path / "log.parquet"
-    write_trace(path, trace_of(random_snapshots(2, 12)))
-    monkeypatch.setattr("app.simulation.trace.log_file._MOST_CELLS", 1000)
-    with pytest.raises(LogError, match=r"12 rows of .* columns, more than any log has"):
-        read_trace(path)
+def expanding(path: Path, rows: int) -> Path:
+    """A log of many rows, all drawn, whose file has one number for each column."""
+    write_trace(path, trace_of(random_snapshots(2, 2)))
+    table = pq.read_table(path).slice(0, 1)
+    columns = {
+        name: pa.DictionaryArray.from_arrays(np.zeros(rows, np.int8), column.combine_chunks())
+        for name, column in zip(table.column_names, table.columns, strict=True)
+    }
+    header = table.schema.metadata[b"dbb_log"]
+    header = re.sub(rb'"rows":\d+', b'"rows":%d' % rows, header)
+    pq.write_table(pa.table(columns, metadata={b"dbb_log": header}), path)
+    return path
+
+
+BUDGET = "to read, which no such file needs"
+EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a key of many parts": (lambda _: from_toml("a" + ".b" * 30_000 + " = 1"), BUDGET),
+    "long tables": (
+        lambda _: from_toml("".join(f"[a{'.b' * 4000}{k}]\n" for k in range(99))),
+        "nest too deeply",
+    ),
+    "rows of a log": (lambda at: read_trace(expanding(at / "a.parquet", 300_000)), BUDGET),
+    "rows that are drawn": (
+        lambda at: read_trace(expanding(at / "a.parquet", 30_000)),
+        "30000 rows to be drawn are too many",
+    ),
+}
+
+
+@pytest.mark.parametrize(("read", "why"), EXPANDING.values(), ids=EXPANDING)
+def test_data_that_expands_is_refused_at_the_cost_of_its_budget(read, why, tmp_path):
+    with pytest.raises((ValueError, LogError), match=why):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize("speeds", ["[1.0]", "[0,0,0,0,0,0,0]", "[NaN,1,1,1,1,1,1]"])

@@ -13,8 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from app.errors import LoopError
 from app.jobs.pool import Workers
-from tests.jobs import add, add_slowly, add_twice_over, touch
+from tests.jobs import add, add_slowly, add_twice_over, killed_at_first, touch
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -216,6 +217,18 @@ def test_processes_begin_a_job_before_its_result_is_taken(tmp_path: Path) -> Non
             time.sleep(0.01)
         assert file.exists()
         assert [*results] == [None]
+
+
+def test_a_worker_that_is_killed_is_replaced_and_its_job_done_again_twice(tmp_path: Path) -> None:
+    """Then the job counts as lost; the others have their processes all the while."""
+    jobs = [str(tmp_path / f"killed-{times}") for times in (0, 2, 3, 1)]
+    with Workers(int, processes=2) as workers:
+        done = [*workers.map(killed_at_first, jobs, lost=lambda job: f"lost {Path(job).name}")]
+        assert done == ["killed-0", "killed-2", "lost killed-3", "killed-1"]
+        with pytest.raises(LoopError, match="killed at the same job 3 times"):
+            list(workers.map(killed_at_first, [str(tmp_path / "always-9")]))
+        assert len({*(tmp_path / "killed-3").read_text().splitlines()}) == 3
+        assert [*workers.map(add, [1, 2])] == [1, 2]
 
 
 NEW_ROBOT = """

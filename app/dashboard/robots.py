@@ -121,14 +121,17 @@ class RobotSwitch(Job):
     @property
     def entries(self) -> list[RobotEntry]:
         """All robots, as of the last search."""
-        entries = self._entries  # read once: another thread may look again
-        if entries is None:
-            entries = self._entries = robot_entries()
-        return entries
+        if self._entries is None:
+            self.look()
+        return self._entries or []
+
+    def look(self) -> None:
+        """Search; this reads every robot's files."""
+        self._entries = robot_entries()
 
     def look_again(self) -> None:
-        """Search again: there may be another robot now."""
-        self._entries = None
+        """Search in a thread that serves nobody: there may be another robot now."""
+        threading.Thread(target=self.look, name="robots", daemon=True).start()
 
     def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
         """Prepare a robot beside the running one, which ends once the other one is shown.
@@ -309,7 +312,7 @@ class RobotBuild(Job):
                     shutil.rmtree(begun, ignore_errors=True)
                 raise
             self.built = request.name
-            self._switch.look_again()
+            self._switch.look()
             self._forget()  # what it needs of the zip is in its own folder now
 
         self.start(request.name, "begins", work)

@@ -237,6 +237,7 @@ def serve_dashboard(
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
+    switch.look()  # before anybody waits for a picture
     shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
     server = open_server(host, port, LARGEST_ARCHIVE, read_link)
     try:

@@ -39,6 +39,10 @@ class Cancelled(DbbError):  # noqa: N818 - a person's wish, not an error
     """A person has cancelled the work."""
 
 
+class EndedError(LoopError):
+    """A process has ended by itself, without a result."""
+
+
 class Child(AbstractContextManager["Child"]):
     """A process that does `work(receiver, sender, *args)`, and ends when its parent has ended.
 
@@ -132,7 +136,7 @@ def run_in_process(
 
     Raises:
         Cancelled: `cancelled` was set.
-        LoopError: The process ended by itself.
+        EndedError: The process ended by itself.
         Exception: What `work` raised, its traceback the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
@@ -141,7 +145,7 @@ def run_in_process(
         outcome = _receive(child.receiver, report, cancelled)
         status = child.ended(_PATIENCE)
         if outcome is None:
-            raise LoopError(f"the process for this ended with status {status}")
+            raise EndedError(f"the process for this ended with status {status}")
         return outcome.value()
     finally:
         _running.discard(child)

@@ -1,0 +1,84 @@
+"""Reading of data that others made, within a budget of time and memory.
+
+What is small is read here; anything larger in a child process, which the system ends once it has
+used more than its budget. So no file takes the memory of a server, or its threads' time.
+"""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+from app.jobs.process import Cancelled, EndedError, run_in_process
+from app.system import limit_this_process
+
+Read = TypeVar("Read")
+
+SMALL = 16 * 2**10
+"""[bytes] up to which data is read in this process: more than most configurations."""
+_AT_ONCE = threading.BoundedSemaphore(2)  # [-] child processes that read
+_PATIENCE = 10.0  # [-] times its budget of time that a child may take on a busy machine
+_limited = threading.Event()  # set in such a child, which reads everything itself
+
+
+class BudgetError(ValueError):
+    """Data took more than its budget to read."""
+
+
+class Budget(NamedTuple):
+    """What may be used to read some data, beyond what its reader takes by itself."""
+
+    seconds: float
+    """[s] of a core."""
+    memory: int
+    """[bytes]"""
+
+    @classmethod
+    def of(cls, size: int) -> Budget:
+        """That of data of a size [bytes]: no honest file needs more."""
+        return cls(1.5 + size / 1e6, 250 * 10**6 + 50 * size)
+
+    def __str__(self) -> str:
+        return f"{self.seconds:.2g} s and {self.memory / 1e6:.0f} MB"
+
+
+def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
+    """The result of `read(*args)`, which reads data of a size [bytes].
+
+    `read` is a function of a module; it, its arguments and its result survive pickling.
+
+    Raises:
+        BudgetError: That takes more than the budget.
+        Exception: What `read` raised.
+    """
+    if size <= SMALL or _limited.is_set():
+        return read(*args)
+    budget, late = Budget.of(size), threading.Event()
+    too_much = BudgetError(f"it takes more than {budget} to read, which no such file needs")
+    with _AT_ONCE:
+        alarm = threading.Timer(_PATIENCE * budget.seconds, late.set)
+        alarm.start()
+        try:
+            packed = run_in_process(
+                _limited_read, budget, read, args, report=_ignore, cancelled=late, niceness=0
+            )
+            return pickle.loads(packed)
+        except (MemoryError, EndedError, Cancelled):
+            raise too_much from None
+        finally:
+            alarm.cancel()
+
+
+def _limited_read(
+    _: object, budget: Budget, read: Callable[..., object], args: tuple[object, ...]
+) -> bytes:
+    """What is read, packed: that costs time and memory too."""
+    _limited.set()
+    limit_this_process(*budget)
+    return pickle.dumps(read(*args), pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
+
+
+def _ignore(*_: object) -> None:
+    """A report that nobody waits for."""
