@@ -180,10 +180,11 @@ def expanding(path: Path, rows: int) -> Path:
     """A log of many rows, all drawn, whose file has one number for each column."""
     write_trace(path, trace_of(random_snapshots(2, 2)))
     table = pq.read_table(path).slice(0, 1)
-    columns = {
-        name: pa.DictionaryArray.from_arrays(np.zeros(rows, np.int8), column.combine_chunks())
-        for name, column in zip(table.column_names, table.columns, strict=True)
-    }
+    once, columns = pa.array(np.zeros(rows, np.int8)), {}
+    for name in table.column_names:
+        (cell,) = (column := table[name].combine_chunks()).to_pylist()
+        dictionary = pa.DictionaryArray.from_arrays(once, column) if cell is not None else None
+        columns[name] = pa.nulls(rows, column.type) if dictionary is None else dictionary
     header = table.schema.metadata[b"dbb_log"]
     header = re.sub(rb'"rows":\d+', b'"rows":%d' % rows, header)
     pq.write_table(pa.table(columns, metadata={b"dbb_log": header}), path)
