@@ -63,23 +63,26 @@ def step_back(niceness: int) -> None:
         os.nice(niceness)
 
 
-def limit_this_process(seconds: float, memory: int) -> None:
-    """From now on so much more time of a core [s] and address space [bytes], then it ends.
+@contextmanager
+def limited(seconds: float, memory: int) -> Iterator[None]:
+    """Meanwhile so much more time of a core [s] and address space [bytes] for this process.
 
-    Beyond the memory an allocation fails. macOS limits the time alone.
+    Then an allocation fails, or the process ends. macOS limits the time alone.
     """
-    used = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
-    _lower(resource.RLIMIT_CPU, math.ceil(used + seconds))
+    used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[0])
-        _lower(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
-
-
-def _lower(kind: int, most: int) -> None:
-    before, hard = resource.getrlimit(kind)
-    least = min(each for each in (most, before, hard) if each != resource.RLIM_INFINITY)
-    with suppress(ValueError, OSError):
-        resource.setrlimit(kind, (least, hard))
+        size = pages * resource.getpagesize() + memory
+    limits = {resource.RLIMIT_CPU: math.ceil(used + seconds), resource.RLIMIT_AS: size}
+    before = {kind: resource.getrlimit(kind) for kind in limits}
+    for kind, most in limits.items():
+        with suppress(ValueError, OSError):  # beyond what this process may have anyway
+            resource.setrlimit(kind, (most, before[kind][1]))
+    try:
+        yield
+    finally:
+        for kind, usual in before.items():
+            resource.setrlimit(kind, usual)
 
 
 ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP

@@ -25,7 +25,7 @@ from app.jobs.process import Cancelled, Report, run_in_process
 from app.onboarding import helpers
 from app.system import (
     give_freed_memory_back,
-    limit_this_process,
+    limited,
     usable_cores,
     write_whole,
 )
@@ -253,8 +253,8 @@ def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
-    limit_this_process(*Budget.of(archive.stat().st_size))
-    return look_into(archive)
+    with limited(*Budget.of(archive.stat().st_size)):
+        return look_into(archive)
 
 
 def build_robot(report: Report, request: Request) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 from app.jobs.process import Cancelled, EndedError, run_in_process
-from app.system import limit_this_process
+from app.system import limited
 
 Read = TypeVar("Read")
 
@@ -76,8 +76,8 @@ def _limited_read(
 ) -> bytes:
     """What is read, packed: that costs time and memory too."""
     _limited.set()
-    limit_this_process(*budget)
-    return pickle.dumps(read(*args), pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
+    with limited(*budget):
+        return pickle.dumps(read(*args), pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
 
 
 def _ignore(*_: object) -> None:
