@@ -112,6 +112,16 @@ def wake_without_parent() -> None:
         prctl(_PARENT_DEATH, signal.SIGCONT)
 
 
+def end_when_closed(pipe: int) -> None:
+    """The system ends this process once nobody can write to a pipe any more, where it can do so.
+
+    Whatever the process does: no thread of it has to notice.
+    """
+    with suppress(AttributeError, OSError):
+        fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
+        fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
+
+
 def wake_children() -> None:
     """All that this process has started and that is stopped goes on, where the system lists it.
 

@@ -146,6 +146,26 @@ def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, tmp
     assert list(tmp_path.iterdir()) == [], "temporary folders go"
 
 
+HANGING = DEAF.replace("ctypes.CDLL", "ctypes.PyDLL")
+"""It keeps Python's lock meanwhile, so that no thread of the process can act."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_command_that_hangs_in_a_library_with_pythons_lock_is_killed(number, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", HANGING],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"started\n"
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == -signal.SIGKILL
+    assert said == b"killed: it had not ended 4 s after its signal\n"
+
+
 LATE = r"""
 import atexit, os, sys
 from app.cli import console

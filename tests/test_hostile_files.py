@@ -200,8 +200,8 @@ EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "rows of a log": (lambda at: read_trace(expanding(at / "a.parquet", 300_000)), BUDGET),
     "rows that are drawn": (
-        lambda at: read_trace(expanding(at / "a.parquet", 9_000)),
-        "9000 rows to be drawn are too many",
+        lambda at: read_trace(expanding(at / "a.parquet", 22_000)),
+        "22000 rows to be drawn are too many",
     ),
 }
 

@@ -64,7 +64,7 @@ def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int
     for _ in range(4):
         assert process.stdout.readline() == "started\n"
     children = psutil.Process(process.pid).children(recursive=True)
-    assert len(children) == 5  # four workers and a job
+    assert len(children) == 7  # four workers, a job, and the guards of both
     assert len(list(files.iterdir())) == 2
     os.kill(process.pid, number)
     process.wait(timeout=30)
@@ -80,33 +80,46 @@ os.write(1, b"importing\n")
 time.sleep(60)
 def work(receiver, sender): pass
 """
+HANGING = r"""
+import ctypes, os
+lock, library = ctypes.create_string_buffer(256), ctypes.PyDLL(None)
+library.pthread_mutex_init(lock, None)
+library.pthread_mutex_lock(lock)
+os.write(1, b"importing\n")
+library.pthread_mutex_lock(lock)  # for ever, with Python's lock
+def work(receiver, sender): pass
+"""
 STARTING = """
 import sys, time, types
 from app.jobs.process import Child
 slow = types.ModuleType("slow")  # that this process has at once
 exec("def work(receiver, sender): pass", vars(slow))
 sys.modules["slow"] = slow
-child = Child(slow.work)
+child = Child(slow.work, leads_group=len(sys.argv) > 1)
 time.sleep(60)
 """
 
 
+@pytest.mark.parametrize("leads", [(), ("leads a group",)])
+@pytest.mark.parametrize("code", [SLOW, HANGING], ids=["imports", "hangs"])
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_child_that_still_imports_or_is_stopped_ends_with_its_killed_parent(
-    tmp_path: Path, stopped: bool
+def test_a_child_ends_with_its_killed_parent_whatever_it_does(
+    tmp_path: Path, stopped: bool, code: str, leads: tuple[str, ...]
 ) -> None:
+    if code is HANGING and not leads and sys.platform != "linux":
+        pytest.skip("only there does the system itself end it")
     script = tmp_path / "script.py"
     script.write_text(STARTING)
-    (tmp_path / "slow.py").write_text(SLOW)
-    process = start(script, tmp_path)
+    (tmp_path / "slow.py").write_text(code)
+    process = start(script, tmp_path, *leads)
     assert process.stdout is not None
     assert process.stdout.readline() == "importing\n"
-    (child,) = psutil.Process(process.pid).children()
+    children = psutil.Process(process.pid).children(recursive=True)
     if stopped and sys.platform == "linux":  # nobody else wakes it
-        child.suspend()
+        children[0].suspend()
     process.kill()
     process.wait()
-    _, alive = psutil.wait_procs([child], timeout=30)
+    _, alive = psutil.wait_procs(children, timeout=30)
     assert alive == []
 
 
@@ -128,11 +141,12 @@ def test_a_foreign_process_that_is_stopped_ends_with_the_command_that_began_it(t
     process = start(script, tmp_path)
     assert process.stdout is not None
     assert process.stdout.readline() == "started\n"
-    (child,) = psutil.Process(process.pid).children()
-    child.suspend()
+    children = psutil.Process(process.pid).children()  # it, and the command's guard
+    for each in children:
+        each.suspend()
     process.terminate()
     process.wait(timeout=30)
-    _, alive = psutil.wait_procs([child], timeout=10)
+    _, alive = psutil.wait_procs(children, timeout=10)
     for each in alive:
         each.kill()
     assert alive == []

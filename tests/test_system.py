@@ -77,8 +77,10 @@ NAMES = {
 }
 """What a module has on some systems only, or does differently there. Names of `os` that begin with
 `sched_` or `SCHED_` count too."""
+GUARD = {"select", "os.getpgid", "os.kill", "os.killpg", "signal.SIGHUP", "signal.SIGKILL"}
 FOR_A_REASON = {
-    ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers"
+    ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers",
+    **{("app/jobs/guard.py", name): "it runs without this package" for name in GUARD},
 }
 """What may stand elsewhere."""
 
