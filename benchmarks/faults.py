@@ -28,7 +28,7 @@ import tyro
 from app.cli.common import print_json
 from app.jobs.progress import progress_bar
 from app.robot.assets import ASSETS
-from app.system import ENDING
+from app.system import _BEGUN, ENDING
 
 _MARK = "DBB_FAULTS"  # in the environment of all that a try starts
 _TEMPORARY = "temporary"  # folder of a try for what libraries put into /tmp
@@ -226,8 +226,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
             each.kill()
     command.wait()
     files = [path for path in folder.rglob("*") if path.is_file() and path.name != "said"]
-    begun = {path for path in files if path.name.startswith(".new-")}
-    begun |= {*folder.glob(".mine-*"), *(folder / _TEMPORARY).iterdir()}
+    begun = {*folder.rglob(f"{_BEGUN}*"), *(folder / _TEMPORARY).iterdir()}
     own = [path for path in files if not any(path.is_relative_to(each) for each in begun)]
     if (folder / "mine").exists() and not (folder / "mine" / "report.html").exists():
         own.append(folder / "mine")

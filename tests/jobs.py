@@ -85,7 +85,7 @@ def wait_with_workers(report: Report, folder: str) -> None:
 
 
 def wait_in_a_folder(report: Report, out: str) -> None:
-    from app.onboarding.write import whole_folder
+    from app.system import whole_folder
 
     with whole_folder(Path(out)):
         report("waiting", 0.5)
@@ -94,8 +94,10 @@ def wait_in_a_folder(report: Report, out: str) -> None:
 
 def wait_for_ever_for_a_request(report: Report, request: Request) -> None:
     """With a folder that it has no time to remove."""
-    request.out.parent.mkdir(exist_ok=True)
-    (request.out.parent / f".{request.name}-abcd").mkdir()
+    from app.system import whole_folder
+
+    begun = whole_folder(request.out)
+    begun.__enter__()
     report("waiting", -1.0)
     time.sleep(600)
 

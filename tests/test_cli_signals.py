@@ -117,7 +117,7 @@ DEAF = r"""
 import ctypes, os, tempfile
 from pathlib import Path
 from app.jobs.progress import ending_signals_raised
-from app.onboarding.write import whole_folder
+from app.system import whole_folder
 kept = tempfile.TemporaryDirectory()
 robot = whole_folder(Path(tempfile.gettempdir()) / "robot")
 robot.__enter__()

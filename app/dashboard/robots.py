@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
@@ -23,6 +22,7 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant
+from app.system import remove_abandoned, temporary_folder
 
 if TYPE_CHECKING:
     from app.onboarding.check import Row
@@ -272,7 +272,7 @@ class RobotBuild(Job):
         self.built = ""
         """Name of the robot that was built last, or an empty string."""
         self._switch = switch
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder = ExitStack()
 
     def receive(self, name: str, content: bytes) -> None:
         """Take a zip, and read what it holds.
@@ -286,8 +286,7 @@ class RobotBuild(Job):
         def work() -> None:
             self.built = ""
             self._forget()
-            self._folder = tempfile.TemporaryDirectory(prefix="dbb-upload-")
-            archive = Path(self._folder.name) / _file_name(name)
+            archive = self._folder.enter_context(temporary_folder()) / _file_name(name)
             archive.write_bytes(content)
             self.package = Package(archive, self.run(look_into_package, archive))
 
@@ -307,10 +306,8 @@ class RobotBuild(Job):
             self.built = ""
             try:
                 self.run(build_robot, request)
-            except Cancelled:  # the process may have had no time to tidy up
-                for begun in request.out.resolve().parent.glob(f".{request.name}-*"):
-                    shutil.rmtree(begun, ignore_errors=True)
-                raise
+            finally:
+                remove_abandoned(request.out.parent)  # it may have had no time to tidy up
             self.built = request.name
             self._switch.look()
             self._forget()  # what it needs of the zip is in its own folder now
@@ -324,9 +321,7 @@ class RobotBuild(Job):
 
     def _forget(self) -> None:
         self.package = None
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
+        self._folder.close()
 
 
 def _file_name(name: str) -> str:

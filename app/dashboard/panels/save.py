@@ -1,6 +1,5 @@
 """Tab "Save" and folder "Sweep": files that are made beside the simulation."""
 
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -35,6 +34,7 @@ from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.studies.sweep.plan import SweepPlan
 from app.studies.sweep.sweep import newest_map, read_map
+from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
@@ -158,13 +158,13 @@ class SavePanel(FilePanel):
         return png(viewer.page_picture(viewer.shared, past, viewpoint, self._size()))
 
     def _log(self, name: str) -> bytes:
-        with tempfile.TemporaryDirectory() as folder:
-            return self._write(Path(folder) / name).read_bytes()
+        with temporary_folder() as folder:
+            return self._write(folder / name).read_bytes()
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
         """What `write(report, log, path, *more)` makes of the log."""
-        with tempfile.TemporaryDirectory() as folder:
-            log, path = self._write(Path(folder) / "log.parquet"), Path(folder) / name
+        with temporary_folder() as folder:
+            log, path = self._write(folder / "log.parquet"), folder / name
             self._job.run(write, log, path, *more)
             return path.read_bytes()
 
