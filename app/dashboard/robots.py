@@ -58,7 +58,8 @@ def robot_entries() -> list[RobotEntry]:
 
 def _entry(name: str) -> RobotEntry:
     folder, title, about, problem = robot_folder(name), name, "", None
-    own, report = folder.parent == user_robots(), (folder / "report.html").is_file()
+    page = folder / "report.html"
+    own, report = folder.parent == user_robots(), page.is_file() and not page.is_symlink()
     try:
         description = load_robot(name)
         title = description.title

@@ -1,6 +1,7 @@
 """Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
 
 import contextlib
+import ipaddress
 import logging
 import socket
 import threading
@@ -254,6 +255,12 @@ def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
     set_first_look(server, *placed(PRESETS["iso"], [shared.loop.latest()], shared.parts.extent))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs of this machine reach an address."""
+    found = {info[4][0] for info in socket.getaddrinfo(host, None)}
+    return all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
 def check_address(host: str, port: int) -> None:

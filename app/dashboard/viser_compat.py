@@ -11,8 +11,10 @@ import logging
 import math
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable
+from inspect import signature
 from types import NoneType
 from typing import Any, ClassVar, NamedTuple
 
@@ -51,30 +53,40 @@ STUCK = 20  # [looks] without anything delivered, after which a connection is cl
 
 
 class _Knocks(logging.Filter):
-    """Of strangers who connect and speak otherwise, or too many at once, a line a minute is enough.
+    """Of what strangers can cause again and again, one record a minute is enough.
 
-    Their library would write the whole way to each one, a hundred times a second. An error that no
-    stranger's bytes explain is a mistake in this program or its libraries: it is written whole, by
-    another name, as viser hides what it takes for a knock.
+    Their library would write the whole way to each one who connects and speaks otherwise, or too
+    many at once, a hundred times a second. An error that no stranger's bytes explain is a mistake
+    in this program or its libraries: it is written whole, by another name, as viser hides what it
+    takes for a knock.
     """
 
-    _said: ClassVar[dict[str, float]] = {}
+    _said: ClassVar[dict[tuple[str, str], float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether it is written, a knock in one line."""
         text = record.getMessage().partition("\n")[0]
-        if text not in _KNOCKS:
-            return True
         error = record.exc_info[1] if record.exc_info else None
-        record.msg, record.args = f"a connection: {text}" + (f": {error!r}" if error else ""), ()
-        of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
-        if not of_peer and not _broke_off(getattr(record, "websocket", None)):
-            return True
-        record.exc_info = None
-        due = self._said.get(text, -math.inf) <= time.monotonic() - _MINUTE
+        kind = str(record.msg).partition("\n")[0], _place(error)
+        if text in _KNOCKS:
+            record.msg, record.args = (
+                f"a connection: {text}" + (f": {error!r}" if error else ""),
+                (),
+            )
+            of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
+            if of_peer or _broke_off(getattr(record, "websocket", None)):
+                record.exc_info = None
+                kind = text, ""
+        due = self._said.get(kind, -math.inf) <= time.monotonic() - _MINUTE
         if due:
-            self._said[text] = time.monotonic()
+            self._said[kind] = time.monotonic()
         return due
+
+
+def _place(error: BaseException | None) -> str:
+    """Where an error was raised."""
+    frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
+    return f"{type(error).__name__} {[(frame.filename, frame.lineno) for frame in frames]}"
 
 
 def _broke_off(connection: Any) -> bool:
@@ -101,7 +113,7 @@ def open_server(
         ServerError: viser starts in a way that is not known.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
-    for name in ("websockets.server", "asyncio"):
+    for name in ("websockets.server", "asyncio", "app.dashboard.notifications"):
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
@@ -197,14 +209,15 @@ class Channel:
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
-        self._client, self._acts = client, dict[str, Callable[..., None]]()
+        self._client = client
+        self._acts: dict[str, tuple[Callable[..., None], Callable[[Any], Any]]] = {}
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
         """What the page has said of itself: the names of the `sight`s that a person sees, "narrow"
         if it is a narrow one, "untouched" until a person presses or turns anything."""
-        self.on("seen", lambda names: setattr(self, "seen", frozenset(str(names).split())))
-        self.on("refused", lambda text: notifier.warn(client, str(text)[:300]))
+        self.on("seen", lambda names: setattr(self, "seen", frozenset(names.split())), str)
+        self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 
     def begin(self) -> None:
         """Begin what the page has beside viser's widgets, all of which are there, anew."""
@@ -219,9 +232,9 @@ class Channel:
         """Call a function of the page with values that JSON can have."""
         self._run(f"dbb.{word}", *values)
 
-    def on(self, word: str, act: Callable[..., None]) -> None:
-        """Call `act` with the values that the page says after a word."""
-        self._acts[word] = act
+    def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
+        """Call `act` with the values that the page says after a word, numbers or of a kind."""
+        self._acts[word] = act, kind
 
     def sight(self, name: str) -> None:
         """Have the page say whether a person sees the GUI container that is now open."""
@@ -239,11 +252,23 @@ class Channel:
             return
         try:
             _, word, *values = parsed(json.loads, event.target.value)
-            act = self._acts[word]
+            act, kind = self._acts[word]
+            values = [kind(value) for value in values]
+            signature(act).bind(*values)
         except (ValueError, TypeError, KeyError):  # no page of this program says so
             return
-        if all(isinstance(value, str | int | float) for value in values):
-            act(*values)
+        act(*values)
+
+
+def finite(value: Any) -> float:
+    """A number that a page says.
+
+    Raises:
+        ValueError: It is none.
+    """
+    if not math.isfinite(number := float(value)):
+        raise ValueError("no number of a page")
+    return number
 
 
 def _connection(client: viser.ClientHandle) -> Any:
