@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import resource
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -87,6 +88,44 @@ def test_of_a_broken_robot_the_list_says_what_is_wrong_and_the_others_are_there(
     told = capsys.readouterr().out
     assert "\nhusky_panda " in told
     assert "\nbroken               cannot be used: " in told
+
+
+def test_what_a_robot_calls_itself_reaches_no_terminal_as_an_order(monkeypatch, tmp_path, capsys):
+    mine = tmp_path / "mine"
+    shutil.copytree(ASSETS / "husky_panda", mine)
+    text = (mine / "robot.toml").read_text(encoding="utf-8")
+    text = re.sub('title = ".*"', r'title = "\\u001b]0;owned\\u0007\\u202e"', text)
+    (mine / "robot.toml").write_text(text.replace('"husky_panda"', '"mine"'), encoding="utf-8")
+    (tmp_path / "\x1b[2J").mkdir()
+    (tmp_path / "\x1b[2J" / "robot.toml").touch()
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    main(["robots"])
+    told = capsys.readouterr().out
+    assert r"\x1b]0;owned\x07\u202e" in told
+    assert r"\x1b[2J" in told
+    assert all(c.isprintable() or c == "\n" for c in told)
+
+
+def test_a_report_that_is_a_link_is_none(monkeypatch, tmp_path):
+    shutil.copytree(ASSETS / "husky_panda", tmp_path / "mine")
+    (tmp_path / "secret").touch()
+    (tmp_path / "mine" / "report.html").symlink_to(tmp_path / "secret")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    (mine,) = [each for each in robot_entries() if each.name == "mine"]
+    assert not mine.report
+
+
+def test_a_robot_of_more_joints_than_any_is_refused_before_its_model_is_made(monkeypatch, tmp_path):
+    """Of 500 in a row pinocchio's model takes half a minute and gigabytes."""
+    mine = tmp_path / "mine"
+    shutil.copytree(ASSETS / "husky_panda", mine)
+    joints = "".join(f'<joint name="j{k}" type="revolute"/>' for k in range(201))
+    (mine / "robot.urdf").write_text(f"<robot>{joints}</robot>")
+    text = (mine / "robot.toml").read_text(encoding="utf-8")
+    (mine / "robot.toml").write_text(text.replace('"husky_panda"', '"mine"'), encoding="utf-8")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    (entry,) = [each for each in robot_entries() if each.name == "mine"]
+    assert "201 moving joints; at most 200" in str(entry.problem)
 
 
 @pytest.mark.parametrize(

@@ -201,6 +201,17 @@ def has_no_gpu(client: viser.ClientHandle) -> bool:
     return connection is not None and draws_in_software(connection.request)
 
 
+def finite(value: Any) -> float:
+    """A number that a page says.
+
+    Raises:
+        ValueError: It is none.
+    """
+    if not math.isfinite(number := float(value)):
+        raise ValueError("no number of a page")
+    return number
+
+
 class Channel:
     """What one viewer's page and this program say to each other beside viser's widgets.
 
@@ -255,20 +266,9 @@ class Channel:
             act, kind = self._acts[word]
             values = [kind(value) for value in values]
             signature(act).bind(*values)
-        except (ValueError, TypeError, KeyError):  # no page of this program says so
+        except (ValueError, TypeError, KeyError, OverflowError):  # no page of this program says so
             return
         act(*values)
-
-
-def finite(value: Any) -> float:
-    """A number that a page says.
-
-    Raises:
-        ValueError: It is none.
-    """
-    if not math.isfinite(number := float(value)):
-        raise ValueError("no number of a page")
-    return number
 
 
 def _connection(client: viser.ClientHandle) -> Any:

@@ -19,7 +19,8 @@ Read = TypeVar("Read")
 SMALL = 16 * 2**10
 """[bytes] up to which data is read in this process: more than most configurations."""
 _AT_ONCE = threading.BoundedSemaphore(2)  # [-] child processes that read
-_PATIENCE = 10.0  # [-] times its budget of time that a child may take on a busy machine
+_STARTING = 60.0  # [s] for such a process to begin on a busy machine
+_PATIENCE = 10.0  # [-] times its budget of time that it may take there
 _limited = threading.Event()  # set in such a child, which reads everything itself
 
 
@@ -58,7 +59,8 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     budget, late = Budget.of(size), threading.Event()
     too_much = BudgetError(f"it takes more than {budget} to read, which no such file needs")
     with _AT_ONCE:
-        alarm = threading.Timer(_PATIENCE * budget.seconds, late.set)
+        alarm = threading.Timer(_STARTING + _PATIENCE * budget.seconds, late.set)
+        alarm.daemon = True
         alarm.start()
         try:
             packed = run_in_process(
