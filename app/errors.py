@@ -15,7 +15,7 @@ class DbbError(Exception):
 
 
 def printable(text: str) -> str:
-    """A text as a terminal may have it: what it would obey is written as its code instead."""
+    """A text for a terminal: control and direction characters are written as their codes."""
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 

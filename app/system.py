@@ -30,7 +30,7 @@ _REAL_TIME = 1  # [-] the least priority of those that come before all others
 _SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
 _BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
-_BEGUN = ".dbb-begun-"  # begins the names of folders of what is not whole yet
+_BEGUN = ".dbb-begun-"  # prefix of folders that hold unfinished results
 _MOST_LINKS = 40  # [-] that lead to one another, as the system has it
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
@@ -72,9 +72,10 @@ def step_back(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Meanwhile so much more time of a core [s] and address space [bytes] for this process.
+    """Limit this process meanwhile: [s] of a core, and [bytes] of address space beyond its present.
 
-    Then an allocation fails, or the process ends. macOS limits the time alone.
+    Beyond the memory an allocation fails; beyond the time the process is ended. macOS limits the
+    time alone.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -120,9 +121,9 @@ def wake_without_parent() -> None:
 
 
 def end_when_closed(pipe: int) -> None:
-    """The system ends this process once nobody can write to a pipe any more, where it can do so.
+    """Have the system end this process when all writers of a pipe have gone (Linux).
 
-    Whatever the process does: no thread of it has to notice.
+    No thread of the process has to notice, so that a hanging library cannot prevent it.
     """
     with suppress(AttributeError, OSError):
         fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
@@ -171,12 +172,13 @@ def claim(file: BinaryIO | int) -> bool | None:
 
 @contextmanager
 def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
-    """A folder in another one, claimed by this process and gone at the end, for what is begun.
+    """A folder for an unfinished result, claimed by this process and removed at the end.
 
-    By a name it is claimed by one process at a time. Those that killed processes have left go.
+    Only one process at a time can claim a name. Folders that killed processes have left are
+    removed first.
 
     Raises:
-        OutputError: Another process works on what is called so.
+        OutputError: Another process has claimed the name.
         OSError: It cannot be made.
     """
     _remove_abandoned_once(place)
@@ -210,7 +212,7 @@ def _claimed(folder: Path) -> int:
 
 
 def remove_abandoned(place: Path) -> None:
-    """Remove what processes of this user have begun in a folder, and have been killed since."""
+    """Remove the unfinished results in a folder that killed processes of this user have left."""
     for folder in place.glob(f"{_BEGUN}*"):
         with suppress(OSError):
             lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
@@ -230,7 +232,7 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """A path without links, none of which another user has put where several may write.
+    """The path with its links followed; none of them is of another user in a shared folder.
 
     Raises:
         OutputError: Such a link stands in it, or links go round in a circle.
@@ -259,10 +261,10 @@ def _is_foreign(link: Path) -> bool:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A file of the wanted name elsewhere, that takes its place if all went well.
+    """A file in a folder of its own, which replaces the wanted one if the `with` raised nothing.
 
-    So nobody who reads it ever sees half of it, and two that write it do not write into each
-    other's. A link of this user's stays one, and leads to the new file.
+    So no reader sees half of it, and two writers do not disturb one another. A link of this user
+    remains a link, and leads to the new file.
 
     Raises:
         OutputError: It cannot be written, as on a full disk; what was there before is still there.

@@ -40,7 +40,7 @@ def say(text: str) -> None:
 
 
 def show(text: str) -> None:
-    """A line on standard output, whoever wrote what stands in it."""
+    """Print a line; its text may come from a stranger."""
     print(printable(text))
 
 

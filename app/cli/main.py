@@ -94,10 +94,10 @@ def main(args: list[str] | None = None) -> None:
 
 
 class _Plain(logging.Formatter):
-    """Lines of a log, whoever wrote what stands in them."""
+    """Formats log records, whose text may come from a stranger."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Its lines."""
+        """The text of a record, safe for a terminal."""
         return printable(super().format(record))
 
 

@@ -155,8 +155,8 @@ def _serve(first: _First) -> None:
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         if not is_loopback(asked.host):
             say(
-                f"{asked.host} is no address of this machine alone: whoever can reach it can see "
-                "and move all that the dashboard shows; there is no password"
+                f"{asked.host} can be reached from other machines: everybody there "
+                "can watch and command the simulation; there is no password"
             )
         server.run_forever()
     finally:

@@ -1,7 +1,7 @@
 """Reading of data that others made, within a budget of time and memory.
 
-What is small is read here; anything larger in a child process, which the system ends once it has
-used more than its budget. So no file takes the memory of a server, or its threads' time.
+Small data is read in this process. Larger data is read in a child process, which the system ends
+when it exceeds its budget. So no file can exhaust the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class BudgetError(ValueError):
 
 
 class Budget(NamedTuple):
-    """What may be used to read some data, beyond what its reader takes by itself."""
+    """Time and memory for reading some data, without those that the reader itself needs."""
 
     seconds: float
     """[s] of a core."""
@@ -76,11 +76,11 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
 def _limited_read(
     _: object, budget: Budget, read: Callable[..., object], args: tuple[object, ...]
 ) -> bytes:
-    """What is read, packed: that costs time and memory too."""
+    """The result, pickled within the budget, because pickling costs time and memory too."""
     _limited.set()
     with limited(*budget):
         return pickle.dumps(read(*args), pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
 
 
 def _ignore(*_: object) -> None:
-    """A report that nobody waits for."""
+    """Ignore a report of progress."""

@@ -1,7 +1,7 @@
 """A guard beside a process: it kills the process if that does not end within a patience.
 
-Whatever holds Python's lock there, such as a library that hangs, does not hold up the guard, which
-is a process of its own: `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file
+A library that hangs and holds Python's lock cannot stop the guard, because the guard is a separate
+process: `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file
 that says when the process has to end: by its end, or by a byte, which is passed on to standard
 output. LIVES is a pipe that is open as long as the process lives. A number of a process below 0 is
 that of its group.
@@ -21,7 +21,7 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     """A guard of this process, or of its group, meanwhile.
 
     Yields:
-        The number of a file with what it passes on; where no process can be begun, `heard` itself.
+        The number of a file with the bytes that it passes on; `heard` if no process can start.
     """
     lives, alive = os.pipe()
     pid = -os.getpgid(0) if group else os.getpid()

@@ -171,7 +171,7 @@ class _Shares:
 
 
 class _Task(NamedTuple):
-    """A function, its job, whether it tells the share of that, and what it is once it is lost."""
+    """A function with its job; `tells` and `lost` as in `Workers.map`."""
 
     function: Callable[..., Any]
     job: Any
@@ -183,14 +183,14 @@ class _Task(NamedTuple):
         return self.function(context, self.job, *([tell] if self.tells else []))
 
     def given_up(self) -> Any:
-        """What stands in the place of its result."""
+        """The result of a job that was given up."""
         if self.lost is None:
             raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
         return self.lost(self.job)
 
 
 def _answer(child: Child, task: _Task, tell: OnProgress) -> Outcome | None:
-    """What a process makes of a job, or None if it has ended."""
+    """The outcome of a job in a process, or None if the process has ended."""
     with suppress(EOFError, OSError):
         child.sender.send(task._replace(lost=None))
         while not isinstance(received := child.receiver.recv(), Outcome):

@@ -17,7 +17,7 @@ from app.system import write_whole
 _KEY = b"dbb_log"
 _COMMENT = "# "
 
-pa.set_memory_pool(pa.system_memory_pool())  # the usual one reserves 1 GB, whatever it needs
+pa.set_memory_pool(pa.system_memory_pool())  # the default one reserves 1 GB of address space
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:

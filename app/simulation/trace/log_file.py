@@ -137,7 +137,7 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
 
 
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
-    """The cells of a column as they should be; so many have something in them.
+    """The cells of a column in its own type; `filled` of them are not empty.
 
     Raises:
         LogError: They are of another kind, or one is empty that may not be.
