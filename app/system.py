@@ -30,7 +30,7 @@ _REAL_TIME = 1  # [-] the least priority of those that come before all others
 _SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
 _BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
-_BEGUN = ".dbb-begun-"  # prefix of folders that hold unfinished results
+_BEGUN = ".dbb~"  # prefix of folders that hold unfinished results
 _MOST_LINKS = 40  # [-] that lead to one another, as the system has it
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
@@ -182,7 +182,7 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
         OSError: It cannot be made.
     """
     _remove_abandoned_once(place)
-    folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(8)}"
+    folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
     lock = _claimed(folder)
     holder = {folder}  # removed at the process's exit too
     remove = weakref.finalize(holder, shutil.rmtree, folder, ignore_errors=True)

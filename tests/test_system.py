@@ -317,7 +317,7 @@ def test_what_a_killed_process_has_begun_goes_and_what_others_begin_stays(tmp_pa
     own.mkdir()
     with begin() as process:
         system.remove_abandoned(tmp_path)
-        assert len([*tmp_path.glob(".dbb-begun-*")]) == 2
+        assert len([*tmp_path.glob(f"{system._BEGUN}*")]) == 2
         with (
             pytest.raises(OutputError, match="another process works on the same"),
             system.whole_folder(tmp_path / "robot"),
