@@ -61,7 +61,8 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
         if not said or said[0] in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             break
     if not select.select([lives], [], [], patience)[0]:
-        print(f"killed: it had not ended {patience:g} s after its signal", file=sys.stderr)
+        if pid > 0:  # a command
+            print(f"killed: it had not ended {patience:g} s after its signal", file=sys.stderr)
         with suppress(OSError):
             (os.killpg if pid < 0 else os.kill)(abs(pid), signal.SIGKILL)
 
