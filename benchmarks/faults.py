@@ -1,7 +1,7 @@
 """Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
 
 A command is started in a folder of its own, one of its processes is killed, terminated, stopped
-for a second, or stopped while the command is terminated, and what is left eight seconds after its
+for a second, or stopped while the command is terminated, and what is left twelve seconds after its
 end is counted: processes, open ports, half-written results, what was begun beside them or as a
 temporary file (unless something was killed), and statuses of its own. A study is then gone on with,
 and has to give the same bytes as one that nothing befell. Among the commands is one that hangs in a
@@ -33,7 +33,7 @@ from app.system import _BEGUN, ENDING
 
 _MARK = "DBB_FAULTS"  # in the environment of all that a try starts
 _TEMPORARY = "temporary"  # folder of a try for what libraries put into /tmp
-_PATIENCE = 8.0  # [s] after which nothing may be left
+_PATIENCE = 12.0  # [s] after which nothing may be left
 _STOPPED = 1.0  # [s] that a process is stopped
 _FAULTS = {
     "kill": signal.SIGKILL,

@@ -19,6 +19,7 @@ OnProgress = Callable[[float], None]
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
 _LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
+_PATIENCE = 8.0  # [s] of the guard, if nothing in the process can act
 _TIDYING = 1.0  # [s] for what is done at its exit, once it is late
 _received: list[int] = []
 
@@ -146,7 +147,7 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     os.set_blocking(written, False)
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     try:
-        with guarded(heard, _LONGEST + 2 * _TIDYING) as passed_on:
+        with guarded(heard, _PATIENCE) as passed_on:
             ending = (os.dup(passed_on), numbers, _LONGEST)
             threading.Thread(target=_end_late, args=ending, daemon=True).start()
             yield
