@@ -33,7 +33,7 @@ Array = np.ndarray
 
 MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
 
-_MOST_PARTS = 200  # [-] dots and brackets of a line that is read in this process
+_MOST_PARTS = 500  # [-] dots and brackets of a line of TOML that is read in this process
 LARGEST_TEXT = 10_000_000  # [bytes] of a file of TOML, JSON or XML
 _MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
 
@@ -190,21 +190,25 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
         ValueError: It is none, or takes more than its budget to read, or nests too deeply, or an
             integer in it has thousands of digits.
     """
-    # The work for a key of TOML, or for brackets, grows with the square of its parts.
+    return _read(loads, text, len(text))
+
+
+def from_toml(text: str) -> dict[str, Any]:
+    """The tables of a text of TOML; raises what `parsed` does."""
+    # The work for a key, or for nested brackets, grows with the square of its parts.
     heavy = max(map(_parts, text.splitlines()), default=0) > _MOST_PARTS
+    return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
+
+
+def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
     try:
-        return within_budget(loads, text, size=max(len(text), heavy * (SMALL + 1)))
+        return within_budget(loads, text, size=size)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
 
 
 def _parts(line: str) -> int:
     return line.count(".") + line.count("[") + line.count("{")
-
-
-def from_toml(text: str) -> dict[str, Any]:
-    """What a text of TOML holds; raises what `parsed` does."""
-    return parsed(tomllib.loads, text)
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple, TypeVar
 
-from app.jobs.process import Cancelled, EndedError, run_in_process
+from app.jobs.process import EndedError, run_in_process
 from app.system import limited
 
 Read = TypeVar("Read")
@@ -19,8 +20,7 @@ Read = TypeVar("Read")
 SMALL = 16 * 2**10
 """[bytes] up to which data is read in this process: more than most configurations."""
 _AT_ONCE = threading.BoundedSemaphore(2)  # [-] child processes that read
-_STARTING = 60.0  # [s] for such a process to begin on a busy machine
-_PATIENCE = 10.0  # [-] times its budget of time that it may take there
+_never = threading.Event()
 _limited = threading.Event()  # set in such a child, which reads everything itself
 
 
@@ -56,21 +56,13 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """
     if size <= SMALL or _limited.is_set():
         return read(*args)
-    budget, late = Budget.of(size), threading.Event()
-    too_much = BudgetError(f"it takes more than {budget} to read, which no such file needs")
-    with _AT_ONCE:
-        alarm = threading.Timer(_STARTING + _PATIENCE * budget.seconds, late.set)
-        alarm.daemon = True
-        alarm.start()
-        try:
-            packed = run_in_process(
-                _limited_read, budget, read, args, report=_ignore, cancelled=late, niceness=0
-            )
-            return pickle.loads(packed)
-        except (MemoryError, EndedError, Cancelled):
-            raise too_much from None
-        finally:
-            alarm.cancel()
+    budget = Budget.of(size)
+    with _AT_ONCE, suppress(MemoryError, EndedError):
+        packed = run_in_process(
+            _limited_read, budget, read, args, report=_ignore, cancelled=_never, niceness=0
+        )
+        return pickle.loads(packed)
+    raise BudgetError(f"it takes more than {budget} to read, which no such file needs")
 
 
 def _limited_read(

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from typing_extensions import Self
 
 from app.errors import DbbError, LogError, did_you_mean
-from app.jobs.bounded import Budget
+from app.jobs.bounded import SMALL, Budget
 from app.simulation.trace.arrow import read_arrow, write_arrow
 from app.simulation.trace.columns import NAN, Column, TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
@@ -133,6 +133,8 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
         _cast(column, values, len(drawn))
     nothing = "" if column.kind == "text" else NAN
     cells = _cast(column, drawn, len(drawn)).to_pylist()
+    if column.kind == "text" and max(len(cell or "") for cell in cells) > SMALL:
+        raise LogError(f"column {column.name}: a text is longer than any log has")
     return [nothing if cell is None else cell for cell in cells]
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from app.errors import StudyError
+from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.simulation.case import RunCase
 from app.strict import parsed, text_of
@@ -226,6 +227,8 @@ class Journal(AbstractContextManager["Journal"]):
         whole = content.rfind(b"\n") + 1
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
+                if len(line) > SMALL:
+                    raise ValueError("no row is so long")
                 row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
