@@ -17,7 +17,7 @@ import socket
 import struct
 import threading
 from asyncio import get_running_loop
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from html import escape
@@ -47,7 +47,7 @@ of the page; others would tell the page whom to obey."""
 ReadLink = Callable[[str], tuple[str, str]]
 """Of an address's query: why it is wrong, or an empty text, and the query without what is."""
 _LONGEST_PATH = 255  # [characters] of an address, beyond which no file can be looked for
-_MOST_UPLOADS = 2  # [-] unfinished ones of a viewer
+_MOST_UPLOADS = 2  # [-] unfinished ones
 _LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
 _LONGEST_VALUE = 2**16  # [characters] of what a widget is set to
 _DEEPEST = 6  # [-] containers in one another
@@ -138,7 +138,7 @@ class Gate:
         """
         self._own_name, self._largest_upload = own_name, largest_upload
         self._read_link = read_link
-        self._viewers = 0
+        self._uploads: set[Uploads] = set()  # of each viewer who is there
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Finds the widget of a page, by the page's connection and the widget's name."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
@@ -211,10 +211,10 @@ class Gate:
             status = http.HTTPStatus.FORBIDDEN
             why = "this page is not allowed to connect to this server"
         elif headers.get("Upgrade", "").lower() == "websocket":
-            if self._viewers < _MOST_VIEWERS:
+            if len(self._uploads) < _MOST_VIEWERS:
                 return None
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
-            why = f"{self._viewers} pages are open, which is the most that this server serves"
+            why = f"{len(self._uploads)} pages are open, which is the most that this server serves"
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
             why = "there is no file of so long a name"
@@ -235,11 +235,12 @@ class Gate:
         async def handle(connection: ServerConnection) -> None:
             if connection.subprotocol != _VERSION:  # viser would print each one
                 return await connection.close(1002, "this page is of another version; reload it")
-            self._viewers += 1
+            uploads = Uploads(self._largest_upload, self._uploads)
+            self._uploads.add(uploads)
             try:
-                await inner(_Checked(connection, self, Uploads(self._largest_upload)))
+                await inner(_Checked(connection, self, uploads))
             finally:
-                self._viewers -= 1
+                self._uploads.discard(uploads)
 
         return handle
 
@@ -353,13 +354,12 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 class Uploads:
     """What one viewer is uploading: viser keeps what it gets until each part of a file is there.
 
-    As a page sends them, parts come in their order: else viser would wait for ever for one that is
-    counted here, and keep the others.
+    As a page sends them, parts come in their order: else viser would keep them for ever.
     """
 
-    def __init__(self, largest: int) -> None:
-        """Nothing yet; a file may have `largest` [bytes]."""
-        self._largest = largest
+    def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
+        """Nothing yet; a file may have `largest` [bytes]; few at a time, whoever sends them."""
+        self._largest, self._everyone = largest, everyone
         self._left: dict[str, tuple[int, range]] = {}
         """By transfer: how many bytes are still to come, and which parts."""
 
@@ -373,7 +373,7 @@ class Uploads:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
         if not min(size, 1) <= parts <= size:
             raise RefusedError("this is no upload")
-        if len(self._left) >= _MOST_UPLOADS:
+        if sum(len(each._left) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
             raise RefusedError("one upload after the other")
         if parts:
             self._left[transfer] = size, range(parts)
