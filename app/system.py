@@ -32,6 +32,7 @@ _BUDGET = 500_000  # [µs] that a thread may work before all others without a pa
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
 _BEGUN = ".dbb~"  # prefix of folders that hold unfinished results
 _MOST_LINKS = 40  # [-] that lead to one another, as the system has it
+_ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
@@ -81,6 +82,9 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         size = pages * resource.getpagesize() + memory
+    mallopt = getattr(_c_library(), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_ARENA_MAX, 1)  # glibc reserves 64 MB for each thread otherwise
     limits = {resource.RLIMIT_CPU: math.ceil(used + seconds), resource.RLIMIT_AS: size}
     before = {kind: resource.getrlimit(kind) for kind in limits}
     for kind, most in limits.items():

@@ -60,6 +60,11 @@ def vanish(report: Report) -> None:
     os._exit(7)
 
 
+def nap(report: Report, seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
+
+
 def wait_for_ever(report: Report, file: str) -> None:
     """With a child of its own, whose number is told."""
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])

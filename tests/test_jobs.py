@@ -15,7 +15,8 @@ import pytest
 
 from app.errors import LoopError
 from app.jobs.pool import Workers
-from tests.jobs import add, add_slowly, add_twice_over, killed_at_first, touch
+from app.jobs.process import run_in_process
+from tests.jobs import add, add_slowly, add_twice_over, killed_at_first, nap, touch
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -176,6 +177,12 @@ def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> N
         (folder / name).write_text(FOREIGN)
     out, errors = start(script, folder).communicate(timeout=60)
     assert (out, errors) == ("[0, 1, 2]\n", "")
+
+
+def test_a_job_may_take_longer_than_its_guard_is_patient() -> None:
+    """Which counts from the end of its parent only."""
+    done = run_in_process(nap, 4.5, report=print, cancelled=threading.Event())
+    assert done == 4.5
 
 
 def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> None:

@@ -39,7 +39,7 @@ class Budget(NamedTuple):
     @classmethod
     def of(cls, size: int) -> Budget:
         """That of data of a size [bytes]: no honest file needs more."""
-        return cls(1.5 + size / 1e6, 250 * 10**6 + 50 * size)
+        return cls(2.0 + size / 1e6, 300 * 10**6 + 50 * size)
 
     def __str__(self) -> str:
         return f"{self.seconds:.2g} s and {self.memory / 1e6:.0f} MB"

@@ -23,19 +23,21 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     Yields:
         The number of a file with the bytes that it passes on; `heard` if no process can start.
     """
+    passed = os.dup(heard)  # its own standard input takes the number 0
     lives, alive = os.pipe()
     pid = -os.getpgid(0) if group else os.getpid()
-    words = map(str, (__file__, heard, lives, pid, patience))
+    words = map(str, (__file__, passed, lives, pid, patience))
     try:
         guard = subprocess.Popen(
             [sys.executable, "-I", "-S", *words],
-            pass_fds=(heard, lives),
+            pass_fds=(passed, lives),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             start_new_session=True,
         )
     except OSError:
         guard = None
+    os.close(passed)
     os.close(lives)
     try:
         yield guard.stdout.fileno() if guard and guard.stdout else heard
