@@ -11,7 +11,12 @@ class DbbError(Exception):
 
     def __str__(self) -> str:
         """One line, whatever a file that it quotes has in it."""
-        return " ".join(super().__str__().splitlines())
+        return printable(" ".join(super().__str__().splitlines()))
+
+
+def printable(text: str) -> str:
+    """A text for a terminal: control and direction characters are written as their codes."""
+    return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
 class UnknownNameError(DbbError):

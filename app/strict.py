@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from pydantic_core import ErrorDetails
 from typing_extensions import Self
 
 from app.errors import ConfigError, did_you_mean
+from app.jobs.bounded import SMALL, within_budget
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -31,7 +33,8 @@ Array = np.ndarray
 
 MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
 
-_LONGEST = 10_000_000  # [-] characters of a file of TOML or JSON; longer ones are read for minutes
+_MOST_PARTS = 500  # [-] dots and brackets of a line of TOML that is read in this process
+LARGEST_TEXT = 10_000_000  # [bytes] of a file of TOML, JSON or XML
 _MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
 
 
@@ -166,24 +169,46 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
     return [r for a in getattr(annotation, "__args__", ()) for r in _records_in(a)]
 
 
+def text_of(path: Path) -> str:
+    """The text of a file, UTF-8, by whoever wrote it.
+
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It is no text, or larger than any that this program reads.
+    """
+    with path.open("rb") as file:
+        content = file.read(LARGEST_TEXT + 1)
+    if len(content) > LARGEST_TEXT:
+        raise ValueError(f"it has more than the {LARGEST_TEXT / 1e6:.0f} MB of any such file")
+    return content.decode("utf-8")
+
+
 def parsed(loads: Callable[[str], Any], text: str) -> Any:
     """What a text holds, by a reader of TOML or JSON, whoever wrote it.
 
     Raises:
-        ValueError: It is none, or very long, or nests too deeply, or an integer in it has thousands
-            of digits.
+        ValueError: It is none, or takes more than its budget to read, or nests too deeply, or an
+            integer in it has thousands of digits.
     """
-    if len(text) > _LONGEST:
-        raise ValueError(f"{len(text)} characters, more than the {_LONGEST} of any such file")
+    return _read(loads, text, len(text))
+
+
+def from_toml(text: str) -> dict[str, Any]:
+    """The tables of a text of TOML; raises what `parsed` does."""
+    # The work for a key, or for nested brackets, grows with the square of its parts.
+    heavy = max(map(_parts, text.splitlines()), default=0) > _MOST_PARTS
+    return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
+
+
+def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
     try:
-        return loads(text)
+        return within_budget(loads, text, size=size)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
 
 
-def from_toml(text: str) -> dict[str, Any]:
-    """What a text of TOML holds; raises what `parsed` does."""
-    return parsed(tomllib.loads, text)
+def _parts(line: str) -> int:
+    return line.count(".") + line.count("[") + line.count("{")
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

@@ -6,14 +6,20 @@ no `malloc_trim`; there the work is done without. Nothing here raises for want o
 
 import ctypes
 import fcntl
+import math
 import os
 import resource
 import secrets
+import shutil
 import signal
+import stat
 import sys
+import tempfile
 import threading
+import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from functools import lru_cache
 from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
@@ -24,6 +30,9 @@ _REAL_TIME = 1  # [-] the least priority of those that come before all others
 _SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
 _BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
+_BEGUN = ".dbb~"  # prefix of folders that hold unfinished results
+_MOST_LINKS = 40  # [-] that lead to one another, as the system has it
+_ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
@@ -62,6 +71,32 @@ def step_back(niceness: int) -> None:
         os.nice(niceness)
 
 
+@contextmanager
+def limited(seconds: float, memory: int) -> Iterator[None]:
+    """Limit this process meanwhile: [s] of a core, and [bytes] of address space beyond its present.
+
+    Beyond the memory an allocation fails; beyond the time the process is ended. macOS limits the
+    time alone.
+    """
+    used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
+    with suppress(OSError):
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        size = pages * resource.getpagesize() + memory
+    mallopt = getattr(_c_library(), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_ARENA_MAX, 1)  # glibc reserves 64 MB for each thread otherwise
+    limits = {resource.RLIMIT_CPU: math.ceil(used + seconds), resource.RLIMIT_AS: size}
+    before = {kind: resource.getrlimit(kind) for kind in limits}
+    for kind, most in limits.items():
+        with suppress(ValueError, OSError):  # beyond what this process may have anyway
+            resource.setrlimit(kind, (most, before[kind][1]))
+    try:
+        yield
+    finally:
+        for kind, usual in before.items():
+            resource.setrlimit(kind, usual)
+
+
 ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 """Signals by which a user, a supervisor or a closed terminal ends a command."""
 
@@ -87,6 +122,16 @@ def wake_without_parent() -> None:
     prctl = getattr(_c_library(), "prctl", None)
     if prctl is not None:
         prctl(_PARENT_DEATH, signal.SIGCONT)
+
+
+def end_when_closed(pipe: int) -> None:
+    """Have the system end this process when all writers of a pipe have gone (Linux).
+
+    No thread of the process has to notice, so that a hanging library cannot prevent it.
+    """
+    with suppress(AttributeError, OSError):
+        fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
+        fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 def wake_children() -> None:
@@ -115,39 +160,153 @@ def end_group(leader: int, *, at_once: bool) -> None:
         os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
 
 
-def claim(file: BinaryIO) -> bool:
-    """Lock a file until it is closed; False if another process has it locked."""
+def claim(file: BinaryIO | int) -> bool | None:
+    """Lock a file or a folder until it is closed; False if another process has it locked.
+
+    None where the file system has no locks.
+    """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         return False
+    except OSError:
+        return None
     return True
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """A file beside the wanted one, of the same ending, that takes its place if all went well.
+def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
+    """A folder for an unfinished result, claimed by this process and removed at the end.
 
-    So nobody who reads it ever sees half of it. A link stays one, and leads to the new file.
+    Only one process at a time can claim a name. Folders that killed processes have left are
+    removed first.
+
+    Raises:
+        OutputError: Another process has claimed the name.
+        OSError: It cannot be made.
+    """
+    _remove_abandoned_once(place)
+    folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
+    lock = _claimed(folder)
+    holder = {folder}  # removed at the process's exit too
+    remove = weakref.finalize(holder, shutil.rmtree, folder, ignore_errors=True)
+    try:
+        for left in folder.iterdir():  # of a killed process, by this name
+            shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+        yield folder
+    finally:
+        remove()
+        os.close(lock)
+
+
+def _claimed(folder: Path) -> int:
+    """The number of a file by which a folder of this user's is claimed."""
+    while True:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        with suppress(FileNotFoundError):  # whoever had it claimed has just removed it
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            found = os.fstat(lock)
+            if found.st_uid != os.geteuid() or claim(lock) is False:
+                os.close(lock)
+                raise OutputError(f"{folder.parent}: another process works on the same result")
+            with suppress(FileNotFoundError):
+                if os.path.samestat(found, folder.lstat()):
+                    return lock
+            os.close(lock)
+
+
+def remove_abandoned(place: Path) -> None:
+    """Remove the unfinished results in a folder that killed processes of this user have left."""
+    for folder in place.glob(f"{_BEGUN}*"):
+        with suppress(OSError):
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                if os.fstat(lock).st_uid == os.geteuid() and claim(lock):
+                    shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
+
+
+_remove_abandoned_once = lru_cache(maxsize=256)(remove_abandoned)
+
+
+def temporary_folder() -> AbstractContextManager[Path]:
+    """A `begun_folder` in the folder for temporary files."""
+    return begun_folder(Path(tempfile.gettempdir()))
+
+
+def own_path(path: Path) -> Path:
+    """The path with its links followed; none of them is of another user in a shared folder.
+
+    Raises:
+        OutputError: Such a link stands in it, or links go round in a circle.
+    """
+    found, parts, links = Path("/"), list((Path.cwd() / path).parts[1:]), 0
+    while parts:
+        part = parts.pop(0)
+        here = found.parent if part == ".." else found / part
+        if not here.is_symlink():
+            found = here
+            continue
+        links += 1
+        if links > _MOST_LINKS or _is_foreign(here):
+            raise OutputError(f"cannot write {path}: {here} is a link of another user, or endless")
+        target = here.readlink()
+        found = Path("/") if target.is_absolute() else found
+        parts[:0] = [each for each in target.parts if each != "/"]
+    return found
+
+
+def _is_foreign(link: Path) -> bool:
+    folder, owner = link.parent.stat(), link.lstat().st_uid
+    shared = folder.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return bool(shared) and owner not in (os.geteuid(), folder.st_uid)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A file in a folder of its own, which replaces the wanted one if the `with` raised nothing.
+
+    So no reader sees half of it, and two writers do not disturb one another. A link of this user
+    remains a link, and leads to the new file.
 
     Raises:
         OutputError: It cannot be written, as on a full disk; what was there before is still there.
     """
-    real = Path(os.path.realpath(path))
-    # Two that write the same file, be it from two machines, do not write into each other's.
-    beside = real.with_name(f".new-{secrets.token_hex(4)}-{path.name}")
     try:
         if is_no_file(path):
             raise OutputError(f"cannot write {path}: it is no file")
-        try:
+        real = own_path(path)
+        with begun_folder(real.parent) as folder:
+            beside = folder / path.name
             yield beside
             with beside.open("rb") as file:
                 os.fsync(file.fileno())
             beside.replace(real)
-        finally:
-            beside.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+@contextmanager
+def whole_folder(out: Path) -> Iterator[Path]:
+    """A folder elsewhere that becomes `out` at the end of a `with` that raised nothing.
+
+    Raises:
+        OutputError: `out` is there already, or cannot be written, or another process makes it.
+    """
+    with ExitStack() as stack:
+        try:
+            out = own_path(out)
+            out.parent.mkdir(parents=True, exist_ok=True)
+            folder = stack.enter_context(begun_folder(out.parent, out.name))
+        except OSError as error:
+            raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise OutputError(f"--out: {out} is there already; remove it or give another")
+        made = folder / out.name
+        made.mkdir()
+        yield made
+        made.replace(out)
 
 
 def is_no_file(path: Path) -> bool:

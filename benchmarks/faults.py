@@ -1,10 +1,11 @@
 """Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
 
 A command is started in a folder of its own, one of its processes is killed, terminated, stopped
-for a second, or stopped while the command is terminated, and what is left five seconds after its
+for a second, or stopped while the command is terminated, and what is left twelve seconds after its
 end is counted: processes, open ports, half-written results, what was begun beside them or as a
 temporary file (unless something was killed), and statuses of its own. A study is then gone on with,
-and has to give the same bytes as one that nothing befell.
+and has to give the same bytes as one that nothing befell. Among the commands is one that hangs in a
+library and keeps Python's lock; some faults take the room on the disk away, or the right to write.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ import tyro
 from app.cli.common import print_json
 from app.jobs.progress import progress_bar
 from app.robot.assets import ASSETS
-from app.system import ENDING
+from app.system import _BEGUN, ENDING
 
 _MARK = "DBB_FAULTS"  # in the environment of all that a try starts
 _TEMPORARY = "temporary"  # folder of a try for what libraries put into /tmp
-_PATIENCE = 5.0  # [s] after which nothing may be left
+_PATIENCE = 12.0  # [s] after which nothing may be left
 _STOPPED = 1.0  # [s] that a process is stopped
 _FAULTS = {
     "kill": signal.SIGKILL,
@@ -43,11 +44,16 @@ _FAULTS = {
     "ctrl-c": signal.SIGINT,
     "hang up": signal.SIGHUP,
     "impatient": signal.SIGINT,
+    "full": signal.SIGKILL,
+    "read-only": signal.SIGKILL,
 }
 """The first signal of each: one that was stopped goes on a second later, and then has to end. One
-that is held goes on only if it is the command, which has been terminated meanwhile. The last three
-reach the whole group, as from a terminal; who is impatient presses Ctrl-C three times."""
+that is held goes on only if it is the command, which has been terminated meanwhile. Three
+reach the whole group, as from a terminal; who is impatient presses Ctrl-C three times. Of a full
+disk or a folder that is read-only a command learns by itself; a worker is killed beside."""
 _FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
+_OF_DISK = ("full", "read-only")
+_ROOM = 20_000  # [bytes] of any file on a disk that is full
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
 _FILM = (
@@ -67,6 +73,7 @@ _COMMANDS: dict[str, tuple[tuple[str, ...], float]] = {
     "reproduce": (("reproduce", "fig3", "--processes", "2", "--out", "out"), 20.0),
     "new-robot": (_ROBOT, 20.0),
     "film": (_FILM, 20.0),
+    "hang": ((), 3.0),
 }
 """Each command, and [s] within which the fault comes."""
 
@@ -98,7 +105,7 @@ def main(
     Args:
         tries: How many.
         seed: Of command, fault, process and instant.
-        only: Commands: serve, sweep, study, reproduce, new-robot, film; all if not given.
+        only: Commands: serve, sweep, study, reproduce, new-robot, film, hang; all if not given.
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
@@ -131,6 +138,17 @@ def main(
         sys.exit("\n".join(map(str, findings)))
 
 
+_HANGING = """
+import ctypes
+from app.cli import main
+from app.jobs.progress import ending_signals_raised
+lock, library = ctypes.create_string_buffer(256), ctypes.PyDLL(None)
+library.pthread_mutex_init(lock, None)
+library.pthread_mutex_lock(lock)
+with ending_signals_raised():
+    library.pthread_mutex_lock(lock)
+"""
+"""The command that hangs, which nothing but its guard can end by such a signal."""
 _COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
 
 
@@ -145,15 +163,22 @@ def _try(
     delay = float(rng.uniform(0.3, span))
     fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
     in_child = in_child and fault not in _FROM_TERMINAL
-    command = _started(words, folder)
+    command = _started(words, folder, _ROOM if fault == "full" else None)
     time.sleep(delay)
+    in_child = in_child or fault in _OF_DISK
+    if fault == "read-only" and (folder / "out").is_dir():
+        (folder / "out").chmod(0o500)
     struck = _strike(command, fault, in_child, rng)
     if in_child or fault == "stop":  # it may go on, or end by itself; then it is told to end
         with suppress(subprocess.TimeoutExpired):
             command.wait(2.0)
         command.terminate()
     left = _left_after(command, folder, port)
+    if (folder / "out").is_dir():
+        (folder / "out").chmod(0o700)
     usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
+    usual |= {-signal.SIGKILL} if name == "hang" else set()  # its guard has killed it
+    usual |= {2} if fault in _OF_DISK else set()  # it cannot write
     told = fault not in ("kill", "stop") and command.returncode not in usual
     lost: list[str] = []
     if name == "study":
@@ -168,18 +193,22 @@ def _try(
         "half": left.half,
         "begun": [] if fault == "kill" else left.begun,
         "lost": lost,
-        "status": [command.returncode] if told and not in_child else [],
+        "status": [command.returncode] if told and (not in_child or fault in _OF_DISK) else [],
     }
 
 
-def _started(words: tuple[str, ...], folder: Path) -> subprocess.Popen[bytes]:
+def _started(
+    words: tuple[str, ...], folder: Path, room: int | None = None
+) -> subprocess.Popen[bytes]:
     environment = {**os.environ, _MARK: str(folder), "DBB_ROBOTS": str(folder / "robots")}
     environment["TMPDIR"] = str(folder / _TEMPORARY)
     root = str(Path(__file__).resolve().parent.parent)
     environment["PYTHONPATH"] = os.pathsep.join([root, environment.get("PYTHONPATH", "")])
+    run = ["-m", "app", *words] if words else ["-c", _HANGING]
+    limit = [] if room is None else ["prlimit", f"--fsize={room}"]
     with (folder / "said").open("ab") as said:
         return subprocess.Popen(
-            [sys.executable, "-m", "app", *words],
+            [*limit, sys.executable, *run],
             cwd=folder,
             env=environment,
             stdout=said,
@@ -226,8 +255,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
             each.kill()
     command.wait()
     files = [path for path in folder.rglob("*") if path.is_file() and path.name != "said"]
-    begun = {path for path in files if path.name.startswith(".new-")}
-    begun |= {*folder.glob(".mine-*"), *(folder / _TEMPORARY).iterdir()}
+    begun = {*folder.rglob(f"{_BEGUN}*"), *(folder / _TEMPORARY).iterdir()}
     own = [path for path in files if not any(path.is_relative_to(each) for each in begun)]
     if (folder / "mine").exists() and not (folder / "mine" / "report.html").exists():
         own.append(folder / "mine")

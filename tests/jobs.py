@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,15 @@ def add(context: int, job: int) -> int:
     return context + job
 
 
+def killed_at_first(context: int, file: str) -> str:
+    """Ends its process until there are as many lines in a file as its name ends with."""
+    path = Path(file)
+    path.open("a").write(f"{os.getpid()}\n")
+    if len(path.read_text().splitlines()) <= int(path.name[-1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name
+
+
 def add_slowly(context: int, job: int, on_progress: Callable[[float], None]) -> int:
     for share in (0.25, 0.5, 0.25, 0.75):  # what it tells may fall
         on_progress(share)
@@ -48,6 +58,11 @@ def fail_with(report: Report, error: Exception) -> None:
 
 def vanish(report: Report) -> None:
     os._exit(7)
+
+
+def nap(report: Report, seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds
 
 
 def wait_for_ever(report: Report, file: str) -> None:
@@ -75,7 +90,7 @@ def wait_with_workers(report: Report, folder: str) -> None:
 
 
 def wait_in_a_folder(report: Report, out: str) -> None:
-    from app.onboarding.write import whole_folder
+    from app.system import whole_folder
 
     with whole_folder(Path(out)):
         report("waiting", 0.5)
@@ -84,8 +99,10 @@ def wait_in_a_folder(report: Report, out: str) -> None:
 
 def wait_for_ever_for_a_request(report: Report, request: Request) -> None:
     """With a folder that it has no time to remove."""
-    request.out.parent.mkdir(exist_ok=True)
-    (request.out.parent / f".{request.name}-abcd").mkdir()
+    from app.system import whole_folder
+
+    begun = whole_folder(request.out)
+    begun.__enter__()
     report("waiting", -1.0)
     time.sleep(600)
 

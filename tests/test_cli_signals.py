@@ -117,7 +117,7 @@ DEAF = r"""
 import ctypes, os, tempfile
 from pathlib import Path
 from app.jobs.progress import ending_signals_raised
-from app.onboarding.write import whole_folder
+from app.system import whole_folder
 kept = tempfile.TemporaryDirectory()
 robot = whole_folder(Path(tempfile.gettempdir()) / "robot")
 robot.__enter__()
@@ -144,6 +144,28 @@ def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, tmp
     process.send_signal(number)
     assert process.wait(timeout=30) == 128 + number
     assert list(tmp_path.iterdir()) == [], "temporary folders go"
+
+
+HANGING = DEAF.replace("ctypes.CDLL", "ctypes.PyDLL").replace(
+    "kept =", "from app.jobs import progress\nprogress._PATIENCE = 1.0\nkept ="
+)
+"""It keeps Python's lock meanwhile, so that no thread of the process can act."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_command_that_hangs_in_a_library_with_pythons_lock_is_killed(number, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-c", HANGING],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"started\n"
+    process.send_signal(number)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == -signal.SIGKILL
+    assert said == b"killed: it had not ended 1 s after its signal\n"
 
 
 LATE = r"""

@@ -8,6 +8,7 @@ import io
 import logging
 import math
 import socket
+import time
 import urllib.error
 import urllib.request
 import warnings
@@ -342,30 +343,30 @@ def test_bytes_that_are_no_message_are_refused(data):
         checked(data, Uploads(0), lambda uuid: None)
 
 
-def test_a_message_of_more_parts_than_a_page_sends_ends_its_connection(monkeypatch):
-    """Each part takes memory, also an empty one, and there is no end of them."""
+MANY, LARGE = [b""] * 110, [b"x" * 2**17] * 9
+
+
+@pytest.mark.parametrize(
+    ("parts", "pause", "stays"),
+    [(MANY[:90], 0.0, True), (MANY, 0.0, False), (LARGE, 0.0, False), (MANY[:9], 0.1, False)],
+    ids=["some", "many", "large", "slow"],
+)
+def test_a_message_that_grows_beyond_any_is_cut_off(parts, pause, stays, monkeypatch):
     monkeypatch.setattr("app.dashboard.gate._MOST_PARTS", 100)
-    camera = msgspec.msgpack.encode(CAMERA)
+    monkeypatch.setattr("app.dashboard.gate._SLOWEST", 0.5)
+    with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}") as client:
+        camera = msgspec.msgpack.encode(CAMERA)
 
-    async def until_closed(connection):
-        while True:
-            await connection.recv()
+        def message():
+            yield camera[:9]
+            yield from (time.sleep(pause) or part for part in parts)
+            client._thread.join(0.0 if stays else 10.0)  # it reads until the end
+            yield camera[9:]
 
-    async def reason_after(server, parts):
-        async with link(server, None) as connection:
-            await connection.send(camera)
-            await connection.send(parts)
-            with suppress(asyncio.TimeoutError):
-                try:
-                    await asyncio.wait_for(until_closed(connection), 2.0)
-                except websockets.ConnectionClosed as closed:
-                    return closed.rcvd.reason
-        return None
-
-    with served() as server:
-        assert asyncio.run(reason_after(server, [camera[:9], *[b""] * 90, camera[9:]])) is None
-        reason = asyncio.run(reason_after(server, [camera[:9], *[b""] * 110, camera[9:]]))
-        assert reason == "this is no message (of too many parts)"
+        with suppress(websockets.ConnectionClosed):
+            client.send_raw(message())
+        client._thread.join(0.5)
+        assert client._thread.is_alive() is stays
 
 
 def test_of_all_kinds_that_viser_obeys_some_are_taken_and_the_others_are_known():
@@ -474,8 +475,8 @@ def test_of_an_upload_viser_keeps_no_part_that_is_not_counted():
         pass_on(part(b"x" * 450, transfer, index=0), uploads=uploads)
         with pytest.raises(RefusedError, match="not what was announced"):
             pass_on(part(b"x" * 450, transfer, index=0), uploads=uploads)
-    with pytest.raises(RefusedError, match="one upload after the other"):
-        pass_on(announced(900, 3, "c"), uploads=uploads)
+    with pytest.raises(RefusedError, match="one upload after the other"):  # by another viewer
+        pass_on(announced(900, 3, "c"), uploads=Uploads(1000, [uploads]))
 
 
 def test_empty_files_can_be_uploaded_one_after_the_other():

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 import resource
+import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from app.border.cache import DamagedFileError, read
@@ -31,7 +34,7 @@ from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.strict import parsed
+from app.strict import from_toml, text_of
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -60,9 +63,11 @@ def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line
         decode_config(f"[border]\nd_b = {value}"[:60_000].encode())
 
 
-def test_a_text_far_longer_than_any_is_refused_before_it_is_read():
+def test_a_text_far_longer_than_any_is_refused_before_it_is_read(tmp_path):
+    long = tmp_path / "robot.toml"
+    long.write_bytes(b" " * 10_000_001)
     with pytest.raises(ValueError, match="more than"):
-        parsed(pytest.fail, " " * 10_000_001)
+        text_of(long)
 
 
 def test_a_plain_array_is_no_file_of_a_border(tmp_path):
@@ -83,6 +88,44 @@ def test_of_a_broken_robot_the_list_says_what_is_wrong_and_the_others_are_there(
     told = capsys.readouterr().out
     assert "\nhusky_panda " in told
     assert "\nbroken               cannot be used: " in told
+
+
+def test_what_a_robot_calls_itself_reaches_no_terminal_as_an_order(monkeypatch, tmp_path, capsys):
+    mine = tmp_path / "mine"
+    shutil.copytree(ASSETS / "husky_panda", mine)
+    text = (mine / "robot.toml").read_text(encoding="utf-8")
+    text = re.sub('title = ".*"', r'title = "\\u001b]0;owned\\u0007\\u202e"', text)
+    (mine / "robot.toml").write_text(text.replace('"husky_panda"', '"mine"'), encoding="utf-8")
+    (tmp_path / "\x1b[2J").mkdir()
+    (tmp_path / "\x1b[2J" / "robot.toml").touch()
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    main(["robots"])
+    told = capsys.readouterr().out
+    assert r"\x1b]0;owned\x07\u202e" in told
+    assert r"\x1b[2J" in told
+    assert all(c.isprintable() or c == "\n" for c in told)
+
+
+def test_a_report_that_is_a_link_is_none(monkeypatch, tmp_path):
+    shutil.copytree(ASSETS / "husky_panda", tmp_path / "mine")
+    (tmp_path / "secret").touch()
+    (tmp_path / "mine" / "report.html").symlink_to(tmp_path / "secret")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    (mine,) = [each for each in robot_entries() if each.name == "mine"]
+    assert not mine.report
+
+
+def test_a_robot_of_more_joints_than_any_is_refused_before_its_model_is_made(monkeypatch, tmp_path):
+    """Of 500 in a row pinocchio's model takes half a minute and gigabytes."""
+    mine = tmp_path / "mine"
+    shutil.copytree(ASSETS / "husky_panda", mine)
+    joints = "".join(f'<joint name="j{k}" type="revolute"/>' for k in range(201))
+    (mine / "robot.urdf").write_text(f"<robot>{joints}</robot>")
+    text = (mine / "robot.toml").read_text(encoding="utf-8")
+    (mine / "robot.toml").write_text(text.replace('"husky_panda"', '"mine"'), encoding="utf-8")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    (entry,) = [each for each in robot_entries() if each.name == "mine"]
+    assert "201 moving joints; at most 200" in str(entry.problem)
 
 
 @pytest.mark.parametrize(
@@ -172,12 +215,40 @@ def test_a_log_whose_columns_have_no_names_in_utf8_is_refused(tmp_path):
         read_trace(path)
 
 
-def test_a_log_that_expands_to_more_than_any_log_has_is_not_expanded(tmp_path, monkeypatch):
-    path = tmp_path / "log.parquet"
-    write_trace(path, trace_of(random_snapshots(2, 12)))
-    monkeypatch.setattr("app.simulation.trace.log_file._MOST_CELLS", 1000)
-    with pytest.raises(LogError, match=r"12 rows of .* columns, more than any log has"):
-        read_trace(path)
+def expanding(path: Path, rows: int) -> Path:
+    """A log of many rows, all drawn, whose file has one number for each column."""
+    write_trace(path, trace_of(random_snapshots(2, 2)))
+    table = pq.read_table(path).slice(0, 1)
+    once, columns = pa.array(np.zeros(rows, np.int8)), {}
+    for name in table.column_names:
+        (cell,) = (column := table[name].combine_chunks()).to_pylist()
+        dictionary = pa.DictionaryArray.from_arrays(once, column) if cell is not None else None
+        columns[name] = pa.nulls(rows, column.type) if dictionary is None else dictionary
+    header = table.schema.metadata[b"dbb_log"]
+    header = re.sub(rb'"rows":\d+', b'"rows":%d' % rows, header)
+    pq.write_table(pa.table(columns, metadata={b"dbb_log": header}), path)
+    return path
+
+
+BUDGET = "to read, which no such file needs"
+EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a key of many parts": (lambda _: from_toml("a" + ".b" * 30_000 + " = 1"), BUDGET),
+    "long tables": (
+        lambda _: from_toml("".join(f"[a{'.b' * 4000}{k}]\n" for k in range(99))),
+        "nest too deeply",
+    ),
+    "rows of a log": (lambda at: read_trace(expanding(at / "a.parquet", 300_000)), BUDGET),
+    "rows that are drawn": (
+        lambda at: read_trace(expanding(at / "a.parquet", 22_000)),
+        "22000 rows to be drawn are too many",
+    ),
+}
+
+
+@pytest.mark.parametrize(("read", "why"), EXPANDING.values(), ids=EXPANDING)
+def test_data_that_expands_is_refused_at_the_cost_of_its_budget(read, why, tmp_path):
+    with pytest.raises((ValueError, LogError), match=why):
+        read(tmp_path)
 
 
 @pytest.mark.parametrize("speeds", ["[1.0]", "[0,0,0,0,0,0,0]", "[NaN,1,1,1,1,1,1]"])

@@ -13,8 +13,10 @@ from pathlib import Path
 import psutil
 import pytest
 
+from app.errors import LoopError
 from app.jobs.pool import Workers
-from tests.jobs import add, add_slowly, add_twice_over, touch
+from app.jobs.process import run_in_process
+from tests.jobs import add, add_slowly, add_twice_over, killed_at_first, nap, touch
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -63,7 +65,7 @@ def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int
     for _ in range(4):
         assert process.stdout.readline() == "started\n"
     children = psutil.Process(process.pid).children(recursive=True)
-    assert len(children) == 5  # four workers and a job
+    assert len(children) == 7  # four workers, a job, and the guards of both
     assert len(list(files.iterdir())) == 2
     os.kill(process.pid, number)
     process.wait(timeout=30)
@@ -79,33 +81,46 @@ os.write(1, b"importing\n")
 time.sleep(60)
 def work(receiver, sender): pass
 """
+HANGING = r"""
+import ctypes, os
+lock, library = ctypes.create_string_buffer(256), ctypes.PyDLL(None)
+library.pthread_mutex_init(lock, None)
+library.pthread_mutex_lock(lock)
+os.write(1, b"importing\n")
+library.pthread_mutex_lock(lock)  # for ever, with Python's lock
+def work(receiver, sender): pass
+"""
 STARTING = """
 import sys, time, types
 from app.jobs.process import Child
 slow = types.ModuleType("slow")  # that this process has at once
 exec("def work(receiver, sender): pass", vars(slow))
 sys.modules["slow"] = slow
-child = Child(slow.work)
+child = Child(slow.work, leads_group=len(sys.argv) > 1)
 time.sleep(60)
 """
 
 
+@pytest.mark.parametrize("leads", [(), ("leads a group",)])
+@pytest.mark.parametrize("code", [SLOW, HANGING], ids=["imports", "hangs"])
 @pytest.mark.parametrize("stopped", [False, True])
-def test_a_child_that_still_imports_or_is_stopped_ends_with_its_killed_parent(
-    tmp_path: Path, stopped: bool
+def test_a_child_ends_with_its_killed_parent_whatever_it_does(
+    tmp_path: Path, stopped: bool, code: str, leads: tuple[str, ...]
 ) -> None:
+    if code is HANGING and not leads and sys.platform != "linux":
+        pytest.skip("only there does the system itself end it")
     script = tmp_path / "script.py"
     script.write_text(STARTING)
-    (tmp_path / "slow.py").write_text(SLOW)
-    process = start(script, tmp_path)
+    (tmp_path / "slow.py").write_text(code)
+    process = start(script, tmp_path, *leads)
     assert process.stdout is not None
     assert process.stdout.readline() == "importing\n"
-    (child,) = psutil.Process(process.pid).children()
+    children = psutil.Process(process.pid).children(recursive=True)
     if stopped and sys.platform == "linux":  # nobody else wakes it
-        child.suspend()
+        children[0].suspend()
     process.kill()
     process.wait()
-    _, alive = psutil.wait_procs([child], timeout=30)
+    _, alive = psutil.wait_procs(children, timeout=30)
     assert alive == []
 
 
@@ -127,11 +142,12 @@ def test_a_foreign_process_that_is_stopped_ends_with_the_command_that_began_it(t
     process = start(script, tmp_path)
     assert process.stdout is not None
     assert process.stdout.readline() == "started\n"
-    (child,) = psutil.Process(process.pid).children()
-    child.suspend()
+    children = psutil.Process(process.pid).children()  # it, and the command's guard
+    for each in children:
+        each.suspend()
     process.terminate()
     process.wait(timeout=30)
-    _, alive = psutil.wait_procs([child], timeout=10)
+    _, alive = psutil.wait_procs(children, timeout=10)
     for each in alive:
         each.kill()
     assert alive == []
@@ -161,6 +177,12 @@ def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> N
         (folder / name).write_text(FOREIGN)
     out, errors = start(script, folder).communicate(timeout=60)
     assert (out, errors) == ("[0, 1, 2]\n", "")
+
+
+def test_a_job_may_take_longer_than_its_guard_is_patient() -> None:
+    """Which counts from the end of its parent only."""
+    done = run_in_process(nap, 4.5, report=print, cancelled=threading.Event())
+    assert done == 4.5
 
 
 def test_there_are_as_many_processes_as_this_one_may_use_cores(monkeypatch) -> None:
@@ -216,6 +238,18 @@ def test_processes_begin_a_job_before_its_result_is_taken(tmp_path: Path) -> Non
             time.sleep(0.01)
         assert file.exists()
         assert [*results] == [None]
+
+
+def test_a_worker_that_is_killed_is_replaced_and_its_job_done_again_twice(tmp_path: Path) -> None:
+    """Then the job counts as lost; the others have their processes all the while."""
+    jobs = [str(tmp_path / f"killed-{times}") for times in (0, 2, 3, 1)]
+    with Workers(int, processes=2) as workers:
+        done = [*workers.map(killed_at_first, jobs, lost=lambda job: f"lost {Path(job).name}")]
+        assert done == ["killed-0", "killed-2", "lost killed-3", "killed-1"]
+        with pytest.raises(LoopError, match="killed at the same job 3 times"):
+            list(workers.map(killed_at_first, [str(tmp_path / "always-9")]))
+        assert len({*(tmp_path / "killed-3").read_text().splitlines()}) == 3
+        assert [*workers.map(add, [1, 2])] == [1, 2]
 
 
 NEW_ROBOT = """

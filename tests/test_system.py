@@ -16,6 +16,7 @@ import psutil
 import pytest
 
 from app import system
+from app.cli.options import make_folder
 from app.errors import OutputError
 from tests.browser import wait_for
 
@@ -77,8 +78,10 @@ NAMES = {
 }
 """What a module has on some systems only, or does differently there. Names of `os` that begin with
 `sched_` or `SCHED_` count too."""
+GUARD = {"select", "os.getpgid", "os.kill", "os.killpg", "signal.SIGHUP", "signal.SIGKILL"}
 FOR_A_REASON = {
-    ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers"
+    ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers",
+    **{("app/jobs/guard.py", name): "it runs without this package" for name in GUARD},
 }
 """What may stand elsewhere."""
 
@@ -282,6 +285,82 @@ def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:
             assert not system.claim(second)
     with path.open("a+b") as third:
         assert system.claim(third)
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from app.system import whole_file, whole_folder
+begun = whole_file(Path("a.txt")), whole_folder(Path("robot"))
+for each in begun:
+    each.__enter__().joinpath("half") if each is begun[1] else each.__enter__().write_text("half")
+print("begun", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_what_a_killed_process_has_begun_goes_and_what_others_begin_stays(tmp_path: Path) -> None:
+    def begin() -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-c", KILLED],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(PROJECT)},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        return process
+
+    own = tmp_path / ".robot-of-mine"
+    own.mkdir()
+    with begin() as process:
+        system.remove_abandoned(tmp_path)
+        assert len([*tmp_path.glob(f"{system._BEGUN}*")]) == 2
+        with (
+            pytest.raises(OutputError, match="another process works on the same"),
+            system.whole_folder(tmp_path / "robot"),
+        ):
+            pytest.fail("before any work")
+        process.kill()
+    with system.whole_folder(tmp_path / "robot") as folder:
+        (folder / "robot.toml").touch()
+    system.remove_abandoned(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"robot", own.name}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root makes links of other users")
+@pytest.mark.parametrize("link", ["a.txt", "folder"])
+@pytest.mark.parametrize("write", [system.write_whole, lambda path, _: make_folder(path.parent)])
+def test_no_link_of_another_user_in_a_shared_folder_is_followed(link, write, tmp_path) -> None:
+    shared, target = tmp_path / "shared", tmp_path / "target"
+    for folder in (shared, target):
+        folder.mkdir()
+    shared.chmod(0o1777)
+    (shared / link).symlink_to(target if link == "folder" else target / "a.txt")
+    os.lchown(shared / link, 12345, 12345)
+    wanted = shared / "folder" / "a.txt" if link == "folder" else shared / "a.txt"
+    if link == "a.txt" and write is not system.write_whole:
+        wanted /= "below"
+    with pytest.raises(OutputError, match="link of another user"):
+        write(wanted, "text")
+    assert [*target.iterdir()] == []
+    os.lchown(shared / link, os.geteuid(), -1)
+    if write is system.write_whole:
+        write(wanted, "text")
+        assert (target / "a.txt").read_text() == "text"
+
+
+def test_a_file_of_the_longest_name_is_written_whole(tmp_path: Path) -> None:
+    system.write_whole(tmp_path / ("a" * 251 + ".txt"), "text")
+    assert [len(path.name) for path in tmp_path.iterdir()] == [255]
+
+
+def test_a_folder_that_is_tried_keeps_all_its_files(tmp_path: Path) -> None:
+    (tmp_path / ".writable").write_text("a user's own")
+    make_folder(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".writable"]
 
 
 @pytest.mark.slow

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import ast
 import asyncio
+import logging
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import viser
 
-from app.dashboard.viser_compat import close_server, open_server
+from app.dashboard.server import is_loopback
+from app.dashboard.viser_compat import Channel, close_server, open_server
 
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
@@ -79,3 +83,37 @@ def test_a_server_that_takes_long_to_end_prints_nothing_either(capfd) -> None:
     close_server(server)
     time.sleep(1.0)
     assert capfd.readouterr().out == ""
+
+
+def test_what_no_page_says_calls_nothing() -> None:
+    heard: list[object] = []
+    box = SimpleNamespace(on_update=lambda _: None)
+    client: Any = SimpleNamespace(gui=SimpleNamespace(add_text=lambda *_, **__: box))
+    notifier: Any = SimpleNamespace(guard=lambda act: act)
+    channel = Channel(client, notifier)
+    channel.on("go", heard.append)
+    channel.on("now", lambda: heard.append("now"))
+    wrong = ("x", "NaN", "1e999", "null", "9" * 400, '"x"', "1,2", "[1]", "")
+    for text in ('[1,"go",2]', *(f'[1,"go",{each}]' for each in wrong), '[1,"now"]', '[1,"now",1]'):
+        event: Any = SimpleNamespace(client=client, target=SimpleNamespace(value=text))
+        channel._hear(event)
+    assert heard == [2.0, "now"]
+
+
+def test_what_strangers_can_cause_is_written_once_a_minute(caplog, monkeypatch) -> None:
+    monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
+    close_server(open_server("127.0.0.1", 0))
+    for _ in range(3):
+        try:
+            int("a defect")
+        except ValueError as error:
+            logging.getLogger("app.dashboard.notifications").error("failed", exc_info=error)
+        logging.getLogger("asyncio").warning("socket.send() raised exception.")
+    assert sorted(caplog.messages) == ["failed", "socket.send() raised exception."]
+
+
+@pytest.mark.parametrize(
+    ("host", "alone"), [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False)]
+)
+def test_an_address_is_of_this_machine_alone_or_not(host, alone) -> None:
+    assert is_loopback(host) is alone

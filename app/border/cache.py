@@ -38,6 +38,7 @@ Read = TypeVar("Read")
 
 FORMAT = 2  # number of the file's layout and of the way of sampling; a new one outdates all files
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] points are told by their block and their place in it
+_LARGEST = 256_000_000  # [bytes] of a file, expanded; that of the paper's robot has 30 MB
 _PARTS = ("blocks", "places", "distances")
 
 _log = logging.getLogger(__name__)
@@ -97,6 +98,9 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
     try:
         # Opened here: `np.load` leaves a file open that it cannot read, and takes a plain array.
         with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
+            expanded = sum(each.file_size for each in file.zip.infolist())
+            if expanded > _LARGEST:
+                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, as no border does")
             return unpack({name: file[name] for name in file.files})
     except FileNotFoundError:
         raise

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from app.errors import printable
+
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
@@ -34,7 +36,12 @@ def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
 
 def say(text: str) -> None:
     """A line on standard error: standard output belongs to the results."""
-    print(f"… {text}", file=sys.stderr, flush=True)
+    print(printable(f"… {text}"), file=sys.stderr, flush=True)
+
+
+def show(text: str) -> None:
+    """Print a line; its text may come from a stranger."""
+    print(printable(text))
 
 
 def print_json(result: object) -> None:
@@ -50,11 +57,11 @@ def print_result(result: Mapping[str, Any], *, json: bool) -> None:
 def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
     for key, value in result.items():
         if isinstance(value, dict):
-            print(f"{indent}{key}")
+            show(f"{indent}{key}")
             _print_lines(value, indent + "  ")
         else:
             text = f"{value:.4g}" if isinstance(value, float) else rounded_text(value)
-            print(f"{indent}{key:28} {text}".rstrip())
+            show(f"{indent}{key:28} {text}".rstrip())
 
 
 def as_json(result: object) -> str:
@@ -85,13 +92,13 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
     table = Table(*map(escape, head), title=escape(title) or None)
     for row in rows:
-        table.add_row(*map(escape, row))
+        table.add_row(*(escape(printable(cell)) for cell in row))
     Console(width=140, force_terminal=False, file=sys.stdout).print(table)
 
 
 def print_part(part: Part) -> None:
     """What a part of a report's page says, on standard output."""
     for text in part.text:
-        print(text)
+        show(text)
     for grid in part.tables:
         print_table(grid.head, [list(map(str, row)) for row in grid.rows], part.title)

@@ -11,7 +11,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import NoReturn
 
-from app.errors import DbbError, check_name, extras_named
+from app.errors import DbbError, check_name, extras_named, printable
 from app.jobs.progress import ending_signals_raised
 from app.system import forget_missing_temporary_folder, open_standard_files
 
@@ -63,7 +63,9 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
     open_standard_files()
     forget_missing_temporary_folder()
-    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    logging.basicConfig(level=logging.INFO, stream=sys.stderr)
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(_Plain("%(message)s"))
     try:
         with ending_signals_raised(), extras_named():
             _run(sys.argv[1:] if args is None else args)
@@ -89,6 +91,14 @@ def main(args: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+class _Plain(logging.Formatter):
+    """Formats log records, whose text may come from a stranger."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The text of a record, safe for a terminal."""
+        return printable(super().format(record))
 
 
 def _run(words: list[str]) -> None:

@@ -1,6 +1,5 @@
 """Options that several commands have, and checks that name the option."""
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,7 +16,7 @@ from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MOST_SEEDS, check_range
-from app.system import is_no_file, usable_cores
+from app.system import begun_folder, is_no_file, own_path, usable_cores
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # given or not
 Json = Annotated[
@@ -200,7 +199,7 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
         raise OutputError(f"{option}: {path} should end in {' or '.join(suffixes)}")
     if is_no_file(path):
         raise OutputError(f"{option}: {path} is a folder or a device")
-    make_folder(Path(os.path.realpath(path)).parent, option)
+    make_folder(own_path(path).parent, option)
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:
@@ -211,11 +210,13 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
     """
     if out is None:
         return
-    probe = out / ".writable"
     try:
+        out = own_path(out)
         out.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink(missing_ok=True)  # another command may try the same folder now
+        with begun_folder(out):
+            pass
+    except OutputError as error:
+        raise OutputError(f"{option}: {error}") from None
     except OSError as error:
         raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import print_json, print_table, rounded_text, say
+from app.cli.common import print_json, print_table, rounded_text, say, show
 from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
 from app.errors import DbbError
@@ -60,9 +60,9 @@ def robots(json: Json = False) -> None:
         )
         return
     for d in found:
-        print(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")
+        show(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")
     for name, problem in broken.items():
-        print(f"{name:20} cannot be used: {problem}")
+        show(f"{name:20} cannot be used: {problem}")
 
 
 def check_robot(
@@ -159,7 +159,7 @@ def _print_made(made: dict[str, Any]) -> None:
     from app.robot.assets import robot_folder
 
     name, folder = made["robot"], made["folder"]
-    print(f"{name}: {folder}/robot.toml and {folder}/report.html, in {made['elapsed_s']:.0f} s")
+    show(f"{name}: {folder}/robot.toml and {folder}/report.html, in {made['elapsed_s']:.0f} s")
     geometry = (f"{key} {rounded_text(made[key])}" for key in _GEOMETRY if key in made)
     base = ", ".join([f"{made['base']}, {made['mass_kg']:.4g} kg", *geometry])
     bodies = (f"{body} ({', '.join(each['links'])})" for body, each in made["bodies"].items())
@@ -176,15 +176,15 @@ def _print_made(made: dict[str, Any]) -> None:
         ("can collide", pairs or "nothing"),
         ("reachability", "; ".join(reach)),
     ):
-        print(f"  {title:13} {text}")
+        show(f"  {title:13} {text}")
     for warning in made["warnings"]:
-        print(f"  warning: {warning}")
+        show(f"  warning: {warning}")
     print("next:")
     if robot_folder(name).resolve() != Path(folder).resolve():
-        print(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
-    print(f"  open {folder}/report.html, and look whether the bodies hold the links")
-    print(f"  dbb check-robot {name}")
-    print(f"  dbb serve --robot {name}")
+        show(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
+    show(f"  open {folder}/report.html, and look whether the bodies hold the links")
+    show(f"  dbb check-robot {name}")
+    show(f"  dbb serve --robot {name}")
 
 
 def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:

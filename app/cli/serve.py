@@ -128,7 +128,7 @@ class _First(NamedTuple):
 def _serve(first: _First) -> None:
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.scene.robot import RobotParts
-    from app.dashboard.server import check_address, serve_dashboard
+    from app.dashboard.server import check_address, is_loopback, serve_dashboard
 
     asked = first.asked
     check_address(asked.host, asked.port)
@@ -153,6 +153,11 @@ def _serve(first: _First) -> None:
             start_loop=first.begin_loop,
         )
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+        if not is_loopback(asked.host):
+            say(
+                f"{asked.host} can be reached from other machines: everybody there "
+                "can watch and command the simulation; there is no password"
+            )
         server.run_forever()
     finally:
         simulation.stop()

@@ -16,7 +16,8 @@ import math
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from asyncio import get_running_loop
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from html import escape
@@ -34,10 +35,11 @@ from websockets.http11 import Request, Response
 from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
-_LARGEST_PICTURE = 32 * 2**20  # [bytes] what a page that was asked for a picture may answer
+LARGEST_PICTURE = 32 * 2**20  # [bytes] which only a page that was asked for one may send
 _MOST_PIXELS = 2**24  # [-] of such a picture
 _MOST_WAITING = 2  # [-] messages of a viewer that have come and are not taken yet
 _MOST_PARTS = 10_000  # [-] in which a message may come; each costs memory even if it is empty
+_SLOWEST = 10.0  # [s] from the first part of a message to its last
 _MOST_VIEWERS = 32  # [-] connections at a time
 DENSITY = "fixedDpr"
 """The one name of viser's own that a page's address may carry, of how many pixels are drawn for one
@@ -45,7 +47,7 @@ of the page; others would tell the page whom to obey."""
 ReadLink = Callable[[str], tuple[str, str]]
 """Of an address's query: why it is wrong, or an empty text, and the query without what is."""
 _LONGEST_PATH = 255  # [characters] of an address, beyond which no file can be looked for
-_MOST_UPLOADS = 2  # [-] unfinished ones of a viewer
+_MOST_UPLOADS = 2  # [-] unfinished ones
 _LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
 _LONGEST_VALUE = 2**16  # [characters] of what a widget is set to
 _DEEPEST = 6  # [-] containers in one another
@@ -136,7 +138,7 @@ class Gate:
         """
         self._own_name, self._largest_upload = own_name, largest_upload
         self._read_link = read_link
-        self._viewers = 0
+        self._uploads: set[Uploads] = set()  # of each viewer who is there
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Finds the widget of a page, by the page's connection and the widget's name."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
@@ -159,7 +161,7 @@ class Gate:
                 **more: Any,
             ) -> Any:
                 seen.append(True)
-                more |= {"max_size": _LARGEST_PICTURE, "max_queue": _MOST_WAITING}
+                more |= {"max_size": LARGEST_MESSAGE, "max_queue": _MOST_WAITING}
                 return original(
                     self._handler(handler),
                     *args,
@@ -190,7 +192,7 @@ class Gate:
                     del answer.headers["Content-Length"]
                     answer.headers["Content-Length"] = str(len(answer.body))
             if answer is not None:
-                host = ", ".join(request.headers.get_all("Host"))
+                host = ", ".join(request.headers.get_all("Host")).encode("ascii", "ignore").decode()
                 answer.headers.update(_HEADERS)
                 answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
             return answer
@@ -209,10 +211,10 @@ class Gate:
             status = http.HTTPStatus.FORBIDDEN
             why = "this page is not allowed to connect to this server"
         elif headers.get("Upgrade", "").lower() == "websocket":
-            if self._viewers < _MOST_VIEWERS:
+            if len(self._uploads) < _MOST_VIEWERS:
                 return None
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
-            why = f"{self._viewers} pages are open, which is the most that this server serves"
+            why = f"{len(self._uploads)} pages are open, which is the most that this server serves"
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
             why = "there is no file of so long a name"
@@ -233,11 +235,12 @@ class Gate:
         async def handle(connection: ServerConnection) -> None:
             if connection.subprotocol != _VERSION:  # viser would print each one
                 return await connection.close(1002, "this page is of another version; reload it")
-            self._viewers += 1
+            uploads = Uploads(self._largest_upload, self._uploads)
+            self._uploads.add(uploads)
             try:
-                await inner(_Checked(connection, self, Uploads(self._largest_upload)))
+                await inner(_Checked(connection, self, uploads))
             finally:
-                self._viewers -= 1
+                self._uploads.discard(uploads)
 
         return handle
 
@@ -263,17 +266,17 @@ class _Checked:
                 self._gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """The next message, put together of its parts.
-
-        Raises:
-            GarbageError: It has more of them than any page sends.
-        """
-        parts = []
-        async for part in self._connection.recv_streaming(decode=False):
-            if len(parts) <= _MOST_PARTS:
+        """The next message; `websockets` counts its bytes while they arrive, this its parts."""
+        parts, late, abort = [], None, self._connection.transport.abort
+        try:
+            async for part in self._connection.recv_streaming(decode=False):
+                late = late or get_running_loop().call_later(_SLOWEST, abort)
                 parts.append(part)
-        if len(parts) > _MOST_PARTS:
-            raise GarbageError("this is no message (of too many parts)")
+                if len(parts) > _MOST_PARTS:
+                    abort()
+        finally:
+            if late is not None:
+                late.cancel()
         return b"".join(parts)
 
 
@@ -351,13 +354,12 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 class Uploads:
     """What one viewer is uploading: viser keeps what it gets until each part of a file is there.
 
-    As a page sends them, parts come in their order: else viser would wait for ever for one that is
-    counted here, and keep the others.
+    As a page sends them, parts come in their order: else viser would keep them for ever.
     """
 
-    def __init__(self, largest: int) -> None:
-        """Nothing yet; a file may have `largest` [bytes]."""
-        self._largest = largest
+    def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
+        """Nothing yet; a file may have `largest` [bytes]; few at a time, whoever sends them."""
+        self._largest, self._everyone = largest, everyone
         self._left: dict[str, tuple[int, range]] = {}
         """By transfer: how many bytes are still to come, and which parts."""
 
@@ -371,7 +373,7 @@ class Uploads:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
         if not min(size, 1) <= parts <= size:
             raise RefusedError("this is no upload")
-        if len(self._left) >= _MOST_UPLOADS:
+        if sum(len(each._left) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
             raise RefusedError("one upload after the other")
         if parts:
             self._left[transfer] = size, range(parts)
@@ -401,9 +403,8 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is no message")
-    large = RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
     if len(data) > LARGEST_MESSAGE and b"GetRenderResponseMessage" not in data[:200]:
-        raise large
+        raise RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
     try:
         message = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:
@@ -412,8 +413,6 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
         if not is_picture(message.payload):
             raise RefusedError("this is no picture that a page was asked for", message)
         return data
-    if len(data) > LARGEST_MESSAGE:
-        raise large
     for name in message.__struct_fields__:
         longest = _LONGEST_VALUE if name == "updates" else _LONGEST_NAME
         if not _is_plain(getattr(message, name), longest, _DEEPEST):

@@ -20,9 +20,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from app.control import CONTROLLERS
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
+from app.jobs.bounded import Budget
 from app.jobs.process import Cancelled, Report, run_in_process
 from app.onboarding import helpers
-from app.system import give_freed_memory_back, usable_cores, write_whole
+from app.system import (
+    give_freed_memory_back,
+    limited,
+    usable_cores,
+    write_whole,
+)
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -247,7 +253,8 @@ def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
-    return look_into(archive)
+    with limited(*Budget.of(archive.stat().st_size)):
+        return look_into(archive)
 
 
 def build_robot(report: Report, request: Request) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
@@ -23,6 +22,7 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant
+from app.system import remove_abandoned, temporary_folder
 
 if TYPE_CHECKING:
     from app.onboarding.check import Row
@@ -58,7 +58,8 @@ def robot_entries() -> list[RobotEntry]:
 
 def _entry(name: str) -> RobotEntry:
     folder, title, about, problem = robot_folder(name), name, "", None
-    own, report = folder.parent == user_robots(), (folder / "report.html").is_file()
+    page = folder / "report.html"
+    own, report = folder.parent == user_robots(), page.is_file() and not page.is_symlink()
     try:
         description = load_robot(name)
         title = description.title
@@ -121,14 +122,17 @@ class RobotSwitch(Job):
     @property
     def entries(self) -> list[RobotEntry]:
         """All robots, as of the last search."""
-        entries = self._entries  # read once: another thread may look again
-        if entries is None:
-            entries = self._entries = robot_entries()
-        return entries
+        if self._entries is None:
+            self.look()
+        return self._entries or []
+
+    def look(self) -> None:
+        """Search; this reads every robot's files."""
+        self._entries = robot_entries()
 
     def look_again(self) -> None:
-        """Search again: there may be another robot now."""
-        self._entries = None
+        """Search in a thread that serves nobody: there may be another robot now."""
+        threading.Thread(target=self.look, name="robots", daemon=True).start()
 
     def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
         """Prepare a robot beside the running one, which ends once the other one is shown.
@@ -269,7 +273,7 @@ class RobotBuild(Job):
         self.built = ""
         """Name of the robot that was built last, or an empty string."""
         self._switch = switch
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder = ExitStack()
 
     def receive(self, name: str, content: bytes) -> None:
         """Take a zip, and read what it holds.
@@ -283,8 +287,7 @@ class RobotBuild(Job):
         def work() -> None:
             self.built = ""
             self._forget()
-            self._folder = tempfile.TemporaryDirectory(prefix="dbb-upload-")
-            archive = Path(self._folder.name) / _file_name(name)
+            archive = self._folder.enter_context(temporary_folder()) / _file_name(name)
             archive.write_bytes(content)
             self.package = Package(archive, self.run(look_into_package, archive))
 
@@ -304,12 +307,10 @@ class RobotBuild(Job):
             self.built = ""
             try:
                 self.run(build_robot, request)
-            except Cancelled:  # the process may have had no time to tidy up
-                for begun in request.out.resolve().parent.glob(f".{request.name}-*"):
-                    shutil.rmtree(begun, ignore_errors=True)
-                raise
+            finally:
+                remove_abandoned(request.out.parent)  # it may have had no time to tidy up
             self.built = request.name
-            self._switch.look_again()
+            self._switch.look()
             self._forget()  # what it needs of the zip is in its own folder now
 
         self.start(request.name, "begins", work)
@@ -321,9 +322,7 @@ class RobotBuild(Job):
 
     def _forget(self) -> None:
         self.package = None
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
+        self._folder.close()
 
 
 def _file_name(name: str) -> str:

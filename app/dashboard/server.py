@@ -1,6 +1,7 @@
 """Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
 
 import contextlib
+import ipaddress
 import logging
 import socket
 import threading
@@ -237,6 +238,7 @@ def serve_dashboard(
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
+    switch.look()  # before anybody waits for a picture
     shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
     server = open_server(host, port, LARGEST_ARCHIVE, read_link)
     try:
@@ -253,6 +255,12 @@ def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
     set_first_look(server, *placed(PRESETS["iso"], [shared.loop.latest()], shared.parts.extent))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs of this machine reach an address."""
+    found = {info[4][0] for info in socket.getaddrinfo(host, None)}
+    return all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
 def check_address(host: str, port: int) -> None:

@@ -9,12 +9,16 @@ import io
 import json
 import logging
 import math
+import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable
+from inspect import signature
 from types import NoneType
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import viser
 from viser import _messages
 from viser.infra import _infra
@@ -22,7 +26,14 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import CONNECTING
 
-from app.dashboard.gate import Gate, ReadLink, RefusedError, draws_in_software, read_no_link
+from app.dashboard.gate import (
+    LARGEST_PICTURE,
+    Gate,
+    ReadLink,
+    RefusedError,
+    draws_in_software,
+    read_no_link,
+)
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
@@ -37,34 +48,45 @@ _KNOCKS = (
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
+_pictures = threading.BoundedSemaphore(2)  # [-] large messages that may be under way
 STUCK = 20  # [looks] without anything delivered, after which a connection is closed
 
 
 class _Knocks(logging.Filter):
-    """Of strangers who connect and speak otherwise, or too many at once, a line a minute is enough.
+    """Of what strangers can cause again and again, one record a minute is enough.
 
-    Their library would write the whole way to each one, a hundred times a second. An error that no
-    stranger's bytes explain is a mistake in this program or its libraries: it is written whole, by
-    another name, as viser hides what it takes for a knock.
+    Their library would write the whole way to each one who connects and speaks otherwise, or too
+    many at once, a hundred times a second. An error that no stranger's bytes explain is a mistake
+    in this program or its libraries: it is written whole, by another name, as viser hides what it
+    takes for a knock.
     """
 
-    _said: ClassVar[dict[str, float]] = {}
+    _said: ClassVar[dict[tuple[str, str], float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether it is written, a knock in one line."""
         text = record.getMessage().partition("\n")[0]
-        if text not in _KNOCKS:
-            return True
         error = record.exc_info[1] if record.exc_info else None
-        record.msg, record.args = f"a connection: {text}" + (f": {error!r}" if error else ""), ()
-        of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
-        if not of_peer and not _broke_off(getattr(record, "websocket", None)):
-            return True
-        record.exc_info = None
-        due = self._said.get(text, -math.inf) <= time.monotonic() - _MINUTE
+        kind = str(record.msg).partition("\n")[0], _place(error)
+        if text in _KNOCKS:
+            record.msg, record.args = (
+                f"a connection: {text}" + (f": {error!r}" if error else ""),
+                (),
+            )
+            of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
+            if of_peer or _broke_off(getattr(record, "websocket", None)):
+                record.exc_info = None
+                kind = text, ""
+        due = self._said.get(kind, -math.inf) <= time.monotonic() - _MINUTE
         if due:
-            self._said[text] = time.monotonic()
+            self._said[kind] = time.monotonic()
         return due
+
+
+def _place(error: BaseException | None) -> str:
+    """Where an error was raised."""
+    frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
+    return f"{type(error).__name__} {[(frame.filename, frame.lineno) for frame in frames]}"
 
 
 def _broke_off(connection: Any) -> bool:
@@ -91,7 +113,7 @@ def open_server(
         ServerError: viser starts in a way that is not known.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
-    for name in ("websockets.server", "asyncio"):
+    for name in ("websockets.server", "asyncio", "app.dashboard.notifications"):
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
@@ -140,6 +162,26 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
     return file
 
 
+def scene_picture(
+    client: viser.ClientHandle, height: int, width: int, timeout: float
+) -> np.ndarray:
+    """(height, width, 4) the scene as a viewer's browser draws it, which may send that much.
+
+    Raises:
+        RuntimeError: The viewer has gone.
+        TimeoutError: Nothing came within the timeout [s].
+    """
+    connection = _connection(client)
+    if connection is None:
+        raise RuntimeError("the page has gone")
+    with _pictures:
+        connection.protocol.max_message_size += LARGEST_PICTURE
+        try:
+            return client.get_render(height, width, transport_format="png", timeout=timeout)
+        finally:
+            connection.protocol.max_message_size -= LARGEST_PICTURE
+
+
 def address_of(client: viser.ClientHandle) -> str:
     """The page's address, as the viewer's browser has it, without a query."""
     connection = _connection(client)
@@ -159,6 +201,17 @@ def has_no_gpu(client: viser.ClientHandle) -> bool:
     return connection is not None and draws_in_software(connection.request)
 
 
+def finite(value: Any) -> float:
+    """A number that a page says.
+
+    Raises:
+        ValueError: It is none.
+    """
+    if not math.isfinite(number := float(value)):
+        raise ValueError("no number of a page")
+    return number
+
+
 class Channel:
     """What one viewer's page and this program say to each other beside viser's widgets.
 
@@ -167,14 +220,15 @@ class Channel:
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
-        self._client, self._acts = client, dict[str, Callable[..., None]]()
+        self._client = client
+        self._acts: dict[str, tuple[Callable[..., None], Callable[[Any], Any]]] = {}
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
         """What the page has said of itself: the names of the `sight`s that a person sees, "narrow"
         if it is a narrow one, "untouched" until a person presses or turns anything."""
-        self.on("seen", lambda names: setattr(self, "seen", frozenset(str(names).split())))
-        self.on("refused", lambda text: notifier.warn(client, str(text)[:300]))
+        self.on("seen", lambda names: setattr(self, "seen", frozenset(names.split())), str)
+        self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 
     def begin(self) -> None:
         """Begin what the page has beside viser's widgets, all of which are there, anew."""
@@ -189,9 +243,9 @@ class Channel:
         """Call a function of the page with values that JSON can have."""
         self._run(f"dbb.{word}", *values)
 
-    def on(self, word: str, act: Callable[..., None]) -> None:
-        """Call `act` with the values that the page says after a word."""
-        self._acts[word] = act
+    def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
+        """Call `act` with the values that the page says after a word, numbers or of a kind."""
+        self._acts[word] = act, kind
 
     def sight(self, name: str) -> None:
         """Have the page say whether a person sees the GUI container that is now open."""
@@ -209,11 +263,12 @@ class Channel:
             return
         try:
             _, word, *values = parsed(json.loads, event.target.value)
-            act = self._acts[word]
-        except (ValueError, TypeError, KeyError):  # no page of this program says so
+            act, kind = self._acts[word]
+            values = [kind(value) for value in values]
+            signature(act).bind(*values)
+        except (ValueError, TypeError, KeyError, OverflowError):  # no page of this program says so
             return
-        if all(isinstance(value, str | int | float) for value in values):
-            act(*values)
+        act(*values)
 
 
 def _connection(client: viser.ClientHandle) -> Any:

@@ -9,7 +9,8 @@ from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from typing import Any, TypeVar
+from threading import Lock
+from typing import Any, NamedTuple, TypeVar
 
 from typing_extensions import Self
 
@@ -19,6 +20,7 @@ from app.jobs.progress import OnProgress
 from app.system import usable_cores
 
 Result = TypeVar("Result")
+_TRIES = 3  # [-] of a job whose process ends
 _log = logging.getLogger(__name__)
 
 
@@ -40,6 +42,7 @@ class Workers(AbstractContextManager["Workers"]):
         self._threads = ThreadPoolExecutor(self._processes)  # one waits for each process
         self._children: list[Child] = []
         self._idle: SimpleQueue[Child] = SimpleQueue()
+        self._lock = Lock()  # of the list of processes
         self._own: Any = None  # the context within this process, once it is needed
 
     def __enter__(self) -> Self:
@@ -48,7 +51,9 @@ class Workers(AbstractContextManager["Workers"]):
                 self._children.append(Child(_work, self._make_context))
                 self._idle.put(self._children[-1])
         except OSError:
-            self._go_on_alone()
+            _log.warning("worker processes cannot run here; going on in one process")
+            self._processes = 1
+            self._end()
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -64,16 +69,24 @@ class Workers(AbstractContextManager["Workers"]):
         on_progress: OnProgress = lambda _: None,
         *,
         tells: bool = False,
+        lost: Callable[[Any], Result] | None = None,
     ) -> Iterator[Result]:
         """The results of all jobs, in their order, each as soon as it is there.
+
+        A process that ends is replaced, and its job begun again, `_TRIES` times in all; then the
+        result is what `lost` makes of the job.
 
         Processes begin at once, so that other work can be done before the results are taken; within
         this one a job is done when its result is. `on_progress` is called, where they are taken,
         with the mean of the shares of the jobs that are done, 0 to 1, which never falls. A function
         that `tells` takes a third argument, to be called with the share of its job; of any other's
         only the end counts.
+
+        Raises:
+            LoopError: A job has ended its process each time, and there is no `lost`.
         """
-        shares, tasks = _Shares(len(jobs), on_progress), [(function, job, tells) for job in jobs]
+        shares = _Shares(len(jobs), on_progress)
+        tasks = [_Task(function, job, tells, lost) for job in jobs]
         asked: list[Future[Result]] = []
         if self._processes > 1:
             for number, task in enumerate(tasks):
@@ -91,48 +104,48 @@ class Workers(AbstractContextManager["Workers"]):
                 shares.wait_for(done)
                 yield future.result()
                 done += 1
-        except _GoneError:
-            self._go_on_alone()
         finally:
             for future in asked:
                 future.cancel()
         if done < len(tasks) and self._own is None:
             self._own = self._make_context()
         for number, task in enumerate(tasks[done:], done):
-            result = _do(task, self._own, partial(shares.take, number))
+            result = task.do(self._own, partial(shares.take, number))
             shares.take(number, 1.0)
             yield result
-
-    def _go_on_alone(self) -> None:
-        if self._processes > 1:  # else others that were begun have said so
-            _log.warning("worker processes cannot run here; going on in one process")
-        self._processes = 1
-        self._end()
 
     def _ask(self, task: _Task, tell: OnProgress) -> Any:
         """Have an idle process do a job; there is one for each thread that waits here."""
         child = self._idle.get()
         try:
-            child.sender.send(task)
-            while not isinstance(received := child.receiver.recv(), Outcome):
-                tell(received)
-        except (EOFError, OSError):
-            raise _GoneError from None
+            for _ in range(_TRIES):
+                outcome = _answer(child, task, tell)
+                if outcome is not None:
+                    return outcome.value()
+                child = self._replaced(child)
+            return task.given_up()
         finally:
             self._idle.put(child)
-        return received.value()
+
+    def _replaced(self, gone: Child) -> Child:
+        """Another process in the place of one that has ended, unless all are to end."""
+        with self._lock:
+            if gone not in self._children:
+                return gone
+            gone.end(at_once=True)
+            self._children.remove(gone)
+            self._children.append(Child(_work, self._make_context))
+            return self._children[-1]
 
     def _end(self) -> None:
-        for child in self._children:
+        with self._lock:
+            ended, self._children = self._children, []
+        for child in ended:
             child.end(at_once=True)
 
 
 ALONE = Workers(tuple, 1)
 """Does the jobs of others within this process."""
-
-
-class _GoneError(LoopError):
-    """A process has ended."""
 
 
 class _Shares:
@@ -157,13 +170,33 @@ class _Shares:
         self._on_progress(sum(self._of) / len(self._of))
 
 
-_Task = tuple[Callable[..., Any], Any, bool]
-"""A function, its job, and whether it tells the share of that."""
+class _Task(NamedTuple):
+    """A function with its job; `tells` and `lost` as in `Workers.map`."""
+
+    function: Callable[..., Any]
+    job: Any
+    tells: bool
+    lost: Callable[[Any], Any] | None
+
+    def do(self, context: Any, tell: OnProgress) -> Any:
+        """Its result."""
+        return self.function(context, self.job, *([tell] if self.tells else []))
+
+    def given_up(self) -> Any:
+        """The result of a job that was given up."""
+        if self.lost is None:
+            raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
+        return self.lost(self.job)
 
 
-def _do(task: _Task, context: Any, tell: OnProgress) -> Any:
-    function, job, tells = task
-    return function(context, job, *([tell] if tells else []))
+def _answer(child: Child, task: _Task, tell: OnProgress) -> Outcome | None:
+    """The outcome of a job in a process, or None if the process has ended."""
+    with suppress(EOFError, OSError):
+        child.sender.send(task._replace(lost=None))
+        while not isinstance(received := child.receiver.recv(), Outcome):
+            tell(received)
+        return received
+    return None
 
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
@@ -171,4 +204,4 @@ def _work(receiver: Connection, sender: Connection, make_context: Callable[[], A
     context = make_context()
     with suppress(EOFError):
         while True:
-            sender.send(Outcome.of(_do, receiver.recv(), context, sender.send))
+            sender.send(Outcome.of(receiver.recv().do, context, sender.send))

@@ -16,13 +16,21 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.pool import RemoteTraceback
 from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
-from app.system import end_group, interrupt_blocked, lead_group, step_back, wake_without_parent
+from app.jobs.guard import guarded
+from app.system import (
+    end_group,
+    end_when_closed,
+    interrupt_blocked,
+    lead_group,
+    step_back,
+    wake_without_parent,
+)
 
 Report = Callable[[str, float], None]
 """Takes the present activity, and the share of the work done, 0 to 1; below 0 if unknown."""
@@ -37,6 +45,10 @@ _running: set[Child] = set()
 
 class Cancelled(DbbError):  # noqa: N818 - a person's wish, not an error
     """A person has cancelled the work."""
+
+
+class EndedError(LoopError):
+    """A process has ended by itself, without a result."""
 
 
 class Child(AbstractContextManager["Child"]):
@@ -132,7 +144,7 @@ def run_in_process(
 
     Raises:
         Cancelled: `cancelled` was set.
-        LoopError: The process ended by itself.
+        EndedError: The process ended by itself.
         Exception: What `work` raised, its traceback the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
@@ -141,7 +153,7 @@ def run_in_process(
         outcome = _receive(child.receiver, report, cancelled)
         status = child.ended(_PATIENCE)
         if outcome is None:
-            raise LoopError(f"the process for this ended with status {status}")
+            raise EndedError(f"the process for this ended with status {status}")
         return outcome.value()
     finally:
         _running.discard(child)
@@ -164,11 +176,16 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
     It watches its parent before it imports what its work needs, which may take seconds.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if leads_group:
-        lead_group()
     wake_without_parent()
-    threading.Thread(target=_end_with_parent, args=(leads_group,), daemon=True).start()
-    with Connection(receiver, writable=False) as given, Connection(sender, readable=False) as taken:
+    with ExitStack() as stack:
+        if leads_group:
+            lead_group()
+            stack.enter_context(guarded(0, _PATIENCE + 1.0, group=True))
+        else:
+            end_when_closed(0)
+        threading.Thread(target=_end_with_parent, args=(leads_group,), daemon=True).start()
+        given = stack.enter_context(Connection(receiver, writable=False))
+        taken = stack.enter_context(Connection(sender, readable=False))
         work, args = pickle.loads(given.recv_bytes())
         work(given, taken, *args)
 

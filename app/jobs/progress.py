@@ -11,6 +11,7 @@ from time import monotonic, sleep
 from types import FrameType
 
 from app.errors import BrowserError, DbbError
+from app.jobs.guard import guarded
 from app.system import ENDING, wake_children
 
 OnProgress = Callable[[float], None]
@@ -18,6 +19,7 @@ OnProgress = Callable[[float], None]
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
 _LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
+_PATIENCE = 8.0  # [s] of the guard, if nothing in the process can act
 _TIDYING = 1.0  # [s] for what is done at its exit, once it is late
 _received: list[int] = []
 
@@ -135,20 +137,24 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     """End the process 2 s after one of these signals, whatever its main thread does.
 
     Python's own handlers wait until compiled code of the main thread has returned, and what they
-    raise may be lost there. The numbers of signals are also written to a file, at once.
+    raise may be lost there. The numbers of signals are also written to a file, at once. If compiled
+    code holds Python's lock too, so that no thread of this process can act, the guard kills it.
     """
     if not numbers:
         yield
         return
-    heard, written = os.pipe()
+    heard, written = os.pipe()  # `heard` stays open: a signal may come to the end
     os.set_blocking(written, False)
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
-    threading.Thread(target=_end_late, args=(heard, numbers, _LONGEST), daemon=True).start()
     try:
-        yield
+        with guarded(heard, _PATIENCE) as passed_on:
+            ending = (os.dup(passed_on), numbers, _LONGEST)
+            threading.Thread(target=_end_late, args=ending, daemon=True).start()
+            yield
     finally:
         signal.set_wakeup_fd(before)
         os.close(written)
+        os.close(heard)
 
 
 def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:

@@ -68,12 +68,11 @@ from app.onboarding.write import (
     compiled,
     description,
     rebased_urdf,
-    whole_folder,
     write_robot,
 )
 from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
-from app.system import write_whole
+from app.system import whole_folder, write_whole
 
 _log = logging.getLogger(__name__)
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +17,6 @@ import tomlkit
 from tomlkit.items import Item
 
 from app.config import Config
-from app.errors import OutputError
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia
 from app.onboarding.read.package import FOLDER
@@ -28,7 +25,7 @@ from app.onboarding.read.tree import MOVING, Joint
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
-from app.system import write_whole
+from app.system import temporary_folder, whole_folder, write_whole
 
 if TYPE_CHECKING:
     from app.onboarding.fit.bodies import FittedBody
@@ -38,32 +35,6 @@ if TYPE_CHECKING:
 ROOT = "floor_point"
 """Link of the point on the floor below the middle between the wheels: the base's frame."""
 _ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
-
-
-@contextmanager
-def whole_folder(out: Path) -> Iterator[Path]:
-    """A temporary folder that becomes `out` at the end of a `with` that raised nothing.
-
-    Raises:
-        OutputError: `out` is there already, or cannot be written.
-    """
-    out = out.resolve()
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise OutputError(f"--out: {out} is there already; remove it or give another")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        begun = tempfile.TemporaryDirectory(
-            prefix=f".{out.name}-", dir=out.parent, ignore_cleanup_errors=True
-        )
-    except OSError as error:
-        raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
-    with begun:
-        made = Path(begun.name)
-        yield made
-        made.chmod(0o755)
-        if out.exists():
-            out.rmdir()
-        made.rename(out)
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
@@ -141,14 +112,14 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         document["arm"]["ready_position"] = list(changes.ready)
         document["arm"]["ready_position"].comment(BY_HAND)
         document["arm"]["source"]["ready_position"] = BY_HAND
-    with tempfile.TemporaryDirectory() as tried:  # what is wrong with it must not be kept
-        write_whole(Path(tried) / "robot.toml", tomlkit.dumps(document))
-        load_description(Path(tried) / "robot.toml")
+    with temporary_folder() as tried:  # what is wrong with it must not be kept
+        write_whole(tried / "robot.toml", tomlkit.dumps(document))
+        load_description(tried / "robot.toml")
     if in_place:
         write_whole(out / "robot.toml", tomlkit.dumps(document))
         return
     with whole_folder(out) as folder:
-        shutil.copytree(source, folder, dirs_exist_ok=True)
+        shutil.copytree(source, folder, symlinks=True, dirs_exist_ok=True)
         write_whole(folder / "robot.toml", tomlkit.dumps(document))
 
 

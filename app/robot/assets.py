@@ -21,6 +21,7 @@ from xml.parsers import expat
 import platformdirs
 
 from app.errors import AssetError, DescriptionError, RobotFileError
+from app.strict import text_of
 
 if TYPE_CHECKING:
     from app.robot.description import RobotDescription
@@ -35,6 +36,7 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MOST_ELEMENTS = 100_000  # [-] of an XML file; the largest known URDFs have some thousands
+_MOST_JOINTS = 200  # [-] of a robot that move; the largest known ones have 60
 _DEEPEST = 100  # [-] elements in one another
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons for which "
@@ -195,12 +197,15 @@ def read_urdf(description: RobotDescription) -> ElementTree.Element:
     """
     path = urdf_path(description)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = text_of(path)
         refuse_entities(text, path)
     except (OSError, ValueError, RobotFileError) as error:
         why = str(error).removeprefix(f"{path}: ")
         raise DescriptionError(f"{path}: {why}") from None
     tree = ElementTree.fromstring(text)
+    moving = sum(joint.get("type") != "fixed" for joint in tree.iterfind("joint"))
+    if moving > _MOST_JOINTS:  # pinocchio's memory grows with their cube
+        raise DescriptionError(f"{path}: {moving} moving joints; at most {_MOST_JOINTS} are taken")
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))

@@ -52,7 +52,7 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     # Imported here: it is not needed before all runs are done.
     import pyarrow as pa
 
-    from app.simulation.trace.log_file import write_arrow
+    from app.simulation.trace.arrow import write_arrow
 
     arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
     empty = {name: a.cast(pa.float64()) for name, a in arrays.items() if a.type == pa.null()}

@@ -50,11 +50,17 @@ from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.study import Journal
 from app.studies.run_report import key_numbers
 from app.studies.sweep.sweep import read_map
+from app.system import peak_memory
 from benchmarks.fuzz import Length
+from benchmarks.fuzz.expand import expanded
 from benchmarks.fuzz.mutate import mutated, mutated_bytes
 from tests.logs import random_snapshots, trace_of
 
-_LONGEST = 20.0  # [s] for one file
+_LONGEST = 20.0  # [s] for one file, on a busy machine
+_SECONDS = 2.0  # [s] of a core that one may take
+_READER = 4.0  # [s] that a process of its own may take beside, if one reads it: it imports much
+_GROWTH = 300.0  # [MiB] beyond what the process had before
+_EXPANDED = 0.1  # [-] share of files that are made to become large
 _STARTING = 300.0  # [s] for the process that reads: it imports much
 _MEMORY = 6 * 2**30  # [bytes] of address space, of which the libraries take one half
 _numbers = itertools.count()
@@ -405,8 +411,30 @@ def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> 
     while True:
         name, k = receiver.recv()
         kind = KINDS[name]
-        kind.mutate(folder / kind.name, right[name], np.random.default_rng([seed, k]))
-        sender.send(_outcome(kind, folder / kind.name))
+        rng, path = np.random.default_rng([seed, k]), folder / kind.name
+        if rng.random() < _EXPANDED:
+            path.write_bytes(expanded(name, right[name], rng))
+        else:
+            kind.mutate(path, right[name], rng)
+        sender.send(_within_budget(kind, path))
+
+
+def _within_budget(kind: Kind, path: Path) -> Outcome:
+    """What becomes of a file, or that it takes too much time or memory."""
+    before, begin = peak_memory(), _times()
+    outcome = _outcome(kind, path)
+    own, of_children = _times() - begin
+    if own > _SECONDS or of_children > _SECONDS + _READER:
+        return Outcome("finding", f"more than {_SECONDS:g} s of a core")
+    if peak_memory() - before > _GROWTH:
+        return Outcome("finding", f"more than {_GROWTH:g} MiB", lost=True)
+    return outcome
+
+
+def _times() -> np.ndarray:
+    """[s] of a core so far, of this process and of those that it has begun."""
+    of = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return np.array([sum(resource.getrusage(each)[:2]) for each in of])
 
 
 def _outcome(kind: Kind, path: Path) -> Outcome:

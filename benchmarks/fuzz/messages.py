@@ -167,16 +167,23 @@ class _Fuzz:
                     self._sender.send_raw(data)
                 elif garbage:
                     garbage = False
-                    self._sender.send_raw(data)
+                    self._sender.send_raw(self._in_parts(data))
                     self._sender.close()
                     self._client()
             except websockets.ConnectionClosed as error:
                 self._findings.setdefault(f"a client was sent away: {error}", repr(data[:300]))
                 self._client()
 
+    def _in_parts(self, data: bytes) -> Iterator[bytes]:
+        """A message in pieces: few or many, empty or large, which the server may cut off."""
+        count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
+        self._tally["parts"] += count
+        yield data
+        yield from (b"\0" * (size * (k % 2)) for k in range(min(count, 2**26 // size)))
+
     def _verdict(self, data: bytes) -> str:
         """What the gate says of it; `websockets` ends what is longer than any message."""
-        if len(data) > gate._LARGEST_PICTURE:
+        if len(data) > gate.LARGEST_MESSAGE:
             return "garbage"
         try:
             gate.checked(data, self._uploads, self._widgets().get)

@@ -1,7 +1,7 @@
 """Where the hand of a case starts: random places around and over the base, and postures there.
 
-A posture takes a second to find, so those that were found are kept in the folder for temporary
-files, for as long as the start solver and the robot are the same.
+A posture takes a second to find, so those that were found are kept in the user's cache
+folder, for as long as the start solver and the robot are the same.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import inspect
 import json
 import math
 import os
-import tempfile
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import platformdirs
 
 from app.errors import UnreachableError
 from app.simulation.scenarios import start as start_module
@@ -134,6 +134,6 @@ def _digest(robot: str) -> str:
 
 @cache
 def _folder() -> Path:
-    folder = Path(tempfile.gettempdir()) / f"dbb-law-starts-{os.getuid()}"
-    folder.mkdir(exist_ok=True)
+    folder = platformdirs.user_cache_path("dbb", appauthor=False) / "law-starts"
+    folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -6,13 +6,13 @@ import logging
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.errors import BrowserError
+from app.system import temporary_folder
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Playwright
@@ -95,11 +95,11 @@ def chromium() -> Iterator[Browser]:
     try:
         with ExitStack() as stack:
             # What ends this command reaches browser and driver, too, which leave their files then.
-            folder = tempfile.TemporaryDirectory(prefix="dbb-", ignore_cleanup_errors=True)
-            with _temporary_folder(stack.enter_context(folder)):
+            folder = str(stack.enter_context(temporary_folder()))
+            with _temporary_folder(folder):
                 playwright = stack.enter_context(sync_playwright())
             path = browser_path(playwright.chromium.executable_path)
-            browser = _launch(playwright, path, folder.name)
+            browser = _launch(playwright, path, folder)
             try:
                 yield browser
             except Error as error:

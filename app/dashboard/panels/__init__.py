@@ -119,9 +119,9 @@ class Panel:
         handle.on_click(self._notifier.guard(lambda event: acts[event.target.value]()))
 
     def upload(self, label: str, act: Callable[[Any], None], **look: Any) -> Any:
-        """Add a button that takes a file."""
+        """Add a button that takes a file; `act` is called in a thread that serves nobody."""
         handle = self._gui.add_upload_button(label, icon=viser.Icon.UPLOAD, **look)
-        handle.on_upload(self._notifier.guard(act))
+        handle.on_upload(lambda event: self._notifier.attempt(event.client, lambda: act(event)))
         return handle
 
     def follow(self, handle: Any, value: Any) -> None:

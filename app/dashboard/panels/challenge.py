@@ -1,8 +1,5 @@
 """Folder "Make it collide": thirty seconds to pull the robot into itself, and the card after it."""
 
-import tempfile
-from pathlib import Path
-
 import viser
 from PIL import Image
 
@@ -18,6 +15,7 @@ from app.dashboard.verdict import COLOURS
 from app.errors import CaseError
 from app.simulation.loop.commands import Play
 from app.simulation.scenarios.pulled import CHALLENGE
+from app.system import temporary_folder
 
 SIZE = 1280, 720  # [px] of the card's picture
 _WON, _KEPT = COLOURS["contact"], (64, 160, 92)
@@ -68,8 +66,8 @@ class ChallengePanel(FilePanel):
 
     def _replay(self) -> bytes:
         text = self._case().decode()
-        with tempfile.TemporaryDirectory() as folder:
-            page = Path(folder) / "page.html"
+        with temporary_folder() as folder:
+            page = folder / "page.html"
             self._job.run(write_case_replay, text, page)
             return page.read_bytes()
 

@@ -16,6 +16,7 @@ from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_F
 from app.onboarding.request import BOUNDS, NAME, Request, check_request, option
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
+from app.strict import text_of
 
 FIND = "(find them)"  # choice of no wheels: they are looked for
 _WHEEL = "Joint of a driven wheel; of a car-like base, of a rear one"
@@ -102,9 +103,12 @@ class RobotPanel(Panel):
         chosen, client = self._chosen(), event.client
         name = chosen.name if chosen else ""
         path = robot_folder(name) / "report.html"
-        if client is None or not path.is_file():
+        if client is None or path.is_symlink() or not path.is_file():
             raise AssetError(f"{name}: there is no report {path}")
-        page = path.read_text(encoding="utf-8")
+        try:
+            page = text_of(path)
+        except (OSError, ValueError) as error:
+            raise AssetError(f"{path} cannot be read: {error}") from None
         modal = client.gui.add_modal(f"How {name} was made")
         with modal:
             self.button(

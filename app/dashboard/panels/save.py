@@ -1,6 +1,5 @@
 """Tab "Save" and folder "Sweep": files that are made beside the simulation."""
 
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
@@ -28,12 +27,14 @@ from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.view import Viewpoint
+from app.dashboard.viser_compat import scene_picture
 from app.errors import BrowserError, OutputError, StudyError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
 from app.studies.sweep.plan import SweepPlan
 from app.studies.sweep.sweep import newest_map, read_map
+from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
@@ -87,8 +88,8 @@ class FilePanel(Panel):
             Cancelled: The viewer does not want it any more.
             BrowserError: The browser gives no picture.
         """
-        asker, ask = ThreadPoolExecutor(1), self._viewer.client.get_render
-        asked = asker.submit(ask, height, width, transport_format="png", timeout=_PATIENCE)
+        asker = ThreadPoolExecutor(1)
+        asked = asker.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
         asker.shutdown(wait=False)
         while not wait([asked], _CANCEL_EVERY).done:
             self._job.check()
@@ -157,13 +158,13 @@ class SavePanel(FilePanel):
         return png(viewer.page_picture(viewer.shared, past, viewpoint, self._size()))
 
     def _log(self, name: str) -> bytes:
-        with tempfile.TemporaryDirectory() as folder:
-            return self._write(Path(folder) / name).read_bytes()
+        with temporary_folder() as folder:
+            return self._write(folder / name).read_bytes()
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
         """What `write(report, log, path, *more)` makes of the log."""
-        with tempfile.TemporaryDirectory() as folder:
-            log, path = self._write(Path(folder) / "log.parquet"), Path(folder) / name
+        with temporary_folder() as folder:
+            log, path = self._write(folder / "log.parquet"), folder / name
             self._job.run(write, log, path, *more)
             return path.read_bytes()
 

@@ -158,7 +158,7 @@ class SharePanel(Panel):
         self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()
         """The link that waits for its robot, or for its scenario to be looked at as it asks."""
-        viewer.channel.on("link", lambda query: self.open(str(query)))
+        viewer.channel.on("link", self.open, str)
         with self._gui.add_folder("Link and case"):
             self.button("Copy link", lambda _: self._copy(), viser.Icon.LINK)
             self._address = self._gui.add_html("", visible=False)

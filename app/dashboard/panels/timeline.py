@@ -141,8 +141,8 @@ class TimelinePanel(Panel):
         self._events: dict[int, Event] = {}
         self._state: list[Any] = []
         for word, act in {
-            "go": lambda t: timeline.go_to(float(t)),
-            "step": lambda seconds: viewer.step(float(seconds)),
+            "go": timeline.go_to,
+            "step": viewer.step,
             "pause": viewer.toggle_pause,
             "now": timeline.go_live,
             "nearest": lambda: self._jump(strip.nearest),

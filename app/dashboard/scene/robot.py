@@ -13,9 +13,10 @@ import trimesh
 
 from app.dashboard.scene.colours import Rgb
 from app.errors import AssetError, RobotFileError
+from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding.read.links import read_mesh, urdf_mesh
 from app.onboarding.read.tree import numbers, origin
-from app.robot.assets import bare_urdf, resolved_urdf
+from app.robot.assets import ASSETS, bare_urdf, resolved_urdf, robot_folder
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
@@ -142,9 +143,20 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
     return bodies
 
 
+_MESHES = 20_000_000  # [bytes] by which the budget for all meshes of a robot counts
+
+
 @kept_per_model(1)
 def _visuals(robot: RobotModel) -> list[Visual]:
-    return load_visuals(robot.description, LinkPoses(robot).model)
+    ours = robot_folder(robot.description.name).parent == ASSETS
+    try:
+        return within_budget(_visuals_of, robot.description, size=0 if ours else _MESHES)
+    except BudgetError as error:
+        raise RobotFileError(f"its meshes: {error}") from None
+
+
+def _visuals_of(description: RobotDescription) -> list[Visual]:
+    return load_visuals(description, LinkPoses(RobotModel(description)).model)
 
 
 def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:

@@ -9,7 +9,6 @@ import os
 import re
 import stat
 import struct
-import tempfile
 import zipfile
 import zlib
 from os.path import isfile  # False also for a name that is too long for a file
@@ -22,6 +21,7 @@ from app.errors import RobotFileError
 from app.onboarding.read.source import MESHES, read_source
 from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities
+from app.system import temporary_folder
 
 FOLDER = "package"
 """Where a package lies in the robot's own folder."""
@@ -290,15 +290,15 @@ def look_into(archive: Path) -> dict[str, Contents]:
     Raises:
         RobotFileError: The zip cannot be trusted, or no URDF in it can be read.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        names = unpack(archive, Path(folder))
+    with temporary_folder() as folder:
+        names = unpack(archive, folder)
         found = _urdfs(names)
         if not found:
             _chosen_urdf(names, archive.name, None)  # says why
         contents, problem = {}, ""
         for name in found[:_MOST_URDFS]:
             try:
-                contents[name] = _contents(Path(folder) / name)
+                contents[name] = _contents(folder / name)
             except RobotFileError as error:
                 problem = str(error).replace(f"{folder}/", "")
         if not contents:

@@ -1,29 +1,26 @@
 """The file of a trace: CSV with a leading comment, or Parquet with schema metadata."""
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet as pq
+import pyarrow.compute as pc
 from pydantic import Field, ValidationError
 from typing_extensions import Self
 
 from app.errors import DbbError, LogError, did_you_mean
+from app.jobs.bounded import SMALL, Budget
+from app.simulation.trace.arrow import read_arrow, write_arrow
 from app.simulation.trace.columns import NAN, Column, TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
 from app.strict import Strict, explain
-from app.system import write_whole
 
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name says which of the two it is
 
-_KEY = b"dbb_log"
-_COMMENT = "# "
-_MOST_CELLS = 200_000_000  # [-] of a log; ten minutes have as many
+_CELL = 100  # [bytes] of memory for a cell of a row that is drawn
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
 
 
@@ -78,49 +75,45 @@ def read_trace(path: Path) -> Trace:
         LogError: There is none, it is damaged, or its columns are not those of a trace.
     """
     _check_suffix(path)
+    text, table = read_arrow(path)
     try:
-        text, table = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
-    except FileNotFoundError:
-        raise LogError(f"{path}: no such file") from None
-    except (pa.ArrowException, OSError, ValueError) as error:
-        reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else "unreadable"
-        raise LogError(f"{path}: not a log, or damaged: {reason}") from None
-    try:
-        return _trace(text, table)
+        return _trace(text, table, Budget.of(path.stat().st_size))
     except (LogError, UnicodeDecodeError) as error:  # the latter of a column's name
         raise LogError(f"{path}: {error}") from None
 
 
-def _trace(text: str, found: pa.Table) -> Trace:
+def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     """The trace of a file's header and table.
 
     Raises:
-        LogError: They do not belong together, or are no trace's.
+        LogError: They do not belong together, or are no trace's, or too large for the file.
     """
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
     known = columns_of(meta)
     _check_names(found.column_names, known)
-    modes = _cells(Column("mode", "text"), found["mode"])
-    drawn = [k for k, mode in enumerate(modes) if mode]
-    if len(modes) != rows:
-        raise LogError(f"it has {len(modes)} rows, and its meta data say {rows}")
-    if not drawn:
+    if len(found) != rows:
+        raise LogError(f"it has {len(found)} rows, and its meta data say {rows}")
+    modes = _cast(Column("mode", "text"), found["mode"], rows)
+    drawn = found.filter(pc.not_equal(modes.fill_null(""), ""))
+    if not len(drawn):
         raise LogError("no row of it can be drawn: the column mode is empty")
-    cells = {c: _cells(c, found[c.name], None if c.often else len(drawn)) for c in known}
+    if len(drawn) * len(known) > budget.memory / _CELL:
+        raise LogError(f"{len(drawn)} rows to be drawn are too many for a file of its size")
     layout = Layout.of(meta)
-    _check_times(cells[layout.columns[0]])
-    table = np.column_stack([np.asarray(cells[c], dtype=float) for c in layout.columns])
-    return Trace(layout, table, _snapshots(meta, cells, drawn))
+    table = np.empty((rows, len(layout.columns)))
+    for k, column in enumerate(layout.columns):
+        table[:, k] = _cast(column, found[column.name], rows).to_numpy()
+    _check_times(table[:, 0])
+    cells = {c: _cells(c, found[c.name], drawn[c.name]) for c in known}
+    return Trace(layout, table, _snapshots(meta, cells))
 
 
-def _snapshots(
-    meta: TraceMeta, cells: Mapping[Column, Sequence[Any]], drawn: Sequence[int]
-) -> list[Snapshot]:
+def _snapshots(meta: TraceMeta, cells: Mapping[Column, Sequence[Any]]) -> list[Snapshot]:
     fields: dict[str, list[Any]] = {}
     for name, quantity in QUANTITIES.items():
         columns = quantity.columns(meta)
-        rows = zip(*([cells[column][k] for k in drawn] for column in columns), strict=True)
+        rows = zip(*(cells[column] for column in columns), strict=True)
         try:
             fields[name] = [quantity.value(row, meta) for row in rows]
         except (DbbError, ValueError, TypeError, KeyError, AttributeError) as error:
@@ -130,21 +123,34 @@ def _snapshots(
     return [Snapshot(**dict(zip(fields, row, strict=True))) for row in by_row]
 
 
-def _cells(column: Column, values: Any, filled: int | None = None) -> list[Any]:
-    """The cells of a column of a file, checked; `filled` of them have something in them, or all.
+def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
+    """The cells of a column of a file in the rows that are drawn; the others have nothing in them.
+
+    Raises:
+        LogError: As `_cast`.
+    """
+    if not column.often:
+        _cast(column, values, len(drawn))
+    nothing = "" if column.kind == "text" else NAN
+    cells = _cast(column, drawn, len(drawn)).to_pylist()
+    if column.kind == "text" and max(len(cell or "") for cell in cells) > SMALL:
+        raise LogError(f"column {column.name}: a text is longer than any log has")
+    return [nothing if cell is None else cell for cell in cells]
+
+
+def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
+    """The cells of a column in its own type; `filled` of them are not empty.
 
     Raises:
         LogError: They are of another kind, or one is empty that may not be.
     """
-    empty = values.null_count - (0 if filled is None else len(values) - filled)
+    empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
         raise LogError(f"column {column.name}: {abs(empty)} cells are empty")
     try:
-        cells = values.cast(_TYPES[column.kind]).to_pylist()
+        return values.cast(_TYPES[column.kind])
     except pa.ArrowException as error:
         raise LogError(f"column {column.name}: {str(error).splitlines()[0]}") from None
-    nothing = "" if column.kind == "text" else NAN
-    return [nothing if cell is None else cell for cell in cells]
 
 
 def _check_suffix(path: Path) -> None:
@@ -183,40 +189,3 @@ def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
     if column.kind != "float":
         values = np.nan_to_num(values).astype(bool if column.kind == "bool" else np.int64)
     return pa.array(values, kind, mask=nothing)
-
-
-def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write columns whole or not at all, as CSV or Parquet by the file's ending.
-
-    The header is a comment on the first line, or metadata. The same columns give the same bytes.
-    """
-    sink = io.BytesIO()
-    if path.suffix == ".csv":
-        sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")
-        pyarrow.csv.write_csv(table, sink)
-    else:
-        table = table.replace_schema_metadata({_KEY: header.encode()} if header else None)
-        pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    write_whole(path, sink.getvalue())
-
-
-def _read_csv(path: Path) -> tuple[str, pa.Table]:
-    content = path.read_bytes()
-    first, _, rest = content.partition(b"\n")
-    text = first.decode("utf-8")
-    if not text.startswith(_COMMENT):
-        raise ValueError("its first line is no comment with meta data")
-    # Nothing is guessed but what is a number and what is not: the caller knows the kinds.
-    options = pyarrow.csv.ConvertOptions(null_values=[""], strings_can_be_null=False)
-    table = pyarrow.csv.read_csv(io.BytesIO(rest), convert_options=options)
-    return text.removeprefix(_COMMENT).rstrip("\r"), table
-
-
-def _read_parquet(path: Path) -> tuple[str, pa.Table]:
-    with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        rows, columns = file.metadata.num_rows, file.metadata.num_columns
-        if rows * columns > _MOST_CELLS:  # a small file may say so of one number
-            raise ValueError(f"{rows:,} rows of {columns:,} columns, more than any log has")
-        table = file.read()
-    metadata = table.schema.metadata or {}
-    return metadata.get(_KEY, b"").decode("utf-8"), table

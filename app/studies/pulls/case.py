@@ -79,11 +79,16 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     except AssetError:
         raise
     except (DbbError, ValueError, ArithmeticError) as error:
-        return {**drawn, "nan": False, "error": f"{type(error).__name__}: {error}"}
+        return broken_off(drawn, f"{type(error).__name__}: {error}")
     figures = flat(result.figures)
     nan = not (result.trace.finite and all(map(_finite, figures.values())))
     kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
     return {**drawn, **kept, "nan": nan, "error": None}
+
+
+def broken_off(drawn: Row, why: str) -> Row:
+    """The row of a case that came to no figures."""
+    return {**drawn, "nan": False, "error": why}
 
 
 def met_base(row: Row) -> bool:

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from app.errors import StudyError
+from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.simulation.case import RunCase
-from app.strict import parsed
-from app.studies.pulls.case import failed, planned_of, play_case
+from app.strict import parsed, text_of
+from app.studies.pulls.case import broken_off, failed, planned_of, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
@@ -94,10 +95,11 @@ def _do(
     load = partial(load_sources, parameters.robot)
     load()  # a border that must be sampled is sampled once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
-    kept = len(journal.rows)
+    kept, lost = len(journal.rows), partial(_lost_row, parameters)
     with workers:
         for begin in range(0, len(todo), _AT_ONCE):
-            for row in workers.map(partial(_row, parameters), todo[begin : begin + _AT_ONCE]):
+            numbers = todo[begin : begin + _AT_ONCE]
+            for row in workers.map(partial(_row, parameters), numbers, lost=lost):
                 journal.add(row)
                 kept += 1
                 on_progress(kept)
@@ -106,6 +108,12 @@ def _do(
 def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
     drawn = draw_case(parameters, number, sources)
     return play_case(drawn, parameters, sources.model, sources.data)
+
+
+def _lost_row(parameters: StudyParameters, number: int) -> Row:
+    """The row of a case that ended its process each time."""
+    drawn = draw_case(parameters, number, load_sources(parameters.robot))
+    return broken_off(drawn, "its process was killed each time")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -204,7 +212,7 @@ class Journal(AbstractContextManager["Journal"]):
             write_json(path, identity)
             return
         try:
-            kept = parsed(json.loads, path.read_text(encoding="utf-8"))
+            kept = parsed(json.loads, text_of(path))
         except ValueError:
             raise StudyError(f"--out: {path} is damaged; choose another folder") from None
         if kept != identity:
@@ -219,6 +227,8 @@ class Journal(AbstractContextManager["Journal"]):
         whole = content.rfind(b"\n") + 1
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
+                if len(line) > SMALL:
+                    raise ValueError("no row is so long")
                 row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
@@ -275,11 +285,16 @@ class Cluster(AbstractContextManager["Cluster"]):
     def __exit__(self, *_: object) -> None:
         self._client.close()
 
-    def map(self, function: Callable[[Any, Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+    def map(
+        self,
+        function: Callable[[Any, Job], Result],
+        jobs: Sequence[Job],
+        *,
+        lost: Callable[[Job], Result],
+    ) -> Iterator[Result]:
         """The results of all jobs, in the order in which they end.
 
-        Raises:
-            StudyError: A job takes its worker's process down again and again.
+        Of a job that takes its worker's process down again and again it is what `lost` makes of it.
         """
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
@@ -291,8 +306,7 @@ class Cluster(AbstractContextManager["Cluster"]):
             try:
                 result = future.result()
             except KilledWorker:
-                name = names[future.key]
-                raise StudyError(f"case {name} ended its worker's process") from None
+                result = lost(names[future.key])
             yield result
 
 

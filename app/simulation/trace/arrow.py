@@ -1,0 +1,79 @@
+"""Tables as files: CSV with a leading comment, or Parquet with schema metadata.
+
+It imports little, as a child process reads a file by it.
+"""
+
+import io
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from app.errors import LogError
+from app.jobs.bounded import within_budget
+from app.system import write_whole
+
+_KEY = b"dbb_log"
+_COMMENT = "# "
+
+pa.set_memory_pool(pa.system_memory_pool())  # the default one reserves 1 GB of address space
+
+
+def read_arrow(path: Path) -> tuple[str, pa.Table]:
+    """The header and the columns of a file that anybody may have written.
+
+    Raises:
+        LogError: There is no such file, or it is damaged, or it takes more than its budget to read.
+    """
+    try:
+        return within_budget(_read, path, size=path.stat().st_size)
+    except FileNotFoundError:
+        raise LogError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise LogError(f"{path}: not a log, or damaged: {reason}") from None
+
+
+def _read(path: Path) -> tuple[str, pa.Table]:
+    try:
+        return _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
+    except MemoryError:
+        raise
+    except pa.ArrowException as error:
+        raise ValueError((str(error).strip() or "unreadable").splitlines()[0][:200]) from None
+
+
+def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
+    """Write columns whole or not at all, as CSV or Parquet by the file's ending.
+
+    The header is a comment on the first line, or metadata. The same columns give the same bytes.
+    """
+    sink = io.BytesIO()
+    if path.suffix == ".csv":
+        sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")
+        pyarrow.csv.write_csv(table, sink)
+    else:
+        table = table.replace_schema_metadata({_KEY: header.encode()} if header else None)
+        pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+    write_whole(path, sink.getvalue())
+
+
+def _read_csv(path: Path) -> tuple[str, pa.Table]:
+    content = path.read_bytes()
+    first, _, rest = content.partition(b"\n")
+    text = first.decode("utf-8")
+    if not text.startswith(_COMMENT):
+        raise ValueError("its first line is no comment with meta data")
+    # Nothing is guessed but what is a number and what is not: the caller knows the kinds.
+    options = pyarrow.csv.ConvertOptions(null_values=[""], strings_can_be_null=False)
+    alone = pyarrow.csv.ReadOptions(use_threads=False)
+    table = pyarrow.csv.read_csv(io.BytesIO(rest), convert_options=options, read_options=alone)
+    return text.removeprefix(_COMMENT).rstrip("\r"), table
+
+
+def _read_parquet(path: Path) -> tuple[str, pa.Table]:
+    with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        table = file.read(use_threads=False)
+    metadata = table.schema.metadata or {}
+    return metadata.get(_KEY, b"").decode("utf-8"), table
