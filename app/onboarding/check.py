@@ -257,7 +257,7 @@ def arm_row(model: RobotModel) -> Row:
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
-    return read_geometry(make_tree(read_robot(urdf_path(model.description))))
+    return read_geometry(make_tree(read_robot(urdf_path(model.description))[0]))
 
 
 def holding_row(model: RobotModel) -> Row:

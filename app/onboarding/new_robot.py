@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -98,6 +98,8 @@ class Parsed:
     inertias: dict[str, LinkInertia]
     limits: Limits
     steering: Steering | None = None
+    left_out: tuple[str, ...] = ()
+    """Sentences on shapes that are none."""
 
 
 @dataclass(frozen=True)
@@ -329,23 +331,25 @@ def parse(request: Request) -> Parsed:
         RobotFileError: It cannot become a robot; says why, and which option helps.
         AssetError: A package is not installed.
     """
-    robot, tip = _whole_robot(request)
-    tree = make_tree(_with_distinct_joints(robot))
-    arm = find_arm(tree, request.base, tip, request.mount)
+    robot, tip, left_out = _whole_robot(request)
+    robot, names = _with_distinct_names(robot)
+    tip, base, mount = (names.get(str(n), n) for n in (tip, request.base, request.mount))
+    tree = make_tree(robot)
+    arm = find_arm(tree, base, tip, mount)
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(
-            f"no link between {request.base!r} and {tip!r} has a shape; give the arm's links a "
+            f"no link between {base!r} and {tip!r} has a shape; give the arm's links a "
             "<collision> or <visual>, or another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, request.base, tip, arm.joints[0].child)
+        arm = find_arm(tree, base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering)
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, tuple(left_out))
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
@@ -366,46 +370,49 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
             )
 
 
-def _whole_robot(request: Request) -> tuple[Element, str]:
-    """The robot with its arm on it, and the tip's name there."""
+def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
+    """The robot with its arm on it, the tip's name there, and sentences on what is left out."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
-    robot, tip = read_robot(locate(request.urdf), packages, **arguments), request.tip
+    robot, left_out = read_robot(locate(request.urdf), packages, **arguments)
+    tip = request.tip
     if request.arm_urdf is None:
-        return robot, tip
-    arm = read_robot(locate(request.arm_urdf), packages, **arguments)
+        return robot, tip, left_out
+    arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
     for part in (robot, arm):  # what is wrong with either is reported as its own
         tree = make_tree(part)
     tree.link(tip, "--tip")  # of the arm
     names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
-    return _composed(robot, arm, request), PREFIX + tip if tip in names[0] & names[1] else tip
+    tip = PREFIX + tip if tip in names[0] & names[1] else tip
+    return _composed(robot, arm, request), tip, left_out + also
 
 
-def _with_distinct_joints(robot: Element) -> Element:
+def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
     """The robot with `_joint` after the name of each joint that a link, or a library's own, has.
 
-    A URDF may name them so, but pinocchio and MuJoCo then cannot tell them apart.
-
-    Raises:
-        RobotFileError: A link has the name of one that stands below every robot.
+    So it is with `_link` after that of a link which has a name of our own; with it those names. A
+    URDF may name them so, but pinocchio and MuJoCo then cannot tell them apart.
     """
-    links = {link.get("name") for link in robot.findall("link")}
-    if own := links & _OWN_LINKS:
-        raise RobotFileError(
-            f"the link {own.pop()!r} has the name of one that every robot is put on; rename it"
-        )
-    links |= _OWN_JOINTS
-    joints = [str(joint.get("name")) for joint in robot.findall("joint")]
-    taken = {*links, *joints}
-    renamed: dict[str, str] = {}
-    for name in joints:
-        if name and name in links:
-            new = f"{name}_joint"
+    names = {tag: [str(e.get("name")) for e in robot.findall(tag)] for tag in ("link", "joint")}
+    links = _distinct(names["link"], _OWN_LINKS, {*names["link"], *names["joint"]}, "_link")
+    taken = {links.get(name, name) for name in names["link"]} | _OWN_JOINTS
+    joints = _distinct(names["joint"], taken, {*taken, *names["joint"]}, "_joint")
+    return _renamed(robot, {"joint": joints, "link": links}), links
+
+
+def _distinct(
+    names: Sequence[str], foreign: Collection[str], taken: set[str], end: str
+) -> dict[str, str]:
+    """New names, with an end that makes them unique, for those that are foreign ones too."""
+    renamed = {}
+    for name in names:
+        if name and name in foreign:
+            new = name + end
             while new in taken:
                 new += "_"
             taken.add(new)
             renamed[name] = new
-    return _renamed(robot, {"joint": renamed, "link": {}})
+    return renamed
 
 
 def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:

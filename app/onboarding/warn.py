@@ -55,6 +55,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
         *_joints(robot),
         *_inertias(robot),
         *held_still(robot.parsed),
+        *robot.parsed.left_out,
         *_base(robot),
     ]
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -21,10 +23,10 @@ from tomlkit.items import Item
 from app.config import Config
 from app.errors import OutputError
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
-from app.onboarding.read.links import LinkGeometry, LinkInertia
+from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, read_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.source import mesh_path
-from app.onboarding.read.tree import MOVING, Joint
+from app.onboarding.read.tree import FREE, MOVING, Joint
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
 
 ROOT = "floor_point"
 """Link of the point on the floor below the middle between the wheels: the base's frame."""
+MESH_FOLDER = "meshes"
+"""Where a robot's folder has the meshes that were written anew."""
 _ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
 
 
@@ -90,9 +94,16 @@ def _sources_text(robot: NewRobot) -> str:
         packages = sorted({mesh.split("/")[2] for mesh in installed})
         lines.append(f"- Meshes of the installed packages: {', '.join(f'`{p}`' for p in packages)}")
     lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in meshes if mesh[0] == "/"]
-    if any(mesh[0] != "/" and mesh not in installed for mesh in meshes):
+    folders = {mesh.partition("/")[0] for mesh in meshes if mesh not in installed}
+    if FOLDER in folders:
         lines.append(f"- Meshes of that package, in the folder `{FOLDER}` beside this file")
         copied = "Meshes of installed packages are not copied."
+    if MESH_FOLDER in folders:
+        lines.append(
+            f"- Meshes in the folder `{MESH_FOLDER}`: of another unit or format, or with very many "
+            "triangles, they are written anew as STL in metres"
+        )
+        copied = "No other mesh is copied."
     licence = request.licence or (
         "Not stated by `--licence`: look it up in the packages before passing this folder on."
     )
@@ -232,13 +243,20 @@ def mesh_name(address: str, home: Path | None) -> str:
     """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
 
     That comes first, also where Python takes a folder above for a package. The address is that of
-    `mesh_address`.
+    `mesh_address`. A mesh that libraries take otherwise is written there as an STL in metres.
     """
-    if home is not None:
-        path, home = mesh_path(address).resolve(), home.resolve()
-        if path.is_relative_to(home):
-            return path.relative_to(home).as_posix()
-    return address
+    path = mesh_path(address).resolve()
+    if home is None:
+        return address
+    home = home.resolve()
+    if is_foreign(path):
+        stem = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
+        target = home / MESH_FOLDER / f"{stem}_{zlib.crc32(str(path).encode()):08x}.stl"
+        if not target.exists():
+            target.parent.mkdir(exist_ok=True)
+            read_mesh(path, "the robot").export(target)
+        path = target
+    return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
 
 
 def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None) -> Element:
@@ -270,8 +288,9 @@ def _colour_only(material: Element) -> Element:
 
 
 def _joint(old: Element) -> Element:
-    joint = Element("joint", name=str(old.get("name")), type=str(old.get("type")))
-    joint.extend(_copies(old, "parent", "child", "origin", "axis"))
+    kind = str(old.get("type"))
+    joint = Element("joint", name=str(old.get("name")), type="fixed" if kind in FREE else kind)
+    joint.extend(_copies(old, "parent", "child", "origin", "axis", "mimic"))
     if joint.get("type") == "fixed":
         return joint
     limit = old.find("limit")

@@ -6,6 +6,7 @@ The same text of a URDF is for pinocchio and, with a planar root, for pybullet.
 
 from __future__ import annotations
 
+import codecs
 import importlib.util
 import math
 import os
@@ -195,16 +196,65 @@ def read_urdf(description: RobotDescription) -> ElementTree.Element:
     """
     path = urdf_path(description)
     try:
-        text = path.read_text(encoding="utf-8")
-        refuse_entities(text, path)
-    except (OSError, ValueError, RobotFileError) as error:
+        tree = ElementTree.fromstring(xml_text(path))
+    except (OSError, RobotFileError) as error:
         why = str(error).removeprefix(f"{path}: ")
         raise DescriptionError(f"{path}: {why}") from None
-    tree = ElementTree.fromstring(text)
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
     return tree
+
+
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
+_PLACEHOLDERS = (
+    (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
+    (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
+    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page (HTML); download the file itself"),
+    (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
+    (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),
+    (rb"\x1f\x8b|PK\x03\x04|7z\xbc\xaf|Rar!", "an archive; unpack it"),
+    (rb"\.{0,2}/[\w./ -]+\Z", "the text of a symbolic link; put the file that it names here"),
+    (rb"\s*\Z", "an empty file; download it again"),
+)
+
+
+def refuse_placeholder(content: bytes, where: object) -> None:
+    """Refuse what a download or a repository may put in the place of a file.
+
+    Args:
+        content: The first bytes of the file at least.
+        where: Named in the message.
+
+    Raises:
+        RobotFileError: It is such a placeholder; names it.
+    """
+    begin = content[:1024].removeprefix(codecs.BOM_UTF8)
+    for pattern, name in _PLACEHOLDERS:
+        if re.match(pattern, begin, re.IGNORECASE | re.DOTALL):
+            raise RobotFileError(f"{where}: in the place of the file is {name}")
+
+
+def xml_text(path: Path) -> str:
+    """The text of an XML file, by the encoding that it declares, or UTF-8; it can be parsed.
+
+    Raises:
+        RobotFileError: It is another kind of file, has another encoding, or as `refuse_entities`.
+        OSError: It cannot be read.
+    """
+    content = path.read_bytes()
+    refuse_placeholder(content, path)
+    content = content.removeprefix(codecs.BOM_UTF8)
+    declared = _DECLARED.match(content)
+    code = declared[1].decode() if declared else "utf-8"
+    try:
+        text = content.decode("utf-16" if content.startswith(_UTF16) else code)
+    except (LookupError, ValueError) as error:
+        how = "the encoding that it declares" if declared else "UTF-8, and it declares no other"
+        raise RobotFileError(f"{path}: it is not in {how}: {error}; save it as UTF-8") from None
+    refuse_entities(text, path)
+    return text
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -14,13 +15,19 @@ import trimesh
 from scipy.spatial import QhullError
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import mesh_path
-from app.onboarding.read.tree import Arm, Tree, numbers, origin
+from app.onboarding.read.source import MESHES, mesh_path
+from app.onboarding.read.tree import Arm, Tree, numbers, origin, unit_of
+from app.robot.assets import refuse_placeholder
 from app.robot.shapes import hull_mesh
 
 Array = np.ndarray
 
-_LARGEST = 20.0  # [m] size of a shape; a link in millimetres has hundreds
+_LARGEST = 10.0  # [m] size of a shape
+_DENSEST = 30_000.0  # [kg/m³] of a link, or nothing of it can be made; gold has 19,300
+_HEAVIEST = 100.0  # [kg] of a link that may have any density, as its shape may be a part of it
+MOST_FACES = 50_000
+"""[-] triangles of a mesh; of one with more a lighter one is made, around the same hull."""
+_HEAVY = 4_000_000  # [bytes] of a file whose vertices are not joined when it is read
 _SPACING = 0.03  # [m] between points on a hull's surface
 _MOST_POINTS = 1500  # [-] on the surface of one hull
 ARM_DENSITY = 1200.0
@@ -102,11 +109,12 @@ def _shape(element: Element, where: str) -> LinkShape:
     except QhullError as error:
         raise RobotFileError(f"{where}: a shape of it is flat: {str(error)[:80]}") from None
     hull.apply_transform(T)
-    size = float(hull.extents.max())
-    if size > _LARGEST:
+    if (size := float(hull.extents.max())) > _LARGEST:
+        scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
         raise RobotFileError(
             f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres, this "
-            'looks like millimetres; give the mesh scale="0.001 0.001 0.001"'
+            f'looks like {unit_of(size)}; give a mesh scale="{scale} {scale} {scale}", or write '
+            "metres"
         )
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
 
@@ -152,16 +160,57 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
     Raises:
         RobotFileError: It cannot be read, or has none.
     """
+    name = f"{where}: mesh {path}"
+    end, joined = path.suffix[1:].lower() or "stl", path.stat().st_size < _HEAVY
     try:
         with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
-            mesh = trimesh.load(
-                file, file_type=path.suffix[1:].lower(), force="mesh", skip_materials=True
+            if end not in _ARCHIVES:
+                refuse_placeholder(file.read(1024), name)
+            file.seek(0)
+            scene = trimesh.load(
+                file, file_type=end, force="scene", skip_materials=True, process=joined
             )
+        if scene.geometry and scene.units not in (None, "meters"):
+            scene = scene.convert_units("meters")
+        meshes = [each for each in scene.dump() if isinstance(each, trimesh.Trimesh)]
+    except RobotFileError:
+        raise
+    except ImportError as error:
+        raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers of the many formats have no common base of errors
-        raise RobotFileError(f"{where}: mesh {path}: it cannot be read: {error}") from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.vertices):
-        raise RobotFileError(f"{where}: mesh {path}: it has no triangles")
-    return mesh
+        why = " ".join(str(error).split())
+        raise RobotFileError(f"{name}: it cannot be read: {why}") from None
+    if not any(len(mesh.faces) for mesh in meshes):
+        raise RobotFileError(f"{name}: it has no triangles")
+    return _lightened(trimesh.util.concatenate(meshes))
+
+
+_ARCHIVES = ("3mf",)
+_UNIT = re.compile(rb"""<unit\s[^>]*?meter\s*=\s*["']([^"']+)""")
+_UP = re.compile(rb"<up_axis>\s*[XY]_UP")
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether other libraries take a mesh file otherwise than `read_mesh`, or far too slowly."""
+    end = path.suffix.lower()
+    if end == ".dae":
+        with path.open("rb") as file:
+            asset = file.read(1 << 16)
+        unit = _UNIT.search(asset)
+        if (unit and float(unit[1]) != 1.0) or _UP.search(asset):
+            return True
+    return end not in MESHES or path.stat().st_size > _HEAVY
+
+
+def _lightened(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh of not too many triangles, the corners of its hull among its vertices."""
+    if len(mesh.faces) <= MOST_FACES:
+        return mesh
+    corners = np.asarray(hull_mesh(mesh.vertices).vertices)
+    mesh.merge_vertices()
+    light = mesh.simplify_quadric_decimation(face_count=MOST_FACES, aggression=3)
+    vertices = np.vstack([light.vertices, corners])
+    return trimesh.Trimesh(vertices, light.faces, process=False)
 
 
 _load = lru_cache(maxsize=64)(read_mesh)
