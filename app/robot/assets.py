@@ -206,7 +206,13 @@ def read_urdf(description: RobotDescription) -> ElementTree.Element:
     return tree
 
 
-_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+_UTF16 = {
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+    b"<\0": "utf-16-le",
+    b"\0<": "utf-16-be",
+}
+"""How a file in UTF-16 begins; one that begins otherwise is none, though it may say so."""
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 _PLACEHOLDERS = (
     (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
@@ -247,9 +253,10 @@ def xml_text(path: Path) -> str:
     refuse_placeholder(content, path)
     content = content.removeprefix(codecs.BOM_UTF8)
     declared = _DECLARED.match(content)
-    code = declared[1].decode() if declared else "utf-8"
+    stated = declared[1].decode().lower() if declared else "utf-8"
+    code = _UTF16.get(content[:2], "utf-8" if stated.startswith("utf-16") else stated)
     try:
-        text = content.decode("utf-16" if content.startswith(_UTF16) else code)
+        text = content.decode(code)
     except (LookupError, ValueError) as error:
         how = "the encoding that it declares" if declared else "UTF-8, and it declares no other"
         raise RobotFileError(f"{path}: it is not in {how}: {error}; save it as UTF-8") from None

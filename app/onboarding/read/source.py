@@ -147,21 +147,25 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     """
     if not reference.strip():
         raise RobotFileError("a mesh has no filename")
-    plain = reference.strip()
-    slashed = plain.replace("\\", "/")
-    spellings = [*dict.fromkeys((plain, unquote(plain), slashed, unquote(slashed)))]
-    for spelling in spellings:
+    for spelling in spellings(reference):
         found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
         if found is not None:
             if found.suffix.lower() not in FORMATS:
                 known = ", ".join(FORMATS[:-1])
                 raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
             return _installed_address(found) or str(found.resolve())
-    why = _missing(spellings[-1], folder, packages or {})
+    why = _missing(spellings(reference)[-1], folder, packages or {})
     raise RobotFileError(f"mesh {reference}: {why}")
 
 
-def _split(reference: str) -> tuple[str, str]:
+def spellings(reference: str) -> list[str]:
+    """An address as it stands, and as it is without escapes and backslashes."""
+    plain = reference.strip()
+    slashed = plain.replace("\\", "/")
+    return [*dict.fromkeys((plain, unquote(plain), slashed, unquote(slashed)))]
+
+
+def split_address(reference: str) -> tuple[str, str]:
     """Scheme and path of an address; a drive of Windows is no scheme."""
     scheme, mark, rest = reference.partition(":")
     if not mark or len(scheme) == 1:
@@ -172,7 +176,7 @@ def _split(reference: str) -> tuple[str, str]:
 
 def _places(reference: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
     """Where a mesh may be: in its package, or beside the URDF, or beside a folder above it."""
-    scheme, path = _split(reference)
+    scheme, path = split_address(reference)
     if scheme in ("package", "model"):
         package, _, inner = path.lstrip("/").partition("/")
         yield from (root / inner for root in _package_folders(package, folder, packages))
@@ -182,7 +186,7 @@ def _places(reference: str, folder: Path, packages: Mapping[str, Path]) -> Itera
 
 def _missing(reference: str, folder: Path, packages: Mapping[str, Path]) -> str:
     """Why no file is found for an address, and what helps."""
-    scheme, path = _split(reference)
+    scheme, path = split_address(reference)
     if scheme in ("package", "model"):
         package, _, inner = path.lstrip("/").partition("/")
         roots = [*dict.fromkeys(_package_folders(package, folder, packages))]
