@@ -31,7 +31,7 @@ def chain(joints: list[Any]) -> Any:
 
 
 def unit(joint: int) -> Unit:
-    return Unit(joint, "", (), joint, (), np.zeros((0, 3)))
+    return Unit(joint, "", (), joint, (), np.zeros((0, 3)), np.zeros(0, dtype=int))
 
 
 X, Y, TURN = pin.JointModelPX, pin.JointModelPY, pin.JointModelRZ
@@ -70,7 +70,10 @@ def test_links_without_shapes_are_no_body_of_their_own() -> None:
 def test_a_spot_that_was_met_is_no_body(met: int) -> None:
     """Of too few points for a body of its links, the whole links are what it holds."""
     corners = np.array(np.meshgrid([-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1])).reshape(3, -1).T
-    units = tuple(Unit(k, f"link{k}", (f"link{k}",), k, (), corners) for k in range(3))
+    units = tuple(
+        Unit(k, f"link{k}", (f"link{k}",), k, (), corners, np.zeros(len(corners), dtype=int))
+        for k in range(3)
+    )
     empty = np.zeros((0, 3))
     reached = {(2, 0): np.arange(len(corners)) < met}
     poses = Poses(empty, empty, np.zeros(0, dtype=bool))

@@ -19,6 +19,7 @@ from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
 from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
+from app.onboarding.fit.travel import with_travel
 from app.onboarding.fit.units import units_of_links
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
@@ -257,7 +258,9 @@ def arm_row(model: RobotModel) -> Row:
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
-    return read_geometry(make_tree(read_robot(urdf_path(model.description))[0]))
+    tree = make_tree(read_robot(urdf_path(model.description))[0])
+    last = tree.joints[model.description.arm.joints[-1]].child
+    return with_travel(tree, read_geometry(tree), last)
 
 
 def holding_row(model: RobotModel) -> Row:

@@ -33,7 +33,8 @@ from app.onboarding.fit.postures import (
     line_from,
 )
 from app.onboarding.fit.stops import with_stops
-from app.onboarding.fit.units import make_units
+from app.onboarding.fit.travel import with_travel
+from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.numbers import (
     Limits,
     Reach,
@@ -207,8 +208,11 @@ def _one_message(doing: Callable[[], str]) -> Iterator[None]:
         ) from error
 
 
-_UNWATCHED = "chosen: links of them are nearer than d_b as they are built"
-"""Why a pair is not watched."""
+_UNWATCHED = {
+    True: "chosen: links of them are nearer than d_b as they are built",
+    False: "chosen: its bodies are nearer than d_b in most poses; other pairs see what collides",
+}
+"""Why a pair is not watched: by its links, or by its bodies alone."""
 
 
 def make_robot(
@@ -233,12 +237,14 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    meetings, (bodies, verdict) = _fitted(request, parsed, bare, workers, tell, on_progress)
+    filled = with_travel(parsed.tree, parsed.geometry, parsed.arm.joints[-1].child)
+    units = make_units(bare, parsed.arm, filled)
+    meetings, (bodies, verdict) = _fitted(request, units, bare, workers, tell, on_progress)
     limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
     parsed = replace(parsed, limits=limits)
-    unwatched = dict.fromkeys(verdict.unwatched, _UNWATCHED)
+    unwatched = {name: _UNWATCHED[by_links] for name, by_links in verdict.unwatched.items()}
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    unseen = unseen_collisions(model, parsed.geometry, request.d_b, workers)
+    unseen = unseen_collisions(model, filled, request.d_b, workers)
     if unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
@@ -291,16 +297,15 @@ def _with_lines(
 
 def _fitted(
     request: Request,
-    parsed: Parsed,
+    units: tuple[Unit, ...],
     bare: RobotModel,
     workers: Workers,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> tuple[Meetings, Grouping]:
     """Which links meet, and the bodies around groups of them."""
-    d_b = request.d_b
+    d_b, samples = request.d_b, MEETING_SAMPLES
     tell("looking at random poses")
-    units, samples = make_units(bare, parsed.arm, parsed.geometry), MEETING_SAMPLES
     meetings = sample_meetings(
         bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH, workers=workers
     )

@@ -22,11 +22,12 @@ from tomlkit.items import Item
 
 from app.config import Config
 from app.errors import OutputError
+from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, read_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.source import mesh_path
-from app.onboarding.read.tree import FREE, MOVING, Joint
+from app.onboarding.read.tree import FREE, MOVING, Joint, Tree
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
@@ -209,7 +210,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 
     The base and all below it, on a root on the floor, x forward. Meshes keep their files. A link
     that is only seen can be touched too. Endless joints become revolute with wide limits, joints
-    that follow others stand still: pinocchio and pybullet then read the same robot.
+    that follow others stand still, as other libraries' do: all then read the same robot.
 
     Meshes below `home`, the folder of the new URDF, are named by the path in it.
     """
@@ -234,6 +235,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
             robot.append(_joint(joints[above.name]))
             if above.kind in MOVING and above.name not in driven:
                 _hold_within_limits(robot[-1], above)
+            _follow_from_rest(robot[-1], above, tree)
         robot.append(_link(tree.links[link], parsed.geometry[link], parsed.inertias[link], home))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
@@ -308,14 +310,9 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
     Such a joint stands at zero in every library: a finger would be inside of the hand.
     """
     low, high = joint.lower or 0.0, joint.upper or 0.0
-    at = low if low > 0.0 else min(high, 0.0)
-    if low >= high or at == 0.0:
+    if (at := held_at(joint)) == 0.0:
         return
-    turns = joint.kind != "prismatic"
-    motion = pin.SE3(
-        pin.exp3(at * joint.axis) if turns else np.eye(3), np.zeros(3) if turns else at * joint.axis
-    )
-    T = joint.T_parent_child * motion
+    T = joint.motion(at)
     found = element.find("origin")
     origin = SubElement(element, "origin") if found is None else found
     origin.set("xyz", _words(T.translation))
@@ -323,6 +320,18 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
     limit = element.find("limit")
     assert limit is not None
     limit.attrib |= {"lower": f"{low - at:.9g}", "upper": f"{high - at:.9g}"}
+
+
+def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
+    """Have a joint follow another from where both stand still; it stays alone without that one."""
+    if (mimic := element.find("mimic")) is None or joint.mimic is None:
+        return
+    leader, multiplier, offset = joint.mimic
+    if leader not in tree.joints:
+        element.remove(mimic)
+        return
+    offset += multiplier * held_at(tree.joints[leader]) - held_at(joint)
+    mimic.attrib |= {"multiplier": f"{multiplier:.9g}", "offset": f"{offset:.9g}"}
 
 
 def _add_inertial(link: Element, inertia: pin.Inertia) -> None:

@@ -93,13 +93,12 @@ class Meetings:
         return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
-        """(K, 3) [m] points of a unit's surface to which any of the others can come."""
-        points = self.units[unit].surface
-        mask = np.zeros(len(points), dtype=bool)
+        """(N,) whether any of the others can come to each point of a unit's surface."""
+        mask = np.zeros(len(self.units[unit].surface), dtype=bool)
         for other in others:
             if (found := self.met.get((unit, other))) is not None:
                 mask |= found
-        return points[mask]
+        return mask
 
 
 def sample_meetings(

@@ -60,8 +60,9 @@ class Verdict(NamedTuple):
     """Pairs of bodies that meet though their links never do."""
     always: tuple[str, ...]
     """Pairs that are inside their buffer nearly always."""
-    unwatched: tuple[str, ...]
-    """Those that would be, by links that are close as built: they are no pair."""
+    unwatched: dict[str, bool]
+    """Those that would be and are no pair: whether by links that are close as built, or by the
+    bodies alone, where other pairs see what collides."""
     near: dict[str, float]
     """[-] share of the poses without a collision of links inside the buffer, by the pair's name."""
     cost: float
@@ -141,11 +142,12 @@ def _arm_grouping(
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
+    slides = _sliding(model, meetings)
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
         """The one found, or that of less cost of those that are expected to have it."""
-        ranked = _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]
+        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MOST_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
@@ -189,8 +191,12 @@ def judge(
     owners = [f"{bodies[i].name}-{bodies[j].name}" for i, j in ends]
     near = (distances[free] < d_b).mean(axis=0)
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
-    given_up = [name in built and share > ALWAYS for name, share in zip(names, near, strict=True)]
-    unwatched, kept = tuple(compress(names, given_up)), np.logical_not(given_up)
+    kept, unwatched = np.ones(len(names), dtype=bool), {}
+    for k in np.argsort(-near):  # the nearest first: each may see what another does not need to
+        without = kept & (np.arange(len(names)) != k)
+        blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
+        if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
+            kept, unwatched[names[k]] = without, names[k] in built
     names = list(compress(names, kept))
     distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
     meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
@@ -316,7 +322,11 @@ def _body_distances(
 
 
 def _ranked(
-    units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
+    units: Sequence[int],
+    counts: Sequence[int],
+    meetings: Meetings,
+    mobile: Sequence[int],
+    slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
     """All cuts of the chain into groups with shapes, the one of the least cost first if bodies meet
     where links do.
@@ -332,6 +342,8 @@ def _ranked(
             groups = [list(units[a:b]) for a, b in pairwise([0, *cuts, len(units)])]
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
+            if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
+                continue  # what is fixed to the base does not ride on what slides along it
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
@@ -340,3 +352,9 @@ def _ranked(
             least = _BODY_COST * (count + 1)
             ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
     return [(least, groups) for _, _, groups, least in sorted(ranked)]
+
+
+def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
+    """Units that a sliding joint of the arm moves."""
+    kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in meetings.units[2:]}
+    return frozenset(k for k, kind in kinds.items() if kind.startswith("JointModelP"))

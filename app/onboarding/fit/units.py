@@ -50,6 +50,8 @@ class Unit(NamedTuple):
     parts: tuple[Part, ...]
     surface: Array
     """(N, 3) [m] points on the hulls, in the joint's frame."""
+    owners: Array
+    """(N,) of which of the links each point is, by its place among them."""
 
 
 def make_units(
@@ -93,19 +95,21 @@ def _unit(
     joint: int,
     geometry: Mapping[str, LinkGeometry],
 ) -> Unit:
-    parts, surface = [], [np.zeros((0, 3))]
+    parts, surface, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     D = directions(2)
-    for link in links:
+    for k, link in enumerate(links):
         T = model.pin.frames[model.pin.getFrameId(link)].placement
         for shape in geometry[link].shapes:
             corners = hull_corners(moved(np.asarray(shape.hull.vertices), T))
             parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
         surface.append(moved(geometry[link].surface, T))
-    points = np.vstack(surface)
+        owners.append(np.full(len(surface[-1]), k))
+    points, owner = np.vstack(surface), np.concatenate(owners)
     if len(points) > _THIN_OUT:  # the outermost ones stay: a body has to hold fingertips too
         some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
-        points = points[np.union1d(some, (points @ D.T).argmax(axis=0))]
-    return Unit(index, frame, links, joint, tuple(parts), points)
+        kept = np.union1d(some, (points @ D.T).argmax(axis=0))
+        points, owner = points[kept], owner[kept]
+    return Unit(index, frame, links, joint, tuple(parts), points, owner)
 
 
 def moved(points: Array, T: pin.SE3) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +30,7 @@ MOST_FACES = 50_000
 _HEAVY = 4_000_000  # [bytes] of a file whose vertices are not joined when it is read
 _SPACING = 0.03  # [m] between points on a hull's surface
 _MOST_POINTS = 1500  # [-] on the surface of one hull
+_MOST_MESHES = 5  # [-] places of a moving shape at which its triangles are compared
 ARM_DENSITY = 1200.0
 """[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
@@ -117,6 +118,16 @@ def _shape(element: Element, where: str) -> LinkShape:
             "metres"
         )
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
+
+
+def swept_shape(shape: LinkShape, ways: Sequence[pin.SE3]) -> LinkShape:
+    """A shape in all places to which it can move, by its motions in the link's frame."""
+    corners = np.asarray(shape.hull.vertices)
+    hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in ways]))
+    mesh = trimesh.util.concatenate(
+        [shape.mesh.copy().apply_transform(T.homogeneous) for T in ways]
+    )
+    return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
 
 
 def urdf_mesh(
