@@ -33,7 +33,7 @@ from app.onboarding.fit.postures import (
     line_from,
 )
 from app.onboarding.fit.stops import with_stops
-from app.onboarding.fit.travel import with_travel
+from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.numbers import (
     Limits,
@@ -48,6 +48,7 @@ from app.onboarding.numbers import (
 from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
+from app.onboarding.read.telescope import as_one_slide
 from app.onboarding.read.tree import ARM_ON_BASE, Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import (
     Steering,
@@ -99,8 +100,8 @@ class Parsed:
     inertias: dict[str, LinkInertia]
     limits: Limits
     steering: Steering | None = None
-    left_out: tuple[str, ...] = ()
-    """Sentences on shapes that are none."""
+    changes: tuple[str, ...] = ()
+    """Sentences on what is otherwise than in the URDF: shapes left out, telescopes."""
 
 
 @dataclass(frozen=True)
@@ -237,14 +238,14 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    filled = with_travel(parsed.tree, parsed.geometry, parsed.arm.joints[-1].child)
-    units = make_units(bare, parsed.arm, filled)
+    geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
+    units = make_units(bare, parsed.arm, geometry)
     meetings, (bodies, verdict) = _fitted(request, units, bare, workers, tell, on_progress)
     limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
     parsed = replace(parsed, limits=limits)
     unwatched = {name: _UNWATCHED[by_links] for name, by_links in verdict.unwatched.items()}
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    unseen = unseen_collisions(model, filled, request.d_b, workers)
+    unseen = unseen_collisions(model, geometry, request.d_b, workers)
     if unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
@@ -282,13 +283,13 @@ def _lines(
 
 
 def _with_lines(
-    robot: NewRobot, data: BorderData, folder: Path, lines: Mapping[str, Place | str]
+    robot: NewRobot, data: BorderData, folder: Path, found: Mapping[str, Place | str]
 ) -> NewRobot:
     """The robot with its lines, and with all that there is to warn of."""
-    places = {name: each for name, each in lines.items() if isinstance(each, Place)}
-    lacking = {name: each for name, each in lines.items() if isinstance(each, str)}
-    told = {"lines": {name: place.content() for name, place in places.items()}}
-    content = robot.content | told
+    places = {name: each for name, each in found.items() if isinstance(each, Place)}
+    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
+    lines = {name: place.content() for name, place in places.items()}
+    content = robot.content | {"lines": lines, "without_line": lacking}
     model = compiled(content, folder / _URDF)
     robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
     weak = push_warning(borne_push(model, data.pairs.mobile))
@@ -339,8 +340,9 @@ def parse(request: Request) -> Parsed:
     robot, tip, left_out = _whole_robot(request)
     robot, names = _with_distinct_names(robot)
     tip, base, mount = (names.get(str(n), n) for n in (tip, request.base, request.mount))
+    joined = as_one_slide(robot, str(base), str(tip))
     tree = make_tree(robot)
-    arm = find_arm(tree, base, tip, mount)
+    arm = find_arm(tree, str(base), str(tip), mount)
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
@@ -354,7 +356,7 @@ def parse(request: Request) -> Parsed:
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, tuple(left_out))
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, (*left_out, *joined))
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:

@@ -32,8 +32,9 @@ ALWAYS = 0.6
 """[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
 MARGIN = 0.015
 """[m] within which a point counts as met."""
-_BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
-NESTED = _BUILT_IN**2
+BUILT_IN = 0.5
+"""[-] Close hulls that touch in more of the poses are nested, as a telescope is."""
+NESTED = BUILT_IN**2
 """[-] share of random poses in which nested links touch at least: in so many do their units, and in
 so many of those do they."""
 _FEWEST = 50  # [-] poses without a collision that say what is near
@@ -185,7 +186,7 @@ def _look(_: object, part: _Looked) -> Array:
 
 def _touch_mostly(distances: Array) -> Array:
     """(pairs,) whether hulls at distances (N, pairs) [m] touch in so many poses as nested ones."""
-    return (distances <= 0.0).mean(axis=0) >= _BUILT_IN
+    return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
@@ -201,7 +202,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     shapes = [*own.values(), *other.values()]
     gaps = shape_distances(model, shapes, pairs, found.random.q_m[:ENOUGH])
     met = (gaps <= 0.0).any(axis=1)
-    if (u, v) not in found.nested and met.mean() < _BUILT_IN:
+    if (u, v) not in found.nested and met.mean() < BUILT_IN:
         return []
     return [*compress(product(own, other), _touch_mostly(gaps[met]))]
 

@@ -20,14 +20,15 @@ from app.jobs.progress import OnProgress
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     ALWAYS,
+    BUILT_IN,
     ENOUGH,
     Meetings,
     nested_links,
     sample_meetings,
 )
-from app.onboarding.fit.units import meshes_meet, shape_distances, units_of_links
+from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
-from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -39,6 +40,8 @@ MOST_UNSEEN = 0.01
 """[-] share of the poses with a collision of links that no pair may see."""
 UNSEEN_POSES = 4000
 """[-] in which the bodies are tried that were chosen, or more where collisions are rare."""
+_MOST_LOOKED_AT = 300  # [-] poses of those that a rule leaves out in which meshes are compared
+_MOST_NAMED = 4  # [-] pairs of links
 _UNSEEN_SEED = 2**31  # [-] of them; the fit has others
 _MISSED = 0.5 * MOST_UNSEEN  # [-] that a good grouping may miss
 _BODY_COST = 0.03  # [-] of one body more
@@ -240,6 +243,11 @@ class Unseen(NamedTuple):
     poses hardly ever bring about."""
     worst: str
     """The links that meet most often in the unseen poses."""
+    left_out: int
+    """Poses that do not count, as a rule says: in them links meet that are neighbours, or near as
+    built, and no pair of bodies does."""
+    rule: str
+    """Those links, with the share of the random poses in which they meet, the most often first."""
 
     @property
     def share(self) -> float:
@@ -272,10 +280,11 @@ def unseen_collisions(
         workers=workers,
     )
     owner = {unit.index: name for name, each in by_body.items() for unit in each}
+    pairs = candidate_pairs(model)
+    left_out, rule = _left_out(model, met, pairs, geometry)
     random = met.random.possible & met.collides.any(axis=1)
     hits, count = met.collides[random], int(random.sum())
     rare = np.logical_and(met.rare.distances <= 0.0, met.rare.possible[:, None])
-    pairs = candidate_pairs(model)
     q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
     gaps = PairDistances(model, pairs).sampled(q_m)
     unseen = np.all(gaps[:count] > 0.0, axis=1)
@@ -302,9 +311,50 @@ def unseen_collisions(
     if blame.any():
         a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
         worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
-    return Unseen(
-        len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
+    seen = len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
+    return Unseen(*seen, left_out, rule)
+
+
+def _left_out(
+    model: RobotModel,
+    met: Meetings,
+    pairs: Sequence[Pair],
+    geometry: Mapping[str, LinkGeometry],
+) -> tuple[int, str]:
+    """In how many poses only links meet that a rule leaves out, and which they are.
+
+    Those that touch in most poses are built into one another, and none of these.
+    """
+    units, q_m = met.units, met.random.q_m
+    near = sorted(met.close - met.nested)
+    distant = set(met.pairs)
+    beside = [
+        (a.index, b.index)
+        for a, b in combinations([unit for unit in units if unit.parts], 2)
+        if (a.index, b.index) not in distant and a.joint != b.joint
+    ]
+    gaps = np.hstack(
+        [
+            met.random.distances[:, [met.pairs.index(pair) for pair in near]],
+            hull_distances(model, units, beside, q_m),
+        ]
     )
+    touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
+    rows = np.flatnonzero(touch.any(axis=1))
+    rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
+    looked = rows[:: -(-len(rows) // _MOST_LOOKED_AT)] if len(rows) else rows
+    real = np.zeros((len(looked), touch.shape[1]), dtype=bool)
+    for k, (u, v) in enumerate([*near, *beside]):  # hulls of links side by side overlap in many
+        own = touch[looked, k]
+        real[own, k] = meshes_meet(model, units[u], units[v], geometry, q_m[looked[own]])
+    scale = len(rows) / max(1, len(looked))
+    shares = real.sum(axis=0) * scale / len(q_m)
+    names = [
+        f"{units[u].links[0]} and {units[v].links[0]} ({shares[k]:.1%})"
+        for k, (u, v) in enumerate([*near, *beside])
+    ]
+    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MOST_NAMED]
+    return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 
 
 def _body_distances(

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.onboarding.read.links import LinkGeometry, swept_shape
+from app.onboarding.read.telescope import parallel
 from app.onboarding.read.tree import MOVING, Joint, Tree
 
 Positions = Mapping[str, float]
@@ -16,17 +17,38 @@ Positions = Mapping[str, float]
 _STEP = np.radians(10.0)  # [rad] between the turns looked at
 
 
+def filled(
+    tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
+) -> dict[str, LinkGeometry]:
+    """Geometry in which hand and telescopes fill all the room that they can reach."""
+    found = with_travel(tree, geometry, chain[-1].child)
+    own = [joint.name for joint in chain]
+    for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
+        other = [j.name for j in tree.children(slide.child) if not _is_part(slide, j)]
+        found = with_travel(tree, found, slide.child, [*own, *other])
+    return found
+
+
+def _is_part(slide: Joint, joint: Joint) -> bool:
+    """Whether a joint lets a part of a telescope slide along on it."""
+    return joint.kind == "prismatic" and joint.moves and parallel(slide, joint)
+
+
 def with_travel(
-    tree: Tree, geometry: Mapping[str, LinkGeometry], carrier: str
+    tree: Tree,
+    geometry: Mapping[str, LinkGeometry],
+    carrier: str,
+    without: Sequence[str] = (),
 ) -> dict[str, LinkGeometry]:
     """Geometry in which links on a carrier fill all that the joints on it let them reach.
 
     It is in the frames of the links where those stand still. Joints that follow another do so.
+    What hangs on joints `without` which it is meant stays as it is.
     """
-    links = tree.below(carrier)[1:]
+    links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
-    held = _placed(tree, carrier, {joint.name: held_at(joint) for joint in joints})
-    tried = [_placed(tree, carrier, each) for each in _positions(joints)]
+    held = _placed(tree, links, carrier, {joint.name: held_at(joint) for joint in joints})
+    tried = [_placed(tree, links, carrier, each) for each in _positions(joints)]
     found = dict(geometry)
     for link in links:
         ways = [held[link].actInv(places[link]) for places in tried]
@@ -76,10 +98,10 @@ def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
     return found
 
 
-def _placed(tree: Tree, carrier: str, at: Positions) -> dict[str, pin.SE3]:
-    """T_carrier_link of all links on a carrier."""
+def _placed(tree: Tree, links: Sequence[str], carrier: str, at: Positions) -> dict[str, pin.SE3]:
+    """T_carrier_link of links on a carrier, each after the one that carries it."""
     found = {carrier: pin.SE3.Identity()}
-    for link in tree.below(carrier)[1:]:
+    for link in links:
         joint = tree.joint_of[link]
         moved = joint.kind in MOVING
         own = joint.motion(at.get(joint.name, 0.0)) if moved else joint.T_parent_child
