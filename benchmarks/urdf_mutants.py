@@ -264,7 +264,8 @@ def _beside(kind: str, shape: str, inner: str = "") -> Change:
         robot.append(
             ElementTree.fromstring(
                 f'<joint name="tag_joint" type="{kind}"><parent link="{parent}"/>'
-                f'<child link="tag"/>{inner}<limit lower="0" upper="0.02" effort="1" velocity="1"/></joint>'
+                f'<child link="tag"/>{inner}'
+                '<limit lower="0" upper="0.02" effort="1" velocity="1"/></joint>'
             )
         )
 
@@ -279,8 +280,7 @@ def _as(end: str, **options: object) -> Change:
     """A mesh in another format."""
 
     def change(path: Path, element: Element) -> None:
-        mesh = trimesh.load_mesh(path)
-        target = path.with_suffix(f".x{end}").with_suffix(end)
+        mesh = _loaded(path)
         target = path.with_name(f"{path.stem}_as{end}")
         mesh.export(target, **options)
         element.set("filename", f"meshes/{target.name}")
@@ -288,28 +288,31 @@ def _as(end: str, **options: object) -> Change:
     return _mesh(change)
 
 
+def collada(mesh: trimesh.Trimesh, metre: float, up: str = "Z_UP") -> str:
+    """A mesh as a COLLADA file whose numbers are in a unit of so many metres."""
+    p = " ".join(f"{c:.9g}" for c in (np.asarray(mesh.vertices) / metre).ravel())
+    t, n = " ".join(map(str, np.asarray(mesh.faces).ravel())), len(mesh.vertices)
+    return (
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
+        f'<unit name="u" meter="{metre}"/><up_axis>{up}</up_axis></asset><library_geometries>'
+        f'<geometry id="g"><mesh><source id="p"><float_array id="a" count="{3 * n}">{p}'
+        f'</float_array><technique_common><accessor source="#a" count="{n}" stride="3">'
+        '<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" '
+        'type="float"/></accessor></technique_common></source><vertices id="v"><input '
+        'semantic="POSITION" source="#p"/></vertices><triangles count="'
+        f'{len(mesh.faces)}"><input semantic="VERTEX" source="#v" offset="0"/><p>{t}</p>'
+        "</triangles></mesh></geometry></library_geometries><library_visual_scenes>"
+        '<visual_scene id="s"><node id="n"><instance_geometry url="#g"/></node></visual_scene>'
+        '</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+
+
 def _collada(metre: float, up: str = "Z_UP") -> Change:
     """A mesh as COLLADA in another unit."""
 
     def change(path: Path, element: Element) -> None:
-        mesh = trimesh.load_mesh(path)
-        p = " ".join(f"{c:.9g}" for c in (np.asarray(mesh.vertices) / metre).ravel())
-        t, n = " ".join(map(str, np.asarray(mesh.faces).ravel())), len(mesh.vertices)
-        text = (
-            '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset>'
-            f'<unit name="u" meter="{metre}"/><up_axis>{up}</up_axis></asset><library_geometries>'
-            f'<geometry id="g"><mesh><source id="p"><float_array id="a" count="{3 * n}">{p}'
-            f'</float_array><technique_common><accessor source="#a" count="{n}" stride="3">'
-            '<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" '
-            'type="float"/></accessor></technique_common></source><vertices id="v"><input '
-            'semantic="POSITION" source="#p"/></vertices><triangles count="'
-            f'{len(mesh.faces)}"><input semantic="VERTEX" source="#v" offset="0"/><p>{t}</p>'
-            "</triangles></mesh></geometry></library_geometries><library_visual_scenes>"
-            '<visual_scene id="s"><node id="n"><instance_geometry url="#g"/></node></visual_scene>'
-            '</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
-        )
         target = path.with_name(f"{path.stem}_unit.dae")
-        target.write_text(text, encoding="utf-8")
+        target.write_text(collada(_loaded(path), metre, up), encoding="utf-8")
         element.set("filename", f"meshes/{target.name}")
 
     return _mesh(change)
@@ -341,7 +344,7 @@ def _scaled(factor: float, *, stated: bool) -> Change:
     """A mesh in another unit, by the scale in the URDF or not."""
 
     def change(path: Path, element: Element) -> None:
-        mesh = trimesh.load_mesh(path)
+        mesh = _loaded(path)
         mesh.apply_scale(factor)
         target = path.with_name(f"{path.stem}_scaled.stl")
         mesh.export(target)

@@ -23,8 +23,8 @@ from app.robot.shapes import hull_mesh
 Array = np.ndarray
 
 _LARGEST = 10.0  # [m] size of a shape
-_DENSEST = 30_000.0  # [kg/m³] of a link, or nothing of it can be made; gold has 19,300
-_HEAVIEST = 100.0  # [kg] of a link that may have any density, as its shape may be a part of it
+_DENSEST = 30_000.0  # [kg/m³] of a link; gold has 19,300
+_HEAVIEST = 100.0  # [kg] of a link that may be denser, as its shape may stand for a part of it
 MOST_FACES = 50_000
 """[-] triangles of a mesh; of one with more a lighter one is made, around the same hull."""
 _HEAVY = 4_000_000  # [bytes] of a file whose vertices are not joined when it is read
@@ -252,9 +252,16 @@ def read_inertias(
     With `assume`, an arm without any mass gets that of its volume.
 
     Raises:
-        RobotFileError: No link of the arm has a mass, or one is no possible one.
+        RobotFileError: No link of the arm has a mass, or one is no possible one, as in grams.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
+    for link, each in stated.items():
+        volume = geometry[link].volume
+        if each and volume > _FLAT and each.mass > max(_HEAVIEST, _DENSEST * volume):
+            raise RobotFileError(
+                f"link {link!r}: a mass of {each.mass:g} kg in {1e3 * volume:.3g} l looks like "
+                "grams; masses of a URDF are in kilograms, moments of inertia in kg m²"
+            )
     moving = [link for segment in arm.segments[1:] for link in segment]
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
