@@ -406,5 +406,6 @@ def _ranked(
 
 def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
     """Units that a sliding joint of the arm moves."""
-    kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in meetings.units[2:]}
+    units = [unit for unit in meetings.units if unit.joint > 1]
+    kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in units}
     return frozenset(k for k, kind in kinds.items() if kind.startswith("JointModelP"))

@@ -8,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.onboarding.read.links import LinkGeometry, swept_shape
-from app.onboarding.read.telescope import parallel
-from app.onboarding.read.tree import MOVING, Joint, Tree
+from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 
 Positions = Mapping[str, float]
 """Of joints, by their names [rad or m]."""
@@ -31,7 +30,7 @@ def filled(
 
 def _is_part(slide: Joint, joint: Joint) -> bool:
     """Whether a joint lets a part of a telescope slide along on it."""
-    return joint.kind == "prismatic" and joint.moves and parallel(slide, joint)
+    return joint.moves and parallel(slide, joint)
 
 
 def with_travel(

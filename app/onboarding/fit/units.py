@@ -41,7 +41,8 @@ class Unit(NamedTuple):
     """Links that move as one."""
 
     index: int
-    """0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves."""
+    """0 the base, 1 what is fixed to it below the arm, then what each joint of the arm moves, and
+    before it what hangs beside."""
     frame: str
     """The link whose frame is the joint's; the floor point for the first two."""
     links: tuple[str, ...]
@@ -52,17 +53,24 @@ class Unit(NamedTuple):
     """(N, 3) [m] points on the hulls, in the joint's frame."""
     owners: Array
     """(N,) of which of the links each point is, by its place among them."""
+    beside: bool = False
+    """Whether it hangs on what the joint moves by another joint, as a head on a torso."""
 
 
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Unit, ...]:
-    """The base, the arm's fixed part, and one unit a joint of the arm."""
-    frames = [ROOT, ROOT, *(joint.child for joint in arm.joints)]
-    links = [arm.base_links, *arm.segments]
+    """The base, the arm's fixed part, and for each joint of the arm what it moves."""
+    wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
+    rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)
+    for k, (joint, links, beside) in enumerate(rows, 2):
+        if any(geometry[link].shapes for link in beside):
+            wanted.append((joint.child, beside, k, True))
+            links = tuple(link for link in links if link not in beside)
+        wanted.append((joint.child, links, k, False))
     return tuple(
-        _unit(model, k, frame, names, max(k, 1), geometry)
-        for k, (frame, names) in enumerate(zip(frames, links, strict=True))
+        _unit(model, k, frame, links, joint, geometry)._replace(beside=beside)
+        for k, (frame, links, joint, beside) in enumerate(wanted)
     )
 
 
@@ -84,7 +92,11 @@ def units_of_links(
             _unit(model, first + k, body.frame, tuple(links), joint, geometry)
             for k, (joint, links) in enumerate(by_joint.items())
         ]
-    return found
+    last = {unit.joint: name for name, each in found.items() for unit in each}
+    return {  # a body of its own before that which the joint moves hangs beside it
+        name: [u._replace(beside=u.joint > 1 and last[u.joint] != name) for u in each]
+        for name, each in found.items()
+    }
 
 
 def _unit(
@@ -120,11 +132,12 @@ def moved(points: Array, T: pin.SE3) -> Array:
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether two units may touch by design.
 
-    One joint or none lies between them, or only joints that slide along one line: the parts of a
-    telescope stand in each other, and only its joints' limits can keep them apart.
+    One joint or none lies between them, but none if one hangs beside; or only joints that slide
+    along one line: the parts of a telescope stand in each other, and only its joints' limits can
+    keep them apart.
     """
     first, last = sorted((a.joint, b.joint))
-    if last - first <= 1:
+    if last == first or (last - first == 1 and not (a.beside or b.beside)):
         return True
     data = model.pin.createData()
     pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))

@@ -11,8 +11,6 @@ import pinocchio as pin
 
 from app.onboarding.read.tree import MOVING, Joint, make_tree
 
-_PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
-
 
 def as_one_slide(robot: Element, base: str, tip: str) -> list[str]:
     """Join the telescopes of a robot's arm, in its XML; gives a sentence on each.
@@ -35,11 +33,6 @@ def as_one_slide(robot: Element, base: str, tip: str) -> list[str]:
             "the sum of their ways here"
         )
     return said
-
-
-def parallel(a: Joint, b: Joint) -> bool:
-    """Whether a slide b whose parent is moved by a slide a goes along the same line."""
-    return abs(float(a.axis @ (b.T_parent_child.rotation @ b.axis))) > _PARALLEL
 
 
 def _telescopes(chain: Sequence[Joint]) -> Iterator[tuple[Joint, Joint, list[Joint]]]:

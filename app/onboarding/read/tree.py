@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -24,6 +24,7 @@ ARM_ON_BASE = "arm_on_base"
 _MOST_NAMES = 40  # [-] that a message lists
 _FARTHEST = 10.0  # [m] between neighbouring links
 _LONGEST = 6.0  # [m] of an arm, joint by joint
+_PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
 _MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
 
 
@@ -297,6 +298,8 @@ class Arm(NamedTuple):
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) links that move as one: what is fixed below the first joint, then what each joint
     carries, joints beside the chain (fingers) held at zero."""
+    beside: tuple[tuple[str, ...], ...]
+    """Of each segment but the last, what hangs on it by joints that are not the arm's: a head."""
 
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
@@ -345,10 +348,29 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     for joint, following in zip(joints, [*joints[1:], None], strict=True):
         without = [] if following is None else [following.name]
         segments.append(tree.below(joint.child, without=without))
+    beside = [_beside(tree, part, joints) for part in segments[:-1]]
     cut = [first.name, *([tree.joint_of[mount].name] if segments[0] else [])]
     base_links = tree.below(base, without=cut)
     rigid = tuple(link for link in tree.below(base, moving=False) if link in base_links)
-    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments))
+    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments), (*beside, ()))
+
+
+def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
+    """Links of a segment below joints that move, but are neither the chain's nor a telescope's."""
+    slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
+    hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
+    roots = [
+        joint.child
+        for joint in hanging
+        if joint not in chain and not any(parallel(slide, joint) for slide in slides)
+    ]
+    return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
+
+
+def parallel(a: Joint, b: Joint) -> bool:
+    """Whether a slide b whose parent is moved by a slide a goes along the same line."""
+    line = b.T_parent_child.rotation @ b.axis
+    return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > _PARALLEL
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
