@@ -24,7 +24,7 @@ from app.config import Config
 from app.errors import OutputError
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
-from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, read_mesh
+from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import FREE, MOVING, Joint, Tree
@@ -241,7 +241,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def mesh_name(address: str, home: Path | None) -> str:
+def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
 
     That comes first, also where Python takes a folder above for a package. The address is that of
@@ -256,13 +256,13 @@ def mesh_name(address: str, home: Path | None) -> str:
         target = home / MESH_FOLDER / f"{stem}_{zlib.crc32(str(path).encode()):08x}.stl"
         if not target.exists():
             target.parent.mkdir(exist_ok=True)
-            read_mesh(path, "the robot").export(target)
+            load_mesh(path, where).export(target)
         path = target
     return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
 
 
 def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None) -> Element:
-    link = Element("link", name=str(old.get("name")))
+    link, where = Element("link", name=str(old.get("name"))), f"link {old.get('name')!r}"
     if inertia.assumed:
         link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
     _add_inertial(link, inertia.inertia)
@@ -272,7 +272,7 @@ def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path
             part = SubElement(link, tag)
             part.extend(_copies(each, "origin", "geometry"))
             for mesh in part.iter("mesh"):
-                mesh.set("filename", mesh_name(str(mesh.get("filename")), home))
+                mesh.set("filename", mesh_name(str(mesh.get("filename")), home, where))
             if tag == "visual" and (material := each.find("material")) is not None:
                 part.append(_colour_only(material))
     return link
