@@ -182,14 +182,15 @@ def finish(
         say("looking for places to guide the hand")
         lines = _lines(robot, data, workers, on_progress)
         # Imported here: the processes, which import this module, begin sooner without matplotlib.
-        from app.onboarding.report import draw, report_html
+        from app.onboarding.report import VIEW, draw, report_html
 
         pictures = workers.map(draw, [(robot, data)])  # by the process that ends its line first
         robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
-        page = report_html(robot, data, next(pictures))
-        write_whole(folder / "report.html", page)
+        drawn = next(pictures)
+        write_whole(folder / "report.html", report_html(robot, data, drawn))
+        write_whole(folder / VIEW, drawn.view)
     return robot, data
 
 

@@ -239,13 +239,13 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
                 frame = model.pin.frames[model.pin.getFrameId(link)]
                 if frame.parentJoint == joint and not turns_round(tree.joint_of[link]):
                     corners = moved(filled[link].corners, frame.placement)
-                    outs[link] = float(_outside(model, body.name, corners).max())
+                    outs[link] = float(outside(model, body.name, corners).max())
             if outs and (out := max(outs.values())) > _OUT:
                 link = max(outs, key=outs.__getitem__)
                 yield f"{link} can move {out:.2f} m out of {body.name}, which holds it at rest only"
 
 
-def _outside(model: RobotModel, body: str, points: Array) -> Array:
+def outside(model: RobotModel, body: str, points: Array) -> Array:
     """(N,) [m] how far points in the frame of a body's joint are out of its shapes, at least."""
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):

@@ -34,7 +34,7 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
-_MOST = 5  # [-] bodies
+_MOST = 6  # [-] bodies
 _MOST_JUDGED = 60  # [-] groupings that are fitted, those that are expected to cost least
 MOST_UNSEEN = 0.01
 """[-] share of the poses with a collision of links that no pair may see."""
@@ -43,9 +43,9 @@ UNSEEN_POSES = 4000
 _MOST_LOOKED_AT = 300  # [-] poses of those that a rule leaves out in which meshes are compared
 _MOST_NAMED = 4  # [-] pairs of links
 _UNSEEN_SEED = 2**31  # [-] of them; the fit has others
-_MISSED = 0.5 * MOST_UNSEEN  # [-] that a good grouping may miss
+_MISSED = 0.1 * MOST_UNSEEN  # [-] that a good grouping may miss
 _BODY_COST = 0.03  # [-] of one body more
-_MISSED_COST = 20.0  # [-] of more collisions than that
+_MISSED_COST = 40.0  # [-] of more collisions than that
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
 _SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
 _ALWAYS_COST = 1.0  # [-] of a pair that is always near
