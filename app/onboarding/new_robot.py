@@ -239,6 +239,7 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
+    tell("looking at random poses")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     meetings, (bodies, verdict) = _fitted(request, units, bare, workers, tell, on_progress)
@@ -307,7 +308,6 @@ def _fitted(
 ) -> tuple[Meetings, Grouping]:
     """Which links meet, and the bodies around groups of them."""
     d_b, samples = request.d_b, MEETING_SAMPLES
-    tell("looking at random poses")
     meetings = sample_meetings(
         bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH, workers=workers
     )
