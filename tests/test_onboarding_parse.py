@@ -237,7 +237,11 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
             '<child link="fore"/><mimic joint="lift"/>',
             "--tip: the joint 'elbow' of the arm follows another one (<mimic>)",
         ),
-        ('type="continuous"', 'type="fixed"', "(no joint turns without end); give --wheel-radius and --half-track"),
+        (
+            'type="continuous"',
+            'type="fixed"',
+            "no joint turns without end); give --wheel-radius and",
+        ),
         ('0.05 -0.2 -0.05"', '0.3 -0.2 -0.05"', "left_axle, right_axle: no two across from each"),
     ],
 )
