@@ -19,6 +19,7 @@ from app.onboarding.write import rebased_urdf
 from app.robot.assets import xml_text
 from benchmarks.urdf_mutants import collada
 from tests.onboarding import arm, cart, cube, joint, link, robot, solid, with_mesh
+from tests.robots import husky_panda
 
 TOY = robot([*cart(), *arm()])
 HAND = (0.08, 0.12, 0.08)
@@ -275,3 +276,30 @@ def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_take
     D = np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
     reach = [(np.asarray(m.vertices) @ D.T).max(axis=0) for m in (rough, light)]
     np.testing.assert_allclose(*reach, atol=1e-4)
+
+
+def test_a_wheel_with_a_mirrored_axis_turns_in_the_picture_as_it_drives(tmp_path: Path) -> None:
+    from app.dashboard.scene.robot import _senses
+
+    mirrored = TOY.replace(
+        '<axis xyz="0 1 0"/><limit effort="20"', '<axis xyz="0 -1 0"/><limit effort="20"', 1
+    )
+    model = pin.buildModelFromXML(rebased_urdf(parsed(tmp_path, mirrored), name="toy", header=""))
+    senses = dict(zip(list(model.names)[1:], _senses(model, "floor_point").tolist(), strict=True))
+    assert (senses["left_axle"], senses["right_axle"]) == (-1.0, 1.0)
+
+
+@pytest.mark.parametrize(("unseen", "outcome"), [(0, "passed"), (1, "failed")])
+def test_a_check_fails_on_any_collision_that_no_watched_pair_sees_and_says_what_a_rule_leaves_out(
+    monkeypatch: pytest.MonkeyPatch, unseen: int, outcome: str
+) -> None:
+    from app.onboarding import check
+    from app.onboarding.fit.grouping import Unseen
+
+    found = Unseen(4000, 638, unseen, 900, 0, 0.0, (), "head and arm", 287, "link5 and hand (7.2%)")
+    monkeypatch.setattr(check, "unseen_collisions", lambda *_: found)
+    monkeypatch.setattr(check, "_geometry", lambda _: {})
+    row = check.arm_row(husky_panda())
+    assert row.outcome == outcome
+    assert "287 poses are left out" in row.text
+    assert "link5 and hand (7.2%)" in row.text
