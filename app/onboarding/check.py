@@ -253,10 +253,8 @@ def arm_row(model: RobotModel) -> Row:
         text += f"; bodies do not hold their links in {found.missed} of {found.watched} collisions"
         text += f", {found.deepest:.3f} m at most"
     if found.left_out:
-        text += (
-            f"; a rule leaves {found.left_out} poses out in which only neighbours, or links that "
-        )
-        text += f"are near as built, meet: {found.rule}"
+        text += f"; a rule leaves {found.left_out} poses out, in which only links meet that are "
+        text += f"neighbours or near as built: {found.rule}"
     if found.blind:
         text += f"; {', '.join(found.blind)} does not hold the links with which it meets"
         return Row("arm's bodies", "failed", text, numbers)
