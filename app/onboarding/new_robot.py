@@ -101,7 +101,7 @@ class Parsed:
     limits: Limits
     steering: Steering | None = None
     changes: tuple[str, ...] = ()
-    """Sentences on what is otherwise than in the URDF: shapes left out, telescopes."""
+    """Sentences on differences from the URDF: shapes left out, telescopes."""
 
 
 @dataclass(frozen=True)
@@ -379,7 +379,7 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
 
 
 def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
-    """The robot with its arm on it, the tip's name there, and sentences on what is left out."""
+    """The robot with its arm on it, the tip's name there, and sentences on left-out shapes."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
     robot, left_out = read_robot(locate(request.urdf), packages, **arguments)

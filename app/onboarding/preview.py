@@ -29,7 +29,7 @@ _BODY = "#0072B2"
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
     """Links that stand out of their body in the ready pose, `placed` by joint.
 
-    It is by design where nothing that is watched can come to what stands out.
+    It is by design where no watched body can come to that part of the link.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):

@@ -225,7 +225,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """How far what moves beside the arm can leave the bodies, where they hold it at rest alone."""
+    """How far links that move beside the arm can leave the bodies that hold them at rest."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     chain = [joint.name for joint in arm.joints]
     roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))

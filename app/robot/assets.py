@@ -227,7 +227,7 @@ _PLACEHOLDERS = (
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse what a download or a repository may put in the place of a file.
+    """Refuse placeholders that a download or a repository may leave instead of a file.
 
     Args:
         content: The first bytes of the file at least.

@@ -393,7 +393,7 @@ def _ranked(
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
             if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
-                continue  # what is fixed to the base does not ride on what slides along it
+                continue  # a link fixed to the base does not ride on a slide along it
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]

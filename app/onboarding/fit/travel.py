@@ -1,4 +1,4 @@
-"""What joints beside the arm's chain move, such as fingers: all the room that it can fill."""
+"""The room that links beside the arm's chain, such as fingers, can fill."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def with_travel(
 ) -> dict[str, LinkGeometry]:
     """Geometry in which links on a carrier fill all that the joints on it let them reach.
 
-    It is in the frames of the links where those stand still. Joints that follow another do so.
-    What hangs on joints `without` which it is meant stays as it is.
+    It is in the frames that the links have at rest. Joints that follow another do so. Links on the
+    joints named in `without` keep their geometry.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]

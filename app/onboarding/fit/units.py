@@ -41,8 +41,8 @@ class Unit(NamedTuple):
     """Links that move as one."""
 
     index: int
-    """0 the base, 1 what is fixed to it below the arm, then what each joint of the arm moves, and
-    before it what hangs beside."""
+    """0 the base, 1 the links fixed to it below the arm, then those of each joint of the arm, after
+    the ones that hang beside it."""
     frame: str
     """The link whose frame is the joint's; the floor point for the first two."""
     links: tuple[str, ...]
@@ -52,15 +52,15 @@ class Unit(NamedTuple):
     surface: Array
     """(N, 3) [m] points on the hulls, in the joint's frame."""
     owners: Array
-    """(N,) of which of the links each point is, by its place among them."""
+    """(N,) the index of the link that each point belongs to."""
     beside: bool = False
-    """Whether it hangs on what the joint moves by another joint, as a head on a torso."""
+    """Whether another joint lies between it and the arm's link, as of a head on a torso."""
 
 
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Unit, ...]:
-    """The base, the arm's fixed part, and for each joint of the arm what it moves."""
+    """The base, the arm's fixed part, and the links that each joint of the arm moves."""
     wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
     rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)
     for k, (joint, links, beside) in enumerate(rows, 2):

@@ -213,7 +213,7 @@ _UP = re.compile(rb"<up_axis>\s*[XY]_UP")
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether other libraries take a mesh file otherwise than `read_mesh`, or far too slowly."""
+    """Whether other libraries read a mesh file differently from `read_mesh`, or far too slowly."""
     end = path.suffix.lower()
     if end == ".dae":
         with path.open("rb") as file:
@@ -225,7 +225,7 @@ def is_foreign(path: Path) -> bool:
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """A mesh of not too many triangles, with the vertices that reach farthest as they are.
+    """A mesh of fewer triangles that keeps the outermost vertices.
 
     Before it is simplified, vertices in one cell of that size, in its unit, become one.
     """

@@ -273,7 +273,7 @@ _CODES = ("utf-8", "gb18030", "cp932", "big5hkscs", "cp949", "cp1252", "cp1250",
 
 
 def _as_stored(name: bytes) -> str:
-    """A name of a zip that does not say its code page, as it is written: read as IBM's first."""
+    """The file name of an entry whose code page is unknown: its bytes in code page 437."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 

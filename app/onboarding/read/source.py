@@ -49,7 +49,7 @@ def read_robot(
 ) -> tuple[Element, list[str]]:
     """The `<robot>` of `read_source`, each mesh by an address that `mesh_path` takes.
 
-    With it come sentences on shapes that are left out.
+    The second value holds sentences on left-out shapes.
 
     Raises:
         RobotFileError: As `read_source`, or a mesh is not found.
@@ -64,8 +64,8 @@ def read_robot(
 def _left_out(robot: Element) -> list[str]:
     """Take shapes out that are none, or that no library reads and nobody needs; says which.
 
-    A placeholder has the size 0. What is only seen may have a format that is not read, where the
-    link has a collision shape.
+    A placeholder has the size 0. A visual mesh may have a format that is not read, if the link has
+    a collision shape.
     """
     said = []
     for link in robot.findall("link"):
@@ -159,7 +159,7 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
 
 
 def spellings(reference: str) -> list[str]:
-    """An address as it stands, and as it is without escapes and backslashes."""
+    """An address, and its forms without escapes and backslashes."""
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
     return [*dict.fromkeys((plain, unquote(plain), slashed, unquote(slashed)))]

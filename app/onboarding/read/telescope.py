@@ -20,7 +20,7 @@ def as_one_slide(robot: Element, base: str, tip: str) -> list[str]:
     """
     tree = make_tree(robot)
     if not {base, tip} <= tree.links.keys():
-        return []  # which is told of later
+        return []  # a later check reports this
     chain = tree.chain(base, tip)
     elements = {str(each.get("name")): each for each in robot.findall("joint")}
     said = []

@@ -374,7 +374,7 @@ def parallel(a: Joint, b: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """What is fixed above the base may be frames, and nothing else may hang there.
+    """Only frames may be fixed above the base, and nothing else may hang there.
 
     Above a joint by which the base moves as a whole is the world, which is left out.
     """
