@@ -169,18 +169,27 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
     return [r for a in getattr(annotation, "__args__", ()) for r in _records_in(a)]
 
 
-def text_of(path: Path) -> str:
-    """The text of a file, UTF-8, by whoever wrote it.
+def content_of(path: Path) -> bytes:
+    """The bytes of a text file, by whoever wrote it.
 
     Raises:
         OSError: It cannot be read.
-        ValueError: It is no text, or larger than any that this program reads.
+        ValueError: It is larger than any that this program reads.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
     if len(content) > LARGEST_TEXT:
         raise ValueError(f"it has more than the {LARGEST_TEXT / 1e6:.0f} MB of any such file")
-    return content.decode("utf-8")
+    return content
+
+
+def text_of(path: Path) -> str:
+    """The text of a file, UTF-8, by whoever wrote it; raises what `content_of` does.
+
+    Raises:
+        ValueError: It is no text.
+    """
+    return content_of(path).decode("utf-8")
 
 
 def parsed(loads: Callable[[str], Any], text: str) -> Any:

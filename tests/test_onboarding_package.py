@@ -159,9 +159,13 @@ BAD_URDFS = {
     **{
         f"laughs in {encoding}": (
             TOY.replace('"1.0"?>', f'"1.0" encoding="{encoding}"?>' + LAUGHS),
-            "the XML entity 'a'",
+            why,
         )
-        for encoding in ("UTF-16", "foo", "shift_jis")
+        for encoding, why in (
+            ("UTF-16", "the XML entity 'a'"),
+            ("foo", "unknown encoding: foo; save it as UTF-8"),
+            ("shift_jis", "the XML entity 'a'"),
+        )
     },
 }
 

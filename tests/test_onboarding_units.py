@@ -31,7 +31,7 @@ def chain(joints: list[Any]) -> Any:
 
 
 def unit(joint: int) -> Unit:
-    return Unit(joint, "", (), joint, (), np.zeros((0, 3)))
+    return Unit(joint, "", (), joint, (), np.zeros((0, 3)), np.zeros(0, dtype=int))
 
 
 X, Y, TURN = pin.JointModelPX, pin.JointModelPY, pin.JointModelRZ
@@ -61,16 +61,38 @@ def test_links_without_shapes_are_no_body_of_their_own() -> None:
     units = tuple(unit(k)._replace(parts=() if k == 1 else (part,)) for k in range(5))
     poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
     meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses)
-    cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,))]
+    cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,), frozenset())]
     assert cuts
     assert all([1] not in groups for groups in cuts)
+
+
+def test_what_is_fixed_to_the_base_never_rides_on_a_slide() -> None:
+    """As a mast with a lift on it: their one body would go up and down beside the mast."""
+    part = Part("link", np.zeros((0, 3)), np.zeros(0))
+    units = tuple(unit(k)._replace(parts=(part,)) for k in range(5))
+    poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
+    meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses)
+    cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,), frozenset({3}))]
+    assert cuts
+    assert not any({1, 3} <= set(group) for groups in cuts for group in groups)
+
+
+def test_a_head_on_a_torso_meets_the_shoulder_that_turns_beside_it() -> None:
+    model = chain([TURN(), TURN(), TURN()])
+    torso, head, shoulder = unit(2), unit(2)._replace(beside=True), unit(3)
+    assert neighbours(model, torso, shoulder)
+    assert not neighbours(model, head, shoulder)
+    assert neighbours(model, head, torso)
 
 
 @pytest.mark.parametrize("met", [0, 3, 8])
 def test_a_spot_that_was_met_is_no_body(met: int) -> None:
     """Of too few points for a body of its links, the whole links are what it holds."""
     corners = np.array(np.meshgrid([-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1])).reshape(3, -1).T
-    units = tuple(Unit(k, f"link{k}", (f"link{k}",), k, (), corners) for k in range(3))
+    units = tuple(
+        Unit(k, f"link{k}", (f"link{k}",), k, (), corners, np.zeros(len(corners), dtype=int))
+        for k in range(3)
+    )
     empty = np.zeros((0, 3))
     reached = {(2, 0): np.arange(len(corners)) < met}
     poses = Poses(empty, empty, np.zeros(0, dtype=bool))

@@ -118,7 +118,8 @@ def new_robot(
     Nothing is written unless all of it is.
 
     Args:
-        quick: Sample a coarse border, in seconds; the first `serve` refines it meanwhile.
+        quick: Sample a coarse border, in seconds; the first `serve` refines it meanwhile, another
+            command samples the whole one first, which takes minutes.
     """
     asked = Request(**request)
     check_request(asked)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -33,7 +33,8 @@ from app.onboarding.fit.postures import (
     line_from,
 )
 from app.onboarding.fit.stops import with_stops
-from app.onboarding.fit.units import make_units
+from app.onboarding.fit.travel import filled
+from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.numbers import (
     Limits,
     Reach,
@@ -47,6 +48,7 @@ from app.onboarding.numbers import (
 from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
+from app.onboarding.read.telescope import as_one_slide
 from app.onboarding.read.tree import ARM_ON_BASE, Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import (
     Steering,
@@ -97,6 +99,8 @@ class Parsed:
     inertias: dict[str, LinkInertia]
     limits: Limits
     steering: Steering | None = None
+    changes: tuple[str, ...] = ()
+    """Sentences on differences from the URDF: shapes left out, telescopes."""
 
 
 @dataclass(frozen=True)
@@ -177,14 +181,15 @@ def finish(
         say("looking for places to guide the hand")
         lines = _lines(robot, data, workers, on_progress)
         # Imported here: the processes, which import this module, begin sooner without matplotlib.
-        from app.onboarding.report import draw, report_html
+        from app.onboarding.report import VIEW, draw, report_html
 
         pictures = workers.map(draw, [(robot, data)])  # by the process that ends its line first
         robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
-        page = report_html(robot, data, next(pictures))
-        write_whole(folder / "report.html", page)
+        drawn = next(pictures)
+        write_whole(folder / "report.html", report_html(robot, data, drawn))
+        write_whole(folder / VIEW, drawn.view)
     return robot, data
 
 
@@ -204,8 +209,11 @@ def _one_message(doing: Callable[[], str]) -> Iterator[None]:
         ) from error
 
 
-_UNWATCHED = "chosen: links of them are nearer than d_b as they are built"
-"""Why a pair is not watched."""
+_UNWATCHED = {
+    True: "chosen: links of them are nearer than d_b as they are built",
+    False: "chosen: its bodies are nearer than d_b in most poses; other pairs see what collides",
+}
+"""Why a pair is not watched: by its links, or by its bodies alone."""
 
 
 def make_robot(
@@ -230,12 +238,15 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    meetings, (bodies, verdict) = _fitted(request, parsed, bare, workers, tell, on_progress)
+    tell("looking at random poses")
+    geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
+    units = make_units(bare, parsed.arm, geometry)
+    meetings, (bodies, verdict) = _fitted(request, units, bare, workers, tell, on_progress)
     limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
     parsed = replace(parsed, limits=limits)
-    unwatched = dict.fromkeys(verdict.unwatched, _UNWATCHED)
+    unwatched = {name: _UNWATCHED[by_links] for name, by_links in verdict.unwatched.items()}
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    unseen = unseen_collisions(model, parsed.geometry, request.d_b, workers)
+    unseen = unseen_collisions(model, geometry, request.d_b, workers)
     if unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
@@ -273,13 +284,13 @@ def _lines(
 
 
 def _with_lines(
-    robot: NewRobot, data: BorderData, folder: Path, lines: Mapping[str, Place | str]
+    robot: NewRobot, data: BorderData, folder: Path, found: Mapping[str, Place | str]
 ) -> NewRobot:
     """The robot with its lines, and with all that there is to warn of."""
-    places = {name: each for name, each in lines.items() if isinstance(each, Place)}
-    lacking = {name: each for name, each in lines.items() if isinstance(each, str)}
-    told = {"lines": {name: place.content() for name, place in places.items()}}
-    content = robot.content | told
+    places = {name: each for name, each in found.items() if isinstance(each, Place)}
+    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
+    lines = {name: place.content() for name, place in places.items()}
+    content = robot.content | {"lines": lines, "without_line": lacking}
     model = compiled(content, folder / _URDF)
     robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
     weak = push_warning(borne_push(model, data.pairs.mobile))
@@ -288,16 +299,14 @@ def _with_lines(
 
 def _fitted(
     request: Request,
-    parsed: Parsed,
+    units: tuple[Unit, ...],
     bare: RobotModel,
     workers: Workers,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> tuple[Meetings, Grouping]:
     """Which links meet, and the bodies around groups of them."""
-    d_b = request.d_b
-    tell("looking at random poses")
-    units, samples = make_units(bare, parsed.arm, parsed.geometry), MEETING_SAMPLES
+    d_b, samples = request.d_b, MEETING_SAMPLES
     meetings = sample_meetings(
         bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH, workers=workers
     )
@@ -328,23 +337,26 @@ def parse(request: Request) -> Parsed:
         RobotFileError: It cannot become a robot; says why, and which option helps.
         AssetError: A package is not installed.
     """
-    robot, tip = _whole_robot(request)
-    tree = make_tree(_with_distinct_joints(robot))
-    arm = find_arm(tree, request.base, tip, request.mount)
+    robot, tip, left_out = _whole_robot(request)
+    robot, names = _with_distinct_names(robot)
+    tip, base, mount = (names.get(str(n), n) for n in (tip, request.base, request.mount))
+    joined = as_one_slide(robot, str(base), str(tip))
+    tree = make_tree(robot)
+    arm = find_arm(tree, str(base), str(tip), mount)
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(
-            f"no link between {request.base!r} and {tip!r} has a shape; give the arm's links a "
+            f"no link between {base!r} and {tip!r} has a shape; give the arm's links a "
             "<collision> or <visual>, or another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, request.base, tip, arm.joints[0].child)
+        arm = find_arm(tree, base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering)
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, (*left_out, *joined))
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
@@ -365,46 +377,49 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
             )
 
 
-def _whole_robot(request: Request) -> tuple[Element, str]:
-    """The robot with its arm on it, and the tip's name there."""
+def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
+    """The robot with its arm on it, the tip's name there, and sentences on left-out shapes."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
-    robot, tip = read_robot(locate(request.urdf), packages, **arguments), request.tip
+    robot, left_out = read_robot(locate(request.urdf), packages, **arguments)
+    tip = request.tip
     if request.arm_urdf is None:
-        return robot, tip
-    arm = read_robot(locate(request.arm_urdf), packages, **arguments)
+        return robot, tip, left_out
+    arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
     for part in (robot, arm):  # what is wrong with either is reported as its own
         tree = make_tree(part)
     tree.link(tip, "--tip")  # of the arm
     names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
-    return _composed(robot, arm, request), PREFIX + tip if tip in names[0] & names[1] else tip
+    tip = PREFIX + tip if tip in names[0] & names[1] else tip
+    return _composed(robot, arm, request), tip, left_out + also
 
 
-def _with_distinct_joints(robot: Element) -> Element:
+def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
     """The robot with `_joint` after the name of each joint that a link, or a library's own, has.
 
-    A URDF may name them so, but pinocchio and MuJoCo then cannot tell them apart.
-
-    Raises:
-        RobotFileError: A link has the name of one that stands below every robot.
+    So it is with `_link` after that of a link which has a name of our own; with it those names. A
+    URDF may name them so, but pinocchio and MuJoCo then cannot tell them apart.
     """
-    links = {link.get("name") for link in robot.findall("link")}
-    if own := links & _OWN_LINKS:
-        raise RobotFileError(
-            f"the link {own.pop()!r} has the name of one that every robot is put on; rename it"
-        )
-    links |= _OWN_JOINTS
-    joints = [str(joint.get("name")) for joint in robot.findall("joint")]
-    taken = {*links, *joints}
-    renamed: dict[str, str] = {}
-    for name in joints:
-        if name and name in links:
-            new = f"{name}_joint"
+    names = {tag: [str(e.get("name")) for e in robot.findall(tag)] for tag in ("link", "joint")}
+    links = _distinct(names["link"], _OWN_LINKS, {*names["link"], *names["joint"]}, "_link")
+    taken = {links.get(name, name) for name in names["link"]} | _OWN_JOINTS
+    joints = _distinct(names["joint"], taken, {*taken, *names["joint"]}, "_joint")
+    return _renamed(robot, {"joint": joints, "link": links}), links
+
+
+def _distinct(
+    names: Sequence[str], foreign: Collection[str], taken: set[str], end: str
+) -> dict[str, str]:
+    """New names, with an end that makes them unique, for those that are foreign ones too."""
+    renamed = {}
+    for name in names:
+        if name and name in foreign:
+            new = name + end
             while new in taken:
                 new += "_"
             taken.add(new)
             renamed[name] = new
-    return _renamed(robot, {"joint": renamed, "link": {}})
+    return renamed
 
 
 def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:

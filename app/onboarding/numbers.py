@@ -5,7 +5,7 @@ What the URDF does not state is measured, counted, or assumed and said so.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -29,7 +29,10 @@ Sourced = Mapping[str, tuple[Any, str]]
 
 _TURN = np.pi  # [rad] either way, of a joint without limits
 _SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] where none is stated
-_LARGEST = 100.0  # [rad] or [m] of a limit that means none
+_LARGEST = 1000.0  # [rad] or [m] of a limit that means none
+_DEGREES = 4 * np.pi  # [rad] of a joint that is no wheel: more is in degrees
+_TOO_FAR = 5.0  # [m] of a slide
+_FASTEST = 20.0  # [rad/s] or [m/s] of a joint: more means no limit
 _GRAVITY_SHARE = 2.5  # [-] of the largest gravity load, the assumed effort
 _LEAST_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], of slides [N s/m]
@@ -69,10 +72,12 @@ def read_limits(arm: Arm) -> Limits:
     """What the URDF states; 0 stands for an effort that it does not.
 
     Raises:
-        RobotFileError: The limits of a joint leave no room.
+        RobotFileError: The limits of joints leave no room, or are not in radians and metres; names
+            all of them.
     """
+    _check_ranges(arm.joints)
     ranges = [_range(joint) for joint in arm.joints]
-    speeds = [_within(joint.velocity, _LARGEST) for joint in arm.joints]
+    speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
     endless = [j.name for j, limits in zip(arm.joints, ranges, strict=True) if limits is None]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
     position = _origin(endless, "half a turn either way")
@@ -144,16 +149,35 @@ def largest_of_poses(model: RobotModel, values: Callable[[Array], Array]) -> Arr
 def _range(joint: Joint) -> tuple[float, float] | None:
     """The limits of a joint, or None where it turns without any."""
     low, high = joint.lower, joint.upper
-    if low is None or high is None or max(abs(low), abs(high)) > _LARGEST:
-        if joint.kind == "prismatic":
-            raise RobotFileError(f"joint {joint.name!r} slides without limits; give it a <limit>")
+    if low is None or high is None or max(abs(low), abs(high)) >= _LARGEST:
         return None
-    if not low < high:
-        raise RobotFileError(
-            f"joint {joint.name!r}: its lower limit {low:g} is not below its upper {high:g}; mend "
-            "its <limit>, or make it continuous"
-        )
     return low, high
+
+
+def _check_ranges(joints: Sequence[Joint]) -> None:
+    """Refuse limits that cannot be meant, of all joints at once, each with how it is mended."""
+    wrong: dict[str, list[str]] = {}
+    for joint in joints:
+        limits = _range(joint)
+        if limits is None:
+            why = "slide without limits; give each a <limit>" if joint.kind == "prismatic" else ""
+        elif limits == (0.0, 0.0):
+            why = "have limits of 0, as exporters leave them; write those of the real joints, as "
+            why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
+        elif not limits[0] < limits[1]:
+            why = "have a lower limit that is not below the upper; mend the <limit>"
+        elif joint.kind == "prismatic" and max(map(abs, limits)) > _TOO_FAR:
+            why = "slide by many metres, which looks like millimetres; write metres"
+        elif joint.kind == "revolute" and max(map(abs, limits)) > _DEGREES:
+            why = "turn by more than two turns, which looks like degrees; write radians (90 "
+            why += 'degrees are 1.5708), or type="continuous" for a joint without limits'
+        else:
+            why = ""
+        stated = f" ({limits[0]:g} to {limits[1]:g})" if limits else ""
+        wrong.setdefault(why, []).append(joint.name + stated)
+    wrong.pop("", None)
+    if wrong:
+        raise RobotFileError("; ".join(f"joints {', '.join(n)} {why}" for why, n in wrong.items()))
 
 
 def _within(value: float | None, most: float) -> float:

@@ -18,6 +18,7 @@ from app.border.dbb import construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import radial_profile
 from app.onboarding.fit.units import moved
+from app.onboarding.preview import COLOURS, Bare, bare_links, view_html
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.studies.page import Grid, Part, page_html
@@ -37,12 +38,19 @@ class Pictures(NamedTuple):
     """Or None if there is none."""
     reach: bytes | None
     """Or None if nothing was counted."""
+    view: str
+    """A page of its own: the bodies in three dimensions."""
+    bare: dict[str, Bare]
+    """Links that no body holds, by design or by mistake."""
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
     """The pictures of a robot and its border, which its lines of guiding do not change."""
     robot, data = job
-    return Pictures(bodies_png(robot), border_png(robot, data), reach_png(robot))
+    placed = _placements(robot.model, robot.ready.q_m)
+    bare = bare_links(robot, placed)
+    pngs = bodies_png(robot, bare), border_png(robot, data), reach_png(robot)
+    return Pictures(*pngs, view_html(robot, placed), bare)
 
 
 def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
@@ -54,6 +62,8 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
             "Bodies over meshes, in the ready pose",
             png=pictures.bodies,
             tables=[_bodies(robot)],
+            points=_bare(pictures.bare),
+            note=f"The same in three dimensions: {VIEW}, beside this file.",
         ),
         Part("Pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
         *(Part(title, png=png) for title, png in more if png is not None),
@@ -63,6 +73,20 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
     arm = f" and its arm from {robot.request.arm_urdf}" if robot.request.arm_urdf else ""
     lead = f"Made by dbb new-robot from {robot.request.told}{arm}."
     return page_html(f"New robot: {robot.content['title']}", lead, parts)
+
+
+VIEW = "bodies.html"
+"""The page beside the report that shows the bodies in three dimensions."""
+
+
+def _bare(bare: dict[str, Bare]) -> list[str]:
+    """Sentences on the links that no body holds."""
+    whys = {
+        "design": "stand out of their bodies by design, where nothing that is watched can come",
+        "mistake": "stand out of their bodies where something watched can come: a mistake",
+    }
+    links = {why: [link for link, each in bare.items() if each == why] for why in whys}
+    return [f"{', '.join(links[why])} {text}" for why, text in whys.items() if links[why]]
 
 
 def _bodies(robot: NewRobot) -> Grid:
@@ -154,8 +178,8 @@ BODY_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9"
 _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
-def bodies_png(robot: NewRobot) -> bytes:
-    """The ready pose from three sides: hulls of the links in grey, bodies over them."""
+def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
+    """The ready pose from three sides: hulls of the links, coloured where bare, and bodies."""
     model = robot.model
     placed = _placements(model, robot.ready.q_m)
     units = robot.meetings.units
@@ -168,7 +192,8 @@ def bodies_png(robot: NewRobot) -> bytes:
         for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
             for unit in units:
                 for part in unit.parts:
-                    _fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.55)
+                    corners, colour = moved(part.corners, placed[unit.joint]), bare.get(part.link)
+                    _fill(axes, corners, x, y, COLOURS[colour], 0.55)
             for k, name in enumerate(model.body_names):
                 for corners in body_corners(model, placed, name):
                     colour = BODY_COLOURS[k % len(BODY_COLOURS)]
@@ -176,6 +201,7 @@ def bodies_png(robot: NewRobot) -> bytes:
             axes.autoscale()
             across, up = (f"{'xyz'[k]} [m]" for k in (x, y))
             axes.set(aspect="equal", title=title, xlabel=across, ylabel=up)
+            axes.locator_params(nbins=4)
         _legend(figure, model.body_names)
         return png_of(figure)
 
@@ -212,7 +238,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
                 )
             title = f"z = {z:.2f} m, d_b = {d_b:g} m"
             axes.set(aspect="equal", title=title, xlabel="x [m]", ylabel="y [m]")
-            axes.legend(loc="center")
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
         return png_of(figure)
 
 
@@ -268,5 +294,7 @@ def _legend(figure: Figure, names: Sequence[str]) -> None:
         Patch(color=BODY_COLOURS[k % len(BODY_COLOURS)], alpha=0.5, label=name)
         for k, name in enumerate(names)
     ]
-    handles = [*patches, Patch(color=SOFT, label="hulls of the links")]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    kinds = {None: "held links", "design": "bare by design", "mistake": "bare by mistake"}
+    links = [Patch(color=COLOURS[kind], label=text) for kind, text in kinds.items()]
+    handles = [*patches, *links]
+    figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))

@@ -15,14 +15,15 @@ from app.config import AdmittanceConfig, HandConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
-from app.onboarding.fit.grouping import MOST_UNSEEN
+from app.onboarding.fit.travel import with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
-from app.onboarding.read.tree import ARM_ON_BASE
+from app.onboarding.read.tree import ARM_ON_BASE, FREE
 from app.onboarding.read.wheels import turns_round
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
+from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ _NEAR = 0.30  # [m] from the base within which a pose counts
 _LEFT = 0.10  # [-] of the base's motion of the hand that the arm may leave over
 _LEVER = 0.3  # [m] at which a turning hand counts as much as a moving one
 _NOTHING = 1e-6  # [m/s or rad/s] what is left where the base does not move the hand
+_OUT = 0.005  # [m] out of a body
 _OFTEN = 0.25  # [-] share of poses from which on it is warned of
 
 
@@ -54,6 +56,8 @@ def warnings_of(robot: NewRobot) -> list[str]:
         *_joints(robot),
         *_inertias(robot),
         *held_still(robot.parsed),
+        *_moving_beside(robot),
+        *robot.parsed.changes,
         *_base(robot),
     ]
 
@@ -70,10 +74,13 @@ def _places(robot: NewRobot) -> Iterator[str]:
         T = state.data.oMi[unit.joint]
         corners = np.vstack([moved(part.corners, T) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
+        fixed = unit.index == 1  # no pose moves it
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
             yield f"{names} is {deep:.3g} m below the floor in the ready pose: {look}"
         elif (base.distance(corners) <= 0.0).all():
-            yield f"{names} is wholly inside of the base's body in the ready pose: {look}"
+            where = "the base's body, so nothing can meet it" if fixed else "the base's body"
+            look = "" if fixed and own else f" in the ready pose: {look}"
+            yield f"{names} is wholly inside of {where}{look}"
 
 
 def _poses(robot: NewRobot) -> Iterator[str]:
@@ -99,25 +106,24 @@ def _poses(robot: NewRobot) -> Iterator[str]:
 
 def _bodies(robot: NewRobot) -> Iterator[str]:
     verdict, meetings = robot.verdict, robot.meetings
-    if robot.unseen.share > MOST_UNSEEN:
+    if robot.unseen.unseen:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
             "pair, so try another number of --bodies, or limit the joints between them"
         )
-    limits, random = robot.parsed.limits, meetings.random
-    within = np.all((random.q_m >= limits.lower) & (random.q_m <= limits.upper), axis=1)
-    hits = (random.distances[within] <= 0).mean(axis=0)
-    for pair, rate in zip(meetings.pairs, hits, strict=True):
-        if pair in meetings.close and rate > 0:
-            a, b = (meetings.units[unit].links[0] for unit in pair)
-            if pair in meetings.nested:
-                yield f"{a} and {b} touch in {rate:.0%} of the poses: taken as nested"
-                continue
-            yield (
-                f"{a} and {b} are within {robot.request.d_b:g} m in most poses and touch in "
-                f"{rate:.1%}: no buffer can watch them; limit the joints between them"
-            )
+    if robot.unseen.left_out:
+        yield (
+            f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
+            f"that no buffer can watch, neighbours or near as built: {robot.unseen.rule}; "
+            "limit the joints between them"
+        )
+    for name, by_links in verdict.unwatched.items():
+        if not by_links:
+            yield f"{name} is not watched: its bodies are near in most poses, its links in none"
+    for pair in sorted(meetings.nested):
+        a, b = (meetings.units[unit].links[0] for unit in pair)
+        yield f"{a} and {b} touch in most of the poses: taken as nested"
     for name in verdict.spurious:
         yield f"the pair {name} meets as bodies, but the links in them never do"
     for body in robot.bodies:
@@ -211,6 +217,42 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     if held:
         names = ", ".join(held)
         yield f"not of the arm to --tip, so held still at zero or the nearest limit: {names}"
+    if free := [joint.name for joint in tree.joints.values() if joint.kind in FREE]:
+        free = [name for name in free if tree.joints[name].child in tree.below(arm.base)[1:]]
+    if free:
+        yield f"links on joints that are free in space are taken as fixed: {', '.join(free)}"
+
+
+def _moving_beside(robot: NewRobot) -> Iterator[str]:
+    """How far links that move beside the arm can leave the bodies that hold them at rest."""
+    tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
+    chain = [joint.name for joint in arm.joints]
+    roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
+    for carrier in roots:
+        filled = with_travel(tree, robot.parsed.geometry, carrier, chain)
+        for body in robot.bodies:
+            joint = model.body_joints[body.name]
+            mine = [k for k in body.links if filled[k] is not robot.parsed.geometry[k]]
+            outs = {}
+            for link in mine:
+                frame = model.pin.frames[model.pin.getFrameId(link)]
+                if frame.parentJoint == joint and not turns_round(tree.joint_of[link]):
+                    corners = moved(filled[link].corners, frame.placement)
+                    outs[link] = float(outside(model, body.name, corners).max())
+            if outs and (out := max(outs.values())) > _OUT:
+                link = max(outs, key=outs.__getitem__)
+                yield f"{link} can move {out:.2f} m out of {body.name}, which holds it at rest only"
+
+
+def outside(model: RobotModel, body: str, points: Array) -> Array:
+    """(N,) [m] how far points in the frame of a body's joint are out of its shapes, at least."""
+    found = np.full(len(points), np.inf)
+    for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
+        own = moved(points, model.geometry.geometryObjects[k].placement.inverse())
+        mesh = shape_mesh(shape)
+        offsets = np.einsum("ij,ij->i", mesh.face_normals, mesh.triangles[:, 0])
+        found = np.minimum(found, (own @ mesh.face_normals.T - offsets).max(axis=1))
+    return found
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
@@ -242,7 +284,25 @@ def _base(robot: NewRobot) -> Iterator[str]:
     joints = [tree.joints[name] for name in (*wheels.left, *wheels.right)]
     if any(not joint.effort for joint in joints):
         yield "the wheels have no torque limit: the base's traction is assumed"
-    seen = [link for link, g in robot.parsed.geometry.items() if g.seen_only and g.shapes]
+    ahead = wheels.T_base_floor.rotation[:, 0]
+    axis = int(np.abs(ahead).argmax())
+    if ahead[axis] < 0 or axis != 0:
+        way = f"{'-' if ahead[axis] < 0 else ''}{'xyz'[axis]}"
+        yield (
+            f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz counts "
+            "along the axes of that link"
+        )
+    inertias, seen = robot.parsed.inertias, []
+    for link, each in robot.parsed.geometry.items():
+        if link not in inertias or not each.seen_only or not each.shapes:
+            continue
+        if inertias[link].assumed and all(shape.kind == "sphere" for shape in each.shapes):
+            yield (
+                f"{link} is a sphere that is only seen, without a mass: it counts as a part of "
+                f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, take its <visual> away"
+            )
+        else:
+            seen.append(link)
     if seen:
         yield f"no collision shape, so what is seen is used: {', '.join(seen)}"
     mesh_paths = robot.urdf.count('filename="/')

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import shutil
+import zlib
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
@@ -17,11 +19,12 @@ import tomlkit
 from tomlkit.items import Item
 
 from app.config import Config
+from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
-from app.onboarding.read.links import LinkGeometry, LinkInertia
+from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.source import mesh_path
-from app.onboarding.read.tree import MOVING, Joint
+from app.onboarding.read.tree import FREE, MOVING, Joint, Tree
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
 
 ROOT = "floor_point"
 """Link of the point on the floor below the middle between the wheels: the base's frame."""
+MESH_FOLDER = "meshes"
+"""Where a robot's folder has the meshes that were written anew."""
 _ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
 
 
@@ -61,9 +66,16 @@ def _sources_text(robot: NewRobot) -> str:
         packages = sorted({mesh.split("/")[2] for mesh in installed})
         lines.append(f"- Meshes of the installed packages: {', '.join(f'`{p}`' for p in packages)}")
     lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in meshes if mesh[0] == "/"]
-    if any(mesh[0] != "/" and mesh not in installed for mesh in meshes):
+    folders = {mesh.partition("/")[0] for mesh in meshes if mesh not in installed}
+    if FOLDER in folders:
         lines.append(f"- Meshes of that package, in the folder `{FOLDER}` beside this file")
         copied = "Meshes of installed packages are not copied."
+    if MESH_FOLDER in folders:
+        lines.append(
+            f"- Meshes in the folder `{MESH_FOLDER}`: of another unit or format, or with very many "
+            "triangles, they are written anew as STL in metres"
+        )
+        copied = "No other mesh is copied."
     licence = request.licence or (
         "Not stated by `--licence`: look it up in the packages before passing this folder on."
     )
@@ -169,7 +181,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 
     The base and all below it, on a root on the floor, x forward. Meshes keep their files. A link
     that is only seen can be touched too. Endless joints become revolute with wide limits, joints
-    that follow others stand still: pinocchio and pybullet then read the same robot.
+    that follow others stand still, as other libraries' do: all then read the same robot.
 
     Meshes below `home`, the folder of the new URDF, are named by the path in it.
     """
@@ -194,26 +206,34 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
             robot.append(_joint(joints[above.name]))
             if above.kind in MOVING and above.name not in driven:
                 _hold_within_limits(robot[-1], above)
+            _follow_from_rest(robot[-1], above, tree)
         robot.append(_link(tree.links[link], parsed.geometry[link], parsed.inertias[link], home))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def mesh_name(address: str, home: Path | None) -> str:
+def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
 
     That comes first, also where Python takes a folder above for a package. The address is that of
-    `mesh_address`.
+    `mesh_address`. A mesh that libraries take otherwise is written there as an STL in metres.
     """
-    if home is not None:
-        path, home = mesh_path(address).resolve(), home.resolve()
-        if path.is_relative_to(home):
-            return path.relative_to(home).as_posix()
-    return address
+    path = mesh_path(address).resolve()
+    if home is None:
+        return address
+    home = home.resolve()
+    if is_foreign(path):
+        stem = re.sub(r"\W", "_", path.stem, flags=re.ASCII)
+        target = home / MESH_FOLDER / f"{stem}_{zlib.crc32(str(path).encode()):08x}.stl"
+        if not target.exists():
+            target.parent.mkdir(exist_ok=True)
+            load_mesh(path, where).export(target)
+        path = target
+    return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
 
 
 def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None) -> Element:
-    link = Element("link", name=str(old.get("name")))
+    link, where = Element("link", name=str(old.get("name"))), f"link {old.get('name')!r}"
     if inertia.assumed:
         link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
     _add_inertial(link, inertia.inertia)
@@ -223,7 +243,7 @@ def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path
             part = SubElement(link, tag)
             part.extend(_copies(each, "origin", "geometry"))
             for mesh in part.iter("mesh"):
-                mesh.set("filename", mesh_name(str(mesh.get("filename")), home))
+                mesh.set("filename", mesh_name(str(mesh.get("filename")), home, where))
             if tag == "visual" and (material := each.find("material")) is not None:
                 part.append(_colour_only(material))
     return link
@@ -241,8 +261,9 @@ def _colour_only(material: Element) -> Element:
 
 
 def _joint(old: Element) -> Element:
-    joint = Element("joint", name=str(old.get("name")), type=str(old.get("type")))
-    joint.extend(_copies(old, "parent", "child", "origin", "axis"))
+    kind = str(old.get("type"))
+    joint = Element("joint", name=str(old.get("name")), type="fixed" if kind in FREE else kind)
+    joint.extend(_copies(old, "parent", "child", "origin", "axis", "mimic"))
     if joint.get("type") == "fixed":
         return joint
     limit = old.find("limit")
@@ -260,14 +281,9 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
     Such a joint stands at zero in every library: a finger would be inside of the hand.
     """
     low, high = joint.lower or 0.0, joint.upper or 0.0
-    at = low if low > 0.0 else min(high, 0.0)
-    if low >= high or at == 0.0:
+    if (at := held_at(joint)) == 0.0:
         return
-    turns = joint.kind != "prismatic"
-    motion = pin.SE3(
-        pin.exp3(at * joint.axis) if turns else np.eye(3), np.zeros(3) if turns else at * joint.axis
-    )
-    T = joint.T_parent_child * motion
+    T = joint.motion(at)
     found = element.find("origin")
     origin = SubElement(element, "origin") if found is None else found
     origin.set("xyz", _words(T.translation))
@@ -275,6 +291,18 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
     limit = element.find("limit")
     assert limit is not None
     limit.attrib |= {"lower": f"{low - at:.9g}", "upper": f"{high - at:.9g}"}
+
+
+def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
+    """Have a joint follow another from where both stand still; it stays alone without that one."""
+    if (mimic := element.find("mimic")) is None or joint.mimic is None:
+        return
+    leader, multiplier, offset = joint.mimic
+    if leader not in tree.joints:
+        element.remove(mimic)
+        return
+    offset += multiplier * held_at(tree.joints[leader]) - held_at(joint)
+    mimic.attrib |= {"multiplier": f"{multiplier:.9g}", "offset": f"{offset:.9g}"}
 
 
 def _add_inertial(link: Element, inertia: pin.Inertia) -> None:

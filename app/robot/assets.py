@@ -6,6 +6,7 @@ The same text of a URDF is for pinocchio and, with a planar root, for pybullet.
 
 from __future__ import annotations
 
+import codecs
 import importlib.util
 import math
 import os
@@ -21,7 +22,7 @@ from xml.parsers import expat
 import platformdirs
 
 from app.errors import AssetError, DescriptionError, RobotFileError
-from app.strict import text_of
+from app.strict import content_of
 
 if TYPE_CHECKING:
     from app.robot.description import RobotDescription
@@ -197,12 +198,10 @@ def read_urdf(description: RobotDescription) -> ElementTree.Element:
     """
     path = urdf_path(description)
     try:
-        text = text_of(path)
-        refuse_entities(text, path)
+        tree = ElementTree.fromstring(xml_text(path))
     except (OSError, ValueError, RobotFileError) as error:
         why = str(error).removeprefix(f"{path}: ")
         raise DescriptionError(f"{path}: {why}") from None
-    tree = ElementTree.fromstring(text)
     moving = sum(joint.get("type") != "fixed" for joint in tree.iterfind("joint"))
     if moving > _MOST_JOINTS:  # pinocchio's memory grows with their cube
         raise DescriptionError(f"{path}: {moving} moving joints; at most {_MOST_JOINTS} are taken")
@@ -210,6 +209,65 @@ def read_urdf(description: RobotDescription) -> ElementTree.Element:
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
     return tree
+
+
+_UTF16 = {
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+    b"<\0": "utf-16-le",
+    b"\0<": "utf-16-be",
+}
+"""How a file in UTF-16 begins; one that begins otherwise is none, though it may say so."""
+_DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
+_PLACEHOLDERS = (
+    (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
+    (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
+    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page (HTML); download the file itself"),
+    (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
+    (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),
+    (rb"\x1f\x8b|PK\x03\x04|7z\xbc\xaf|Rar!", "an archive; unpack it"),
+    (rb"\.{0,2}/[\w./ -]+\Z", "the text of a symbolic link; put the file that it names here"),
+    (rb"\s*\Z", "an empty file; download it again"),
+)
+
+
+def refuse_placeholder(content: bytes, where: object) -> None:
+    """Refuse placeholders that a download or a repository may leave instead of a file.
+
+    Args:
+        content: The first bytes of the file at least.
+        where: Named in the message.
+
+    Raises:
+        RobotFileError: It is such a placeholder; names it.
+    """
+    begin = content[:1024].removeprefix(codecs.BOM_UTF8)
+    for pattern, name in _PLACEHOLDERS:
+        if re.match(pattern, begin, re.IGNORECASE | re.DOTALL):
+            raise RobotFileError(f"{where}: in the place of the file is {name}")
+
+
+def xml_text(path: Path) -> str:
+    """The text of an XML file, by the encoding that it declares, or UTF-8; it can be parsed.
+
+    Raises:
+        RobotFileError: It is another kind of file, has another encoding, or as `refuse_entities`.
+        OSError: It cannot be read.
+        ValueError: It is larger than any such file.
+    """
+    content = content_of(path)
+    refuse_placeholder(content, path)
+    content = content.removeprefix(codecs.BOM_UTF8)
+    declared = _DECLARED.match(content)
+    stated = declared[1].decode().lower() if declared else "utf-8"
+    code = _UTF16.get(content[:2], "utf-8" if stated.startswith("utf-16") else stated)
+    try:
+        text = content.decode(code)
+    except (LookupError, ValueError) as error:
+        how = "the encoding that it declares" if declared else "UTF-8, and it declares no other"
+        raise RobotFileError(f"{path}: it is not in {how}: {error}; save it as UTF-8") from None
+    refuse_entities(text, path)
+    return text
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:

@@ -142,6 +142,8 @@ class RobotDescription(Strict):
     lines: dict[str, LinePlace] = Field(default_factory=dict)
     """By the name of the scenario; one that leads to the base's sides is not run without its own,
     or a start that is given."""
+    without_line: dict[str, str] = Field(default_factory=dict)
+    """Why the robot has no line, by the name of the scenario."""
     unwatched: dict[str, str] = Field(default_factory=dict)
     """Why a pair of bodies is not watched, by its name such as `lm-l2`: as neighbours never are."""
     config: Config = Config()

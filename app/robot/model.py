@@ -137,9 +137,12 @@ class RobotModel:
         offset = pin.SE3(
             pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad), np.array(arm.end_effector_xyz_m)
         )
+        name = "end_effector"
+        while self.pin.existFrame(name):  # a link or joint of the robot may have it
+            name += "_"
         self.ee_frame = self.pin.addFrame(
             pin.Frame(
-                "end_effector",
+                name,
                 frame.parentJoint,
                 parent,
                 frame.placement * offset,

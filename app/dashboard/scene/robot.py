@@ -62,6 +62,7 @@ class LinkPoses:
         base, arm = robot.description.base, robot.description.arm
         self._arm = self._places(arm.joints)
         self._wheels = [self._places(wheels.joints) for wheels in base.wheels]
+        self._signs = _senses(self.model, base.link)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
@@ -71,7 +72,7 @@ class LinkPoses:
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
         for joints, angle in zip(self._wheels, wheel_angles, strict=True):
-            turned[joints] = angle
+            turned[joints] = angle * self._signs[joints]
         # pinocchio keeps a continuous joint, which a wheel often is, as a point on the circle.
         q = pin.integrate(self.model, pin.neutral(self.model), turned)
         pin.forwardKinematics(self.model, self._data, q)
@@ -79,6 +80,19 @@ class LinkPoses:
 
     def _places(self, joints: Sequence[str]) -> list[int]:
         return [self.model.joints[self.model.getJointId(name)].idx_v for name in joints]
+
+
+def _senses(model: pin.Model, base: str) -> Array:
+    """(n_v,) 1, or -1 for a joint whose axis points to the right, down or back as the base stands.
+
+    A wheel whose axis is mirrored turns backwards by its own angle when the robot drives ahead.
+    """
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    pin.updateFramePlacements(model, data)
+    turns = data.oMf[model.getFrameId(base)].rotation.T @ data.J[3:]
+    main = np.abs(turns).argmax(axis=0)
+    return np.where(np.take_along_axis(turns, main[None], axis=0)[0] < 0.0, -1.0, 1.0)
 
 
 class RobotParts:

@@ -47,7 +47,7 @@ class FittedBody(NamedTuple):
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
-    """l_m around the whole base: one shape, or several where one would be mostly empty.
+    """l_m around the whole base.
 
     Raises:
         RobotFileError: The base has no shapes.
@@ -60,14 +60,17 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
             "--base"
         )
     everything = np.vstack(corners)
-    one = fit_best(everything, BASE_WEIGHTS)
-    fits = (one,)
-    if one.volume > _ONE_BOX * sum(hull_volume(c) for c in corners):
-        several = _merged(corners)
-        if sum(fit.volume for fit in several) < _WORTH * one.volume:
-            fits = tuple(several)
+    fits = _split(fit_best(everything, BASE_WEIGHTS), corners)
     links = tuple(link for k in mobile for link in units[k].links)
     return FittedBody("lm", base.frame, links, mobile, fits, everything)
+
+
+def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
+    """The one shape around parts by their corners, or several where it would be mostly empty."""
+    if len(corners) < 2 or one.volume <= _ONE_BOX * sum(hull_volume(c) for c in corners):
+        return (one,)
+    several = _merged(corners)
+    return tuple(several) if sum(fit.volume for fit in several) < _WORTH * one.volume else (one,)
 
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
@@ -98,7 +101,7 @@ class ArmFitter:
         self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)
     ) -> None:
         self._model, self._meetings, self._mobile = model, meetings, mobile
-        self._known: dict[bytes, tuple[Fit, int, Array] | None] = {}
+        self._known: dict[bytes, tuple[tuple[Fit, ...], int, Array] | None] = {}
 
     def bodies(self, grouping: Sequence[Sequence[int]]) -> list[FittedBody]:
         """The bodies l_1 … l_EE for groups of units, from the base outwards."""
@@ -112,43 +115,54 @@ class ArmFitter:
         return result
 
     def _body(self, name: str, group: tuple[int, ...], others: tuple[int, ...]) -> FittedBody:
-        units = self._meetings.units
-        needed: dict[int, Array] = {}
-        for index in group:
-            points = self._meetings.needed(index, others)
-            joint = units[index].joint
-            needed[joint] = np.vstack([needed.get(joint, np.zeros((0, 3))), points])
-        links = tuple(link for i in group for link in units[i].links)
-        fitted = self._smallest(needed)
+        units = [self._meetings.units[k] for k in group]
+        needed = [self._meetings.needed(k, others) for k in group]
+        links = tuple(link for unit in units for link in unit.links)
+        fitted = self._smallest(units, needed)
         if fitted is None:  # it meets nobody, or in a spot that is no body: what it looks like
-            fitted = self._smallest({units[i].joint: units[i].surface for i in group})
+            fitted = self._smallest(units, [np.ones(len(u.surface), dtype=bool) for u in units])
         if fitted is None:
             raise RobotFileError(
                 f"the links {', '.join(links)} have no shapes to fit a body to; give other --bodies"
             )
-        fit, joint, points = fitted
+        fits, joint, points = fitted
         frame = next(u.frame for u in units if u.joint == joint)
-        return FittedBody(name, frame, links, group, (fit,), points)
+        return FittedBody(name, frame, links, group, fits, points)
 
-    def _smallest(self, needed: Mapping[int, Array]) -> tuple[Fit, int, Array] | None:
+    def _smallest(
+        self, units: Sequence[Unit], masks: Sequence[Array]
+    ) -> tuple[tuple[Fit, ...], int, Array] | None:
         """The smallest fit in the frame of any of the joints, with that joint and the points.
 
         Links at either end that meet nobody do not change it; None where there is no volume to fit.
         """
-        used = [joint for joint, points in needed.items() if len(points)]
-        needed = {j: p for j, p in needed.items() if used and min(used) <= j <= max(used)}
-        key = b"".join(bytes([j]) + p.tobytes() for j, p in sorted(needed.items()))
+        pieces: dict[tuple[int, int], Array] = {}  # by joint and link
+        for unit, mask in zip(units, masks, strict=True):
+            for k in np.unique(unit.owners[mask]).tolist():
+                pieces[unit.joint, len(pieces)] = unit.surface[mask & (unit.owners == k)]
+        used = [joint for joint, _ in pieces]
+        if not used:
+            return None
+        joints = {u.joint: np.zeros((0, 3)) for u in units if min(used) <= u.joint <= max(used)}
+        key = b"".join(bytes([j]) + p.tobytes() for (j, _), p in pieces.items())
         if key not in self._known:
-            self._known[key] = self._fitted(needed)
+            self._known[key] = self._fitted(joints, [(j, p) for (j, _), p in pieces.items()])
         return self._known[key]
 
-    def _fitted(self, needed: Mapping[int, Array]) -> tuple[Fit, int, Array] | None:
+    def _fitted(
+        self, joints: Mapping[int, Array], pieces: Sequence[tuple[int, Array]]
+    ) -> tuple[tuple[Fit, ...], int, Array] | None:
+        needed = dict(joints)
+        for joint, points in pieces:
+            needed[joint] = np.vstack([needed[joint], points])
         tried = [(v, joint, c) for joint, (c, v) in swept(self._model, needed).items()]
         tried.sort(key=lambda each: each[0])
         if not tried or tried[0][0] < _SPOT:
             return None
         fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint, c) for v, joint, c in tried[:2]]
-        return min(fits, key=lambda each: each[0].volume)
+        one, frame, points = min(fits, key=lambda each: each[0].volume)
+        seen = [swept(self._model, {**joints, j: p})[frame][0] for j, p in pieces]
+        return _split(one, seen), frame, points
 
 
 _STEP = np.radians(10.0)  # [rad] between the turns looked at

@@ -32,8 +32,9 @@ ALWAYS = 0.6
 """[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
 MARGIN = 0.015
 """[m] within which a point counts as met."""
-_BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
-NESTED = _BUILT_IN**2
+BUILT_IN = 0.5
+"""[-] Close hulls that touch in more of the poses are nested, as a telescope is."""
+NESTED = BUILT_IN**2
 """[-] share of random poses in which nested links touch at least: in so many do their units, and in
 so many of those do they."""
 _FEWEST = 50  # [-] poses without a collision that say what is near
@@ -93,13 +94,12 @@ class Meetings:
         return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
-        """(K, 3) [m] points of a unit's surface to which any of the others can come."""
-        points = self.units[unit].surface
-        mask = np.zeros(len(points), dtype=bool)
+        """(N,) whether any of the others can come to each point of a unit's surface."""
+        mask = np.zeros(len(self.units[unit].surface), dtype=bool)
         for other in others:
             if (found := self.met.get((unit, other))) is not None:
                 mask |= found
-        return points[mask]
+        return mask
 
 
 def sample_meetings(
@@ -186,7 +186,7 @@ def _look(_: object, part: _Looked) -> Array:
 
 def _touch_mostly(distances: Array) -> Array:
     """(pairs,) whether hulls at distances (N, pairs) [m] touch in so many poses as nested ones."""
-    return (distances <= 0.0).mean(axis=0) >= _BUILT_IN
+    return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
@@ -202,7 +202,7 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
     shapes = [*own.values(), *other.values()]
     gaps = shape_distances(model, shapes, pairs, found.random.q_m[:ENOUGH])
     met = (gaps <= 0.0).any(axis=1)
-    if (u, v) not in found.nested and met.mean() < _BUILT_IN:
+    if (u, v) not in found.nested and met.mean() < BUILT_IN:
         return []
     return [*compress(product(own, other), _touch_mostly(gaps[met]))]
 

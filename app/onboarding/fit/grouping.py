@@ -20,29 +20,32 @@ from app.jobs.progress import OnProgress
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     ALWAYS,
+    BUILT_IN,
     ENOUGH,
     Meetings,
     nested_links,
     sample_meetings,
 )
-from app.onboarding.fit.units import meshes_meet, shape_distances, units_of_links
+from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry
-from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
-_MOST = 5  # [-] bodies
+_MOST = 6  # [-] bodies
 _MOST_JUDGED = 60  # [-] groupings that are fitted, those that are expected to cost least
 MOST_UNSEEN = 0.01
 """[-] share of the poses with a collision of links that no pair may see."""
 UNSEEN_POSES = 4000
 """[-] in which the bodies are tried that were chosen, or more where collisions are rare."""
+_MOST_LOOKED_AT = 300  # [-] poses of those that a rule leaves out in which meshes are compared
+_MOST_NAMED = 4  # [-] pairs of links
 _UNSEEN_SEED = 2**31  # [-] of them; the fit has others
-_MISSED = 0.5 * MOST_UNSEEN  # [-] that a good grouping may miss
+_MISSED = 0.1 * MOST_UNSEEN  # [-] that a good grouping may miss
 _BODY_COST = 0.03  # [-] of one body more
-_MISSED_COST = 20.0  # [-] of more collisions than that
+_MISSED_COST = 40.0  # [-] of more collisions than that
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
 _SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
 _ALWAYS_COST = 1.0  # [-] of a pair that is always near
@@ -60,8 +63,9 @@ class Verdict(NamedTuple):
     """Pairs of bodies that meet though their links never do."""
     always: tuple[str, ...]
     """Pairs that are inside their buffer nearly always."""
-    unwatched: tuple[str, ...]
-    """Those that would be, by links that are close as built: they are no pair."""
+    unwatched: dict[str, bool]
+    """Those that would be and are no pair: whether by links that are close as built, or by the
+    bodies alone, where other pairs see what collides."""
     near: dict[str, float]
     """[-] share of the poses without a collision of links inside the buffer, by the pair's name."""
     cost: float
@@ -141,11 +145,12 @@ def _arm_grouping(
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
+    slides = _sliding(model, meetings)
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
         """The one found, or that of less cost of those that are expected to have it."""
-        ranked = _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]
+        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MOST_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
@@ -189,8 +194,12 @@ def judge(
     owners = [f"{bodies[i].name}-{bodies[j].name}" for i, j in ends]
     near = (distances[free] < d_b).mean(axis=0)
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
-    given_up = [name in built and share > ALWAYS for name, share in zip(names, near, strict=True)]
-    unwatched, kept = tuple(compress(names, given_up)), np.logical_not(given_up)
+    kept, unwatched = np.ones(len(names), dtype=bool), {}
+    for k in np.argsort(-near):  # the nearest first: each may see what another does not need to
+        without = kept & (np.arange(len(names)) != k)
+        blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
+        if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
+            kept, unwatched[names[k]] = without, names[k] in built
     names = list(compress(names, kept))
     distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
     meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
@@ -234,6 +243,11 @@ class Unseen(NamedTuple):
     poses hardly ever bring about."""
     worst: str
     """The links that meet most often in the unseen poses."""
+    left_out: int
+    """Poses that do not count, as a rule says: in them links meet that are neighbours, or near as
+    built, and no pair of bodies does."""
+    rule: str
+    """Those links, with the share of the random poses in which they meet, the most often first."""
 
     @property
     def share(self) -> float:
@@ -266,10 +280,11 @@ def unseen_collisions(
         workers=workers,
     )
     owner = {unit.index: name for name, each in by_body.items() for unit in each}
+    pairs = candidate_pairs(model)
+    left_out, rule = _left_out(model, met, pairs, geometry)
     random = met.random.possible & met.collides.any(axis=1)
     hits, count = met.collides[random], int(random.sum())
     rare = np.logical_and(met.rare.distances <= 0.0, met.rare.possible[:, None])
-    pairs = candidate_pairs(model)
     q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
     gaps = PairDistances(model, pairs).sampled(q_m)
     unseen = np.all(gaps[:count] > 0.0, axis=1)
@@ -296,9 +311,50 @@ def unseen_collisions(
     if blame.any():
         a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
         worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
-    return Unseen(
-        len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
+    seen = len(random), count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst
+    return Unseen(*seen, left_out, rule)
+
+
+def _left_out(
+    model: RobotModel,
+    met: Meetings,
+    pairs: Sequence[Pair],
+    geometry: Mapping[str, LinkGeometry],
+) -> tuple[int, str]:
+    """In how many poses only links meet that a rule leaves out, and which they are.
+
+    Those that touch in most poses are built into one another, and none of these.
+    """
+    units, q_m = met.units, met.random.q_m
+    near = sorted(met.close - met.nested)
+    distant = set(met.pairs)
+    beside = [
+        (a.index, b.index)
+        for a, b in combinations([unit for unit in units if unit.parts], 2)
+        if (a.index, b.index) not in distant and a.joint != b.joint
+    ]
+    gaps = np.hstack(
+        [
+            met.random.distances[:, [met.pairs.index(pair) for pair in near]],
+            hull_distances(model, units, beside, q_m),
+        ]
     )
+    touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
+    rows = np.flatnonzero(touch.any(axis=1))
+    rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
+    looked = rows[:: -(-len(rows) // _MOST_LOOKED_AT)] if len(rows) else rows
+    real = np.zeros((len(looked), touch.shape[1]), dtype=bool)
+    for k, (u, v) in enumerate([*near, *beside]):  # hulls of links side by side overlap in many
+        own = touch[looked, k]
+        real[own, k] = meshes_meet(model, units[u], units[v], geometry, q_m[looked[own]])
+    scale = len(rows) / max(1, len(looked))
+    shares = real.sum(axis=0) * scale / len(q_m)
+    names = [
+        f"{units[u].links[0]} and {units[v].links[0]} ({shares[k]:.1%})"
+        for k, (u, v) in enumerate([*near, *beside])
+    ]
+    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MOST_NAMED]
+    return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 
 
 def _body_distances(
@@ -316,7 +372,11 @@ def _body_distances(
 
 
 def _ranked(
-    units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
+    units: Sequence[int],
+    counts: Sequence[int],
+    meetings: Meetings,
+    mobile: Sequence[int],
+    slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
     """All cuts of the chain into groups with shapes, the one of the least cost first if bodies meet
     where links do.
@@ -332,6 +392,8 @@ def _ranked(
             groups = [list(units[a:b]) for a, b in pairwise([0, *cuts, len(units)])]
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
+            if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
+                continue  # a link fixed to the base does not ride on a slide along it
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
@@ -340,3 +402,10 @@ def _ranked(
             least = _BODY_COST * (count + 1)
             ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
     return [(least, groups) for _, _, groups, least in sorted(ranked)]
+
+
+def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
+    """Units that a sliding joint of the arm moves."""
+    units = [unit for unit in meetings.units if unit.joint > 1]
+    kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in units}
+    return frozenset(k for k, kind in kinds.items() if kind.startswith("JointModelP"))

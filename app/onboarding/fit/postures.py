@@ -117,6 +117,7 @@ GIVES_WAY = 0.05
 """[m] by which the base should move then."""
 CLEARANCE = 0.03
 """[m] least distance to the base that the arm should keep."""
+_LOWEST = 0.01  # [m] between the arm and the floor on a line
 _MOST_RUNS = 3  # [-] of lines that are tried
 _MOST_STARTS = 40  # [-] of which a posture is searched: a search that finds none takes 0.1 to 0.2 s
 _OTHER = 0.1  # [m] from where a line ends to where another one does
@@ -218,8 +219,8 @@ def chosen(
     if tried:
         return (
             f"on the lines that were tried the base gives way by less than {GIVES_WAY:g} m, or the "
-            f"arm comes nearer than {CLEARANCE:g} m: other parts of it meet first, or it cannot "
-            "hold its hand"
+            f"arm comes nearer than {CLEARANCE:g} m to it or {_LOWEST:g} m to the floor: other "
+            "parts of it meet first, or it cannot hold its hand"
         )
     if shallow:
         deepest = min(shallow, key=lambda line: line.nearest)
@@ -228,8 +229,9 @@ def chosen(
             f"on which it can start clear of its buffers, at z = {deepest.start[2]:g} m"
         )
     return (
-        f"the arm cannot start there clear of its buffers of {d_b:g} m: it is too short for them "
-        "(--buffer-distance), or stands too far from that side (--mount-xyz of an --arm-urdf)"
+        f"the arm cannot start there clear of its buffers of {d_b:g} m and keep above the floor: "
+        "it is too short for them (--buffer-distance), or stands too far from that side "
+        "(--mount-xyz of an --arm-urdf)"
     )
 
 
@@ -240,7 +242,7 @@ def gives_way(
     place: Place,
     on_progress: OnProgress = lambda _: None,
 ) -> bool:
-    """Whether the base gives way within d_b, the arm keeping away, when the hand is guided.
+    """Whether the base gives way within d_b, the arm keeping away from it and from the floor.
 
     The base does not where other parts of the arm meet first, which holds the hand, or where it
     would take the hand along. It may come back while the hand is held: its place at the end counts.
@@ -248,12 +250,15 @@ def gives_way(
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = Planned(model.description.name, line, model.description.config, physics="kinematic")
-    moved = 0.0
+    moved, search = 0.0, PostureSearch(model, data.pairs, model.description.config.border.d_b)
     try:
         with closing(steps_of(run, model, data)) as steps:
             for k, (_, step) in enumerate(steps):
                 if k % 100 == 0:
                     on_progress(step.t / line.duration)
+                    search.place(step.truth.q_m)
+                    if search.above_floor() < _LOWEST:
+                        return False
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
@@ -367,7 +372,9 @@ class _Guide:
             except UnreachableError:
                 continue
             asked.append(line)
-            nearest = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)[1]
+            _, nearest, _, low = self._led(q_m, np.array(p), line.inwards, 0.0, line.length)
+            if low < _LOWEST:
+                continue
             yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
@@ -383,7 +390,9 @@ class _Guide:
             length = at[2] - left
             if length <= 0.0:
                 continue
-            q_m, nearest, carried = self._led(q_m, np.array(p), inwards, led, length)
+            q_m, nearest, carried, low = self._led(q_m, np.array(p), inwards, led, length)
+            if low < _LOWEST:
+                return None
             led, least, shares = length, min(least, nearest), [*shares, *carried]
             if least <= 0.0:
                 break
@@ -391,24 +400,24 @@ class _Guide:
 
     def _led(
         self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
-    ) -> tuple[Array, float, list[float]]:
+    ) -> tuple[Array, float, list[float], float]:
         """The arm (n_m,) led from a posture along a line from p (3,), from a length [m] to another.
 
         With it the least distance [m] to the base, and what it leaves over of the base's motion of
-        the hand [-], step by step within the buffers.
+        the hand [-], step by step within the buffers, and the least distance to the floor [m].
         """
-        search, least, carried = self._search, np.inf, []
+        search, least, carried, low = self._search, np.inf, [], np.inf
         n_b, speed = self._model.n_b, self._model.description.config.holding.speed
         for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
             q_m = self._pulled(q_m, p + led * inwards)
             nearest = min(search.distances()[: self._mobile])
-            least = min(least, nearest)
+            least, low = min(least, nearest), min(low, search.above_floor())
             if nearest < self._d_b:
                 moved = search.state.J_ee[:3, :n_b] @ self._model.J_m_inv
                 model, J_ee = self._model, search.state.J_ee
                 lost = uncompensated_base_jacobian(J_ee, model.qd_max, model.J_m_inv, speed)
                 carried.append(float(np.linalg.norm(lost) / np.linalg.norm(moved)))
-        return q_m, float(least), carried
+        return q_m, float(least), carried, float(low)
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].

@@ -41,7 +41,8 @@ class Unit(NamedTuple):
     """Links that move as one."""
 
     index: int
-    """0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves."""
+    """0 the base, 1 the links fixed to it below the arm, then those of each joint of the arm, after
+    the ones that hang beside it."""
     frame: str
     """The link whose frame is the joint's; the floor point for the first two."""
     links: tuple[str, ...]
@@ -50,17 +51,26 @@ class Unit(NamedTuple):
     parts: tuple[Part, ...]
     surface: Array
     """(N, 3) [m] points on the hulls, in the joint's frame."""
+    owners: Array
+    """(N,) the index of the link that each point belongs to."""
+    beside: bool = False
+    """Whether another joint lies between it and the arm's link, as of a head on a torso."""
 
 
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Unit, ...]:
-    """The base, the arm's fixed part, and one unit a joint of the arm."""
-    frames = [ROOT, ROOT, *(joint.child for joint in arm.joints)]
-    links = [arm.base_links, *arm.segments]
+    """The base, the arm's fixed part, and the links that each joint of the arm moves."""
+    wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
+    rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)
+    for k, (joint, links, beside) in enumerate(rows, 2):
+        if any(geometry[link].shapes for link in beside):
+            wanted.append((joint.child, beside, k, True))
+            links = tuple(link for link in links if link not in beside)
+        wanted.append((joint.child, links, k, False))
     return tuple(
-        _unit(model, k, frame, names, max(k, 1), geometry)
-        for k, (frame, names) in enumerate(zip(frames, links, strict=True))
+        _unit(model, k, frame, links, joint, geometry)._replace(beside=beside)
+        for k, (frame, links, joint, beside) in enumerate(wanted)
     )
 
 
@@ -82,7 +92,11 @@ def units_of_links(
             _unit(model, first + k, body.frame, tuple(links), joint, geometry)
             for k, (joint, links) in enumerate(by_joint.items())
         ]
-    return found
+    last = {unit.joint: name for name, each in found.items() for unit in each}
+    return {  # a body of its own before that which the joint moves hangs beside it
+        name: [u._replace(beside=u.joint > 1 and last[u.joint] != name) for u in each]
+        for name, each in found.items()
+    }
 
 
 def _unit(
@@ -93,19 +107,21 @@ def _unit(
     joint: int,
     geometry: Mapping[str, LinkGeometry],
 ) -> Unit:
-    parts, surface = [], [np.zeros((0, 3))]
+    parts, surface, owners = [], [np.zeros((0, 3))], [np.zeros(0, dtype=int)]
     D = directions(2)
-    for link in links:
+    for k, link in enumerate(links):
         T = model.pin.frames[model.pin.getFrameId(link)].placement
         for shape in geometry[link].shapes:
             corners = hull_corners(moved(np.asarray(shape.hull.vertices), T))
             parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
         surface.append(moved(geometry[link].surface, T))
-    points = np.vstack(surface)
+        owners.append(np.full(len(surface[-1]), k))
+    points, owner = np.vstack(surface), np.concatenate(owners)
     if len(points) > _THIN_OUT:  # the outermost ones stay: a body has to hold fingertips too
         some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
-        points = points[np.union1d(some, (points @ D.T).argmax(axis=0))]
-    return Unit(index, frame, links, joint, tuple(parts), points)
+        kept = np.union1d(some, (points @ D.T).argmax(axis=0))
+        points, owner = points[kept], owner[kept]
+    return Unit(index, frame, links, joint, tuple(parts), points, owner)
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
@@ -116,11 +132,12 @@ def moved(points: Array, T: pin.SE3) -> Array:
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether two units may touch by design.
 
-    One joint or none lies between them, or only joints that slide along one line: the parts of a
-    telescope stand in each other, and only its joints' limits can keep them apart.
+    One joint or none lies between them, but none if one hangs beside; or only joints that slide
+    along one line: the parts of a telescope stand in each other, and only its joints' limits can
+    keep them apart.
     """
     first, last = sorted((a.joint, b.joint))
-    if last - first <= 1:
+    if last == first or (last - first == 1 and not (a.beside or b.beside)):
         return True
     data = model.pin.createData()
     pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -14,15 +15,24 @@ import trimesh
 from scipy.spatial import QhullError
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import mesh_path
-from app.onboarding.read.tree import Arm, Tree, numbers, origin
+from app.onboarding.read.source import MESHES, mesh_path
+from app.onboarding.read.tree import Arm, Tree, numbers, origin, unit_of
+from app.robot.assets import refuse_placeholder
 from app.robot.shapes import hull_mesh
 
 Array = np.ndarray
 
-_LARGEST = 20.0  # [m] size of a shape; a link in millimetres has hundreds
+_LARGEST = 10.0  # [m] size of a shape
+_DENSEST = 30_000.0  # [kg/m³] of a link; gold has 19,300
+_HEAVIEST = 100.0  # [kg] of a link that may be denser, as its shape may stand for a part of it
+MOST_FACES = 40_000
+"""[-] triangles of a mesh; of one with more a lighter one is made that reaches as far."""
+_CELL = 3e-4  # [m] within which vertices of such a mesh become one
+_MANY = 10_000  # [-] points, beyond which the outermost stand for all
+_HEAVY = 4_000_000  # [bytes] of a file whose vertices are not joined when it is read
 _SPACING = 0.03  # [m] between points on a hull's surface
 _MOST_POINTS = 1500  # [-] on the surface of one hull
+_MOST_MESHES = 5  # [-] places of a moving shape at which its triangles are compared
 ARM_DENSITY = 1200.0
 """[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
@@ -96,19 +106,30 @@ def _shape(element: Element, where: str) -> LinkShape:
     if holder is None or not len(holder):
         raise RobotFileError(f"{where}: a {element.tag} has no geometry")
     shape = holder[0]
-    mesh, radius = urdf_mesh(shape, where, _load)
+    mesh, radius = urdf_mesh(shape, where, load_mesh)
     try:
-        hull = hull_mesh(mesh.vertices)
+        hull = hull_mesh(_outermost(np.asarray(mesh.vertices), 4))
     except QhullError as error:
         raise RobotFileError(f"{where}: a shape of it is flat: {str(error)[:80]}") from None
     hull.apply_transform(T)
-    size = float(hull.extents.max())
-    if size > _LARGEST:
+    if (size := float(hull.extents.max())) > _LARGEST:
+        scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
         raise RobotFileError(
             f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres, this "
-            'looks like millimetres; give the mesh scale="0.001 0.001 0.001"'
+            f'looks like {unit_of(size)}; give a mesh scale="{scale} {scale} {scale}", or write '
+            "metres"
         )
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
+
+
+def swept_shape(shape: LinkShape, ways: Sequence[pin.SE3]) -> LinkShape:
+    """A shape in all places to which it can move, by its motions in the link's frame."""
+    corners = np.asarray(shape.hull.vertices)
+    hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in ways]))
+    mesh = trimesh.util.concatenate(
+        [shape.mesh.copy().apply_transform(T.homogeneous) for T in ways]
+    )
+    return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
 
 
 def urdf_mesh(
@@ -152,19 +173,88 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
     Raises:
         RobotFileError: It cannot be read, or has none.
     """
+    name = f"{where}: mesh {path}"
+    end, joined = path.suffix[1:].lower() or "stl", path.stat().st_size < _HEAVY
     try:
         with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
-            mesh = trimesh.load(
-                file, file_type=path.suffix[1:].lower(), force="mesh", skip_materials=True
+            if end not in _ARCHIVES:
+                refuse_placeholder(file.read(1024), name)
+            file.seek(0)
+            scene = trimesh.load(
+                file, file_type=end, force="scene", skip_materials=True, process=joined
             )
+        mesh = _joined(scene)
+    except RobotFileError:
+        raise
+    except ImportError as error:
+        raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers of the many formats have no common base of errors
-        raise RobotFileError(f"{where}: mesh {path}: it cannot be read: {error}") from None
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.vertices):
-        raise RobotFileError(f"{where}: mesh {path}: it has no triangles")
+        why = " ".join(str(error).split())
+        raise RobotFileError(f"{name}: it cannot be read: {why}") from None
+    if mesh is None:
+        raise RobotFileError(f"{name}: it has no triangles")
     return mesh
 
 
-_load = lru_cache(maxsize=64)(read_mesh)
+def _joined(scene: trimesh.Scene) -> trimesh.Trimesh | None:
+    """All triangles of a file as one light mesh in metres, or None."""
+    metre = scene.units if scene.geometry else None
+    scale = trimesh.units.unit_conversion(metre, "meters") if metre else 1.0
+    names = [name for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))]
+    light = {name: _lightened(scene.geometry.pop(name), _CELL / scale) for name in names}
+    placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
+    meshes = [light[name].copy().apply_transform(T) for T, name in placed if name in light]
+    return trimesh.util.concatenate(meshes).apply_scale(scale) if meshes else None
+
+
+_ARCHIVES = ("3mf",)
+_UNIT = re.compile(rb"""<unit\s[^>]*?meter\s*=\s*["']([^"']+)""")
+_UP = re.compile(rb"<up_axis>\s*[XY]_UP")
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether other libraries read a mesh file differently from `read_mesh`, or far too slowly."""
+    end = path.suffix.lower()
+    if end == ".dae":
+        with path.open("rb") as file:
+            asset = file.read(1 << 16)
+        unit = _UNIT.search(asset)
+        if (unit and float(unit[1]) != 1.0) or _UP.search(asset):
+            return True
+    return end not in MESHES or path.stat().st_size > _HEAVY
+
+
+def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
+    """A mesh of fewer triangles that keeps the outermost vertices.
+
+    Before it is simplified, vertices in one cell of that size, in its unit, become one.
+    """
+    if len(mesh.faces) <= MOST_FACES:
+        return mesh
+    keys = np.zeros(len(mesh.vertices), dtype=np.int64)
+    for column in np.asarray(mesh.vertices).T:
+        keys = (keys << 21) + ((column - column.min()) / cell).astype(np.int64)
+    _, first, own = np.unique(keys, return_index=True, return_inverse=True)
+    vertices, faces = np.asarray(mesh.vertices)[first], own[np.asarray(mesh.faces)]
+    del mesh, keys, first, own  # of millions of triangles, hundreds of megabytes
+    faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]
+    light = trimesh.Trimesh(vertices, faces, process=False)
+    if len(faces) > MOST_FACES:
+        light = light.simplify_quadric_decimation(face_count=MOST_FACES, aggression=5)
+    corners = np.vstack([light.vertices, _outermost(vertices, 3)])
+    return trimesh.Trimesh(corners, light.faces, process=False)
+
+
+def _outermost(points: Array, fineness: int) -> Array:
+    """Those that reach farthest in 642 (3) or 2,562 (4) directions; all where there are few."""
+    if len(points) <= _MANY:
+        return points
+    D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
+    return points[np.unique([int((points @ d).argmax()) for d in D])]
+
+
+load_mesh = lru_cache(maxsize=64)(read_mesh)
+"""`read_mesh`, once for a file."""
 
 
 def _surface(hull: trimesh.Trimesh) -> Array:
@@ -192,9 +282,16 @@ def read_inertias(
     With `assume`, an arm without any mass gets that of its volume.
 
     Raises:
-        RobotFileError: No link of the arm has a mass, or one is no possible one.
+        RobotFileError: No link of the arm has a mass, or one is no possible one, as in grams.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
+    for link, each in stated.items():
+        volume = geometry[link].volume
+        if each and volume > _FLAT and each.mass > max(_HEAVIEST, _DENSEST * volume):
+            raise RobotFileError(
+                f"link {link!r}: a mass of {each.mass:g} kg in {1e3 * volume:.3g} l looks like "
+                "grams; masses of a URDF are in kilograms, moments of inertia in kg m²"
+            )
     moving = [link for segment in arm.segments[1:] for link in segment]
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(

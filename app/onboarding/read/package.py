@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import MESHES, read_source
+from app.onboarding.read.source import FORMATS, read_source, spellings, split_address
 from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities
 from app.system import temporary_folder
@@ -33,12 +33,13 @@ LARGEST_CONTENT = 500_000_000
 """[bytes] of all its files, expanded."""
 MOST_FILES = 2000
 """[-] in it."""
-KEPT = (".urdf", ".xml", *MESHES)
+KEPT = (".urdf", ".xml", *FORMATS[:-1])
 """Ends of the names of files that are written; others, such as programs, stay in the zip."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] of a zip's list of files; each takes 46 and a name
 _LONGEST_NAME = 200  # [characters]
 _CHUNK = 1 << 20  # [bytes]
+_UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Of these a chunk is expanded at a time; bzip2 and LZMA expand all that they read.
 _UNREADABLE = (
@@ -126,6 +127,8 @@ def _checked(
 def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     """Where an entry may go; only plain files and folders below the top."""
     name = info.orig_filename
+    if not info.flag_bits & _UTF8 and not name.isascii():
+        name = _as_stored(name.encode("cp437"))
     problem = None
     if name.startswith("/"):
         problem = "is an absolute path"
@@ -230,6 +233,8 @@ def _tie_meshes(path: Path, root: Path) -> None:
     robot = _read_bounded(path)
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
+        if Path(reference).suffix.lower() not in FORMATS:
+            continue  # which is looked at when the robot is read
         found = _inside(reference, path.parent, root)
         if found.suffix.lower() == ".dae":
             refuse_entities(found.read_bytes(), found)
@@ -238,30 +243,43 @@ def _tie_meshes(path: Path, root: Path) -> None:
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
-    scheme, _, rest = reference.partition("://")
-    if scheme in ("package", "model") and rest:
-        places = _in_packages(rest, root)
-    elif "://" in reference or reference.startswith("/"):
-        places = []
+    """The file of the zip that a mesh in a URDF of a folder names."""
+    scheme, path = split_address(reference)
+    own = scheme == "" and not path.startswith("/")
+    if not own and scheme not in ("package", "model"):
+        kept = []
     else:
-        places = [folder / reference]
-    kept = [place.resolve() for place in places if place.resolve().is_relative_to(root)]
+        named = spellings(path.lstrip("/"))
+        named += [_as_stored(each.encode(code, "replace")) for each in named for code in _CODES]
+        places = [
+            place
+            for each in dict.fromkeys(named)
+            for place in ([folder / each] if own else _in_packages(each, root))
+        ]
+        kept = [place.resolve() for place in places if place.resolve().is_relative_to(root)]
+    if (found := next(filter(isfile, kept), None)) is not None:
+        return found
+    why = f"there is no such file in the zip; {', '.join(FORMATS[:-1])} are read"
     if not kept:
-        raise RobotFileError(
-            f"mesh {reference}: outside of the package; refer to a file in the zip by "
-            "package://PACKAGE/PATH or by a path relative to the URDF"
+        why = (
+            "outside of the package; refer to a file in the zip by package://PACKAGE/PATH or by a "
         )
-    found = next((place for place in kept if isfile(place)), None)
-    if found is None:
-        raise RobotFileError(
-            f"mesh {reference}: there is no such file in the zip; {', '.join(MESHES)} are read"
-        )
-    return found
+        why += "path relative to the URDF"
+    raise RobotFileError(f"mesh {reference}: {why}")
 
 
-def _in_packages(rest: str, root: Path) -> list[Path]:
+_CODES = ("utf-8", "gb18030", "cp932", "big5hkscs", "cp949", "cp1252", "cp1250", "cp1251", "cp850")
+"""Code pages of names in zips that do not say theirs."""
+
+
+def _as_stored(name: bytes) -> str:
+    """The file name of an entry whose code page is unknown: its bytes in code page 437."""
+    return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
+
+
+def _in_packages(path: str, root: Path) -> list[Path]:
     """Where `package://PACKAGE/PATH` may be: in a folder of that name, or in the zip's top."""
-    package, _, inner = rest.partition("/")
+    package, _, inner = path.partition("/")
     named = sorted(each for each in root.rglob("*") if each.is_dir() and each.name == package)
     tops = [each.parent for each in sorted(root.rglob("package.xml"))]
     return [place / inner for place in (*named, *tops, root)]

@@ -7,14 +7,26 @@ import re
 from collections.abc import Iterator, Mapping
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
+from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError, did_you_mean
-from app.robot.assets import package_roots, refuse_entities, resolve_package_uri, share_folders
+from app.robot.assets import (
+    floats,
+    package_roots,
+    refuse_entities,
+    resolve_package_uri,
+    share_folders,
+    xml_text,
+)
 
 MESHES = (".stl", ".dae", ".obj")
 """Ends of the names of meshes that pybullet reads."""
+FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
+"""Those that are read; of the others `new-robot` writes an STL. Of some the name has no end."""
+_SCHEMES = ("package", "model", "file", "")
+_ABOVE = 2  # [-] folders above the URDF's in which a relative path counts too
 
 
 def locate(source: str) -> Path:
@@ -34,16 +46,49 @@ def locate(source: str) -> Path:
 
 def read_robot(
     path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
-) -> Element:
+) -> tuple[Element, list[str]]:
     """The `<robot>` of `read_source`, each mesh by an address that `mesh_path` takes.
+
+    The second value holds sentences on left-out shapes.
 
     Raises:
         RobotFileError: As `read_source`, or a mesh is not found.
     """
     robot = read_source(path, packages, **arguments)
+    said = _left_out(robot)
     for mesh in robot.iterfind("link//mesh"):
         mesh.set("filename", mesh_address(mesh.get("filename", ""), path.parent, packages))
-    return robot
+    return robot, said
+
+
+def _left_out(robot: Element) -> list[str]:
+    """Take shapes out that are none, or that no library reads and nobody needs; says which.
+
+    A placeholder has the size 0. A visual mesh may have a format that is not read, if the link has
+    a collision shape.
+    """
+    said = []
+    for link in robot.findall("link"):
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                shape = element.find("geometry/*")
+                if shape is not None and (why := _needless(shape, link, tag)):
+                    link.remove(element)
+                    said.append(f"a {tag} of {link.get('name')} is left out: {why}")
+    return said
+
+
+def _needless(shape: Element, link: Element, tag: str) -> str:
+    """Why a shape is left out, or nothing."""
+    sizes = [shape.get(key) for key in ("size", "radius", "length", "scale")]
+    stated = [floats(size, len(size.split())) for size in sizes if size is not None]
+    if stated and not any(any(each or (1.0,)) for each in stated):
+        return f"its {shape.tag} has the size 0"
+    file = shape.get("filename", "")
+    end = Path(file).suffix.lower()
+    if end and end not in FORMATS and tag == "visual" and link.find("collision") is not None:
+        return f"{file}: the format {end} is not read"
+    return ""
 
 
 def read_source(
@@ -57,16 +102,9 @@ def read_source(
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
             cannot be expanded.
     """
-    try:
-        text = (
-            _expanded(path, packages or {}, arguments)
-            if path.suffix == ".xacro"
-            else path.read_text(encoding="utf-8")
-        )
-    except UnicodeDecodeError as error:
-        raise RobotFileError(f"{path}: {error}; save it as UTF-8") from None
+    text = _expanded(path, packages or {}, arguments) if path.suffix == ".xacro" else xml_text(path)
     refuse_entities(text, path)
-    robot = ElementTree.fromstring(text)
+    robot = _without_namespace(ElementTree.fromstring(text))
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     if left := _unexpanded(robot):
@@ -74,6 +112,15 @@ def read_source(
             f"{path}: {left} is xacro that nobody expanded; rename it to .xacro, or: "
             "xacro FILE -o robot.urdf"
         )
+    return robot
+
+
+def _without_namespace(robot: Element) -> Element:
+    """The elements of the root's own namespace by their bare names, as other readers take them."""
+    own = robot.tag.rpartition("}")[0] + "}"
+    for each in robot.iter() if len(own) > 1 else ():
+        if isinstance(each.tag, str):
+            each.tag = each.tag.removeprefix(own)
     return robot
 
 
@@ -93,24 +140,67 @@ def _unexpanded(robot: Element) -> str:
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
     """A mesh that a URDF in a folder names: by `package://…` if it is installed, else by its path.
 
+    Escapes such as `%20` and backslashes count as other writers mean them.
+
     Raises:
         RobotFileError: There is no such file.
     """
-    if reference.startswith(("package://", "model://")):
-        package, _, inner = reference.partition("://")[2].partition("/")
-        path = _in_package(package, inner, folder, packages or {}, reference)
-    else:
-        path = Path(reference.removeprefix("file://"))
-        path = path if path.is_absolute() else folder / path
-    if path.suffix.lower() not in (*MESHES, ""):
-        raise RobotFileError(
-            f"mesh {reference}: simulators read {', '.join(MESHES)}; convert it to one of them"
-        )
-    if not isfile(path):
-        near = [each.name for each in path.parent.glob("*") if isfile(each)]
-        why = f"there is no file {path}{did_you_mean(path.name, near)}"
-        raise RobotFileError(f"mesh {reference}: {why}" if reference else "a mesh has no filename")
-    return _installed_address(path) or str(path.resolve())
+    if not reference.strip():
+        raise RobotFileError("a mesh has no filename")
+    for spelling in spellings(reference):
+        found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
+        if found is not None:
+            if found.suffix.lower() not in FORMATS:
+                known = ", ".join(FORMATS[:-1])
+                raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
+            return _installed_address(found) or str(found.resolve())
+    why = _missing(spellings(reference)[-1], folder, packages or {})
+    raise RobotFileError(f"mesh {reference}: {why}")
+
+
+def spellings(reference: str) -> list[str]:
+    """An address, and its forms without escapes and backslashes."""
+    plain = reference.strip()
+    slashed = plain.replace("\\", "/")
+    return [*dict.fromkeys((plain, unquote(plain), slashed, unquote(slashed)))]
+
+
+def split_address(reference: str) -> tuple[str, str]:
+    """Scheme and path of an address; a drive of Windows is no scheme."""
+    scheme, mark, rest = reference.partition(":")
+    if not mark or len(scheme) == 1:
+        return "", reference
+    path = rest.removeprefix("//")
+    return scheme.lower(), path.removeprefix("localhost") if scheme == "file" else path
+
+
+def _places(reference: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
+    """Where a mesh may be: in its package, or beside the URDF, or beside a folder above it."""
+    scheme, path = split_address(reference)
+    if scheme in ("package", "model"):
+        package, _, inner = path.lstrip("/").partition("/")
+        yield from (root / inner for root in _package_folders(package, folder, packages))
+    elif scheme in _SCHEMES:
+        yield from (each / path for each in (folder, *list(folder.parents)[:_ABOVE]))
+
+
+def _missing(reference: str, folder: Path, packages: Mapping[str, Path]) -> str:
+    """Why no file is found for an address, and what helps."""
+    scheme, path = split_address(reference)
+    if scheme in ("package", "model"):
+        package, _, inner = path.lstrip("/").partition("/")
+        roots = [*dict.fromkeys(_package_folders(package, folder, packages))]
+        if not roots:
+            return _nowhere(package, inner, folder)
+        near = [each.name for root in roots for each in (root / inner).parent.glob("*")]
+        where = f"no such file in the package {package!r}: {', '.join(map(str, roots))}"
+        return f"{where}{did_you_mean(Path(inner).name, near)}"
+    if scheme not in _SCHEMES:
+        return "an address of the web or of another tool; name a file, relative to the URDF"
+    if re.match("/?[A-Za-z]:", path):
+        return "a path of another machine, of Windows; name the file relative to the URDF"
+    near = [each.name for each in (folder / path).parent.glob("*") if isfile(each)]
+    return f"there is no file {folder / path}{did_you_mean(Path(path).name, near)}"
 
 
 def mesh_path(address: str) -> Path:
@@ -129,24 +219,6 @@ def _installed_address(path: Path) -> str | None:
         if parent in roots:
             return f"package://{parent.name}/{full.relative_to(parent).as_posix()}"
     return None
-
-
-def _in_package(
-    package: str, inner: str, folder: Path, packages: Mapping[str, Path], reference: str
-) -> Path:
-    """The file of a ROS package, wherever the package is found first with it."""
-    roots = list(dict.fromkeys(_package_folders(package, folder, packages)))
-    for root in roots:
-        if isfile(root / inner):
-            return root / inner
-    if roots:
-        places, name = ", ".join(map(str, roots)), Path(inner).name
-        near = [each.name for root in roots for each in (root / inner).parent.glob("*")]
-        raise RobotFileError(
-            f"mesh {reference}: no such file in the package {package!r}: {places}"
-            f"{did_you_mean(name, near)}"
-        )
-    raise RobotFileError(f"mesh {reference}: {_nowhere(package, inner, folder)}")
 
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -17,10 +17,15 @@ from app.robot.assets import floats
 Array = np.ndarray
 
 MOVING = ("revolute", "continuous", "prismatic")
+FREE = ("planar", "floating")
+"""Kinds of joints of a whole base's own motion."""
 ARM_ON_BASE = "arm_on_base"
 """The joint by which an arm of a file of its own is fixed to the base."""
 _MOST_NAMES = 40  # [-] that a message lists
-_FARTHEST = 20.0  # [m] between neighbouring links; a robot in millimetres has hundreds
+_FARTHEST = 10.0  # [m] between neighbouring links
+_LONGEST = 6.0  # [m] of an arm, joint by joint
+_PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
+_MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
 
 
 class Joint(NamedTuple):
@@ -37,13 +42,19 @@ class Joint(NamedTuple):
     upper: float | None
     effort: float | None
     velocity: float | None
-    mimic: bool
-    """Whether it follows another joint."""
+    mimic: tuple[str, float, float] | None
+    """The joint that it follows, by a multiplier and an offset [rad or m]; None if by itself."""
 
     @property
     def moves(self) -> bool:
         """Whether it is a motor's: it moves, by itself."""
-        return self.kind in MOVING and not self.mimic
+        return self.kind in MOVING and self.mimic is None
+
+    def motion(self, q: float) -> pin.SE3:
+        """T_parent_child at a position [rad or m]."""
+        if self.kind == "prismatic":
+            return self.T_parent_child * pin.SE3(np.eye(3), q * self.axis)
+        return self.T_parent_child * pin.SE3(pin.exp3(q * self.axis), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -175,10 +186,9 @@ def _hang_together(links: dict[str, Element], joint_of: dict[str, Joint]) -> Non
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
     name, kind = str(element.get("name")), str(element.get("type"))
-    if kind not in (*MOVING, "fixed"):
-        raise RobotFileError(
-            f"joint {name!r}: its type is {kind!r}; fixed, {', '.join(MOVING)} are possible"
-        )
+    if kind not in (*MOVING, *FREE, "fixed"):
+        known = ", ".join((*MOVING, *FREE))
+        raise RobotFileError(f"joint {name!r}: its type is {kind!r}; fixed, {known} are possible")
     ends = []
     for role in ("parent", "child"):
         end = element.find(role)
@@ -187,10 +197,10 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
             raise RobotFileError(f"joint {name!r}: its {role} is {link!r}, which is no link")
         ends.append(link)
     T = origin(element, f"joint {name!r}")
-    if np.abs(T.translation).max() > _FARTHEST:
+    if (far := float(np.abs(T.translation).max())) > _FARTHEST:
         raise RobotFileError(
-            f"joint {name!r} stands {np.abs(T.translation).max():g} m from its parent: lengths of "
-            "a URDF are in metres, these look like millimetres"
+            f"joint {name!r} stands {far:g} m from its parent: lengths of a URDF are in metres, "
+            f"these look like {unit_of(far)}"
         )
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"joint {name!r}")
     length = float(np.linalg.norm(axis))
@@ -220,18 +230,40 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         stated("upper") if bounded else None,
         stated("effort"),
         stated("velocity"),
-        element.find("mimic") is not None,
+        _mimic(element, name),
     )
+
+
+def _mimic(element: Element, name: str) -> tuple[str, float, float] | None:
+    if (found := element.find("mimic")) is None:
+        return None
+    where = f"joint {name!r}"
+    multiplier, offset = (
+        float(numbers(found, key, (default,), where)[0])
+        for key, default in (("multiplier", 1.0), ("offset", 0.0))
+    )
+    return str(found.get("joint")), multiplier, offset
+
+
+def unit_of(length: float) -> str:
+    """The unit in which a length that is too large in metres may have been written."""
+    return "millimetres" if length >= 60.0 else "inches or centimetres"
 
 
 def origin(element: Element, where: str) -> pin.SE3:
     """The `<origin>` of an element; the identity where there is none.
 
     Raises:
-        RobotFileError: It is not six numbers.
+        RobotFileError: It is not six numbers, or its angles are in degrees.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
+    if np.abs(rpy).max() > _MOST_TURN:
+        words = " ".join(f"{angle:g}" for angle in rpy)
+        raise RobotFileError(
+            f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
+            "degrees are 1.5708"
+        )
     return pin.SE3(pin.rpy.rpyToMatrix(*rpy), numbers(at, "xyz", (0.0, 0.0, 0.0), where))
 
 
@@ -266,6 +298,8 @@ class Arm(NamedTuple):
     segments: tuple[tuple[str, ...], ...]
     """(n_m + 1) links that move as one: what is fixed below the first joint, then what each joint
     carries, joints beside the chain (fingers) held at zero."""
+    beside: tuple[tuple[str, ...], ...]
+    """Of each segment but the last, what hangs on it by joints that are not the arm's: a head."""
 
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
@@ -279,6 +313,17 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     chain = tree.chain(base, tip)
     _nothing_above(tree, base)
     joints = [joint for joint in chain if joint.moves]
+    if far := next((each for each in chain if each.kind in FREE), None):
+        raise RobotFileError(
+            f"--base: the {far.kind} joint {far.name!r} between it and the arm is the base's own "
+            f"motion; give --base {far.child}"
+        )
+    length = sum(float(np.linalg.norm(each.T_parent_child.translation)) for each in chain)
+    if length > _LONGEST:
+        raise RobotFileError(
+            f"--tip: the joints to {tip!r} are {length:.3g} m apart one after the other: lengths "
+            f"of a URDF are in metres, these look like {unit_of(length)}"
+        )
     if follower := next((each.name for each in chain if each.kind in MOVING and each.mimic), None):
         raise RobotFileError(
             f"--tip: the joint {follower!r} of the arm follows another one (<mimic>): each joint "
@@ -303,16 +348,38 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     for joint, following in zip(joints, [*joints[1:], None], strict=True):
         without = [] if following is None else [following.name]
         segments.append(tree.below(joint.child, without=without))
+    beside = [_beside(tree, part, joints) for part in segments[:-1]]
     cut = [first.name, *([tree.joint_of[mount].name] if segments[0] else [])]
     base_links = tree.below(base, without=cut)
     rigid = tuple(link for link in tree.below(base, moving=False) if link in base_links)
-    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments))
+    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments), (*beside, ()))
+
+
+def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
+    """Links of a segment below joints that move, but are neither the chain's nor a telescope's."""
+    slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
+    hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
+    roots = [
+        joint.child
+        for joint in hanging
+        if joint not in chain and not any(parallel(slide, joint) for slide in slides)
+    ]
+    return tuple(dict.fromkeys(link for root in roots for link in tree.below(root)))
+
+
+def parallel(a: Joint, b: Joint) -> bool:
+    """Whether a slide b whose parent is moved by a slide a goes along the same line."""
+    line = b.T_parent_child.rotation @ b.axis
+    return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > _PARALLEL
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """What lies between the root and the base may be frames, and nothing else may hang there."""
+    """Only frames may be fixed above the base, and nothing else may hang there.
+
+    Above a joint by which the base moves as a whole is the world, which is left out.
+    """
     link = base
-    while link in tree.joint_of:
+    while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
         parent = tree.joint_of[link].parent
         beside = [j.child for j in tree.children(parent) if j.child != link]
         solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))

@@ -173,7 +173,8 @@ def _find_wheels(
         turn = ", ".join(found)
         why = f"{turn}: no two across from each other" if found else "no joint turns without end"
         why = "; ".join([*reasons.values(), why] if found else [*reasons.values()] or [why])
-        left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why})")
+        helps = "give --wheels LEFT RIGHT, their joints; " if found or reasons else ""
+        left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why}); {helps}")
     return _drive(left, right, list(found.values()))
 
 
@@ -181,9 +182,9 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
     """The one pair of equal wheels that stand lowest."""
     if not pairs:
         raise RobotFileError(
-            f"--wheels: no pair of wheels found under {where}; "
-            "give --wheels LEFT RIGHT, their joints; --wheel-radius and --half-track if the URDF "
-            "has no wheels; or --kind holonomic if the base drives sideways too"
+            f"--wheels: no pair of wheels found under {where}"
+            "give --wheel-radius and --half-track if the URDF has no wheels that turn; or --kind "
+            "holonomic if the base drives sideways too"
         )
     lowest = min(left.centre[2] - left.r for left, _ in pairs)
     pairs = [p for p in pairs if p[0].centre[2] - p[0].r < lowest + _SAME_PLACE]

@@ -69,9 +69,11 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
         there = ", ".join(each for each in _OWN if _own_line(description, each)) or "none"
+        unknown = "none is known on which its base gives way there"
+        why = description.without_line.get(name, unknown)
         raise UnreachableError(
-            f"{description.name} has no line for {name}: none is known on which its base gives way "
-            f"there; it has {there}; --start X Y Z and --move X Y Z give another"
+            f"{description.name} has no line for {name}: {why}; it has {there}; --start X Y Z and "
+            "--move X Y Z give another"
         )
     return scenario.changed(**own).changed(**changes)
 

@@ -1,0 +1,108 @@
+"""The room that links beside the arm's chain, such as fingers, can fill."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from app.onboarding.read.links import LinkGeometry, swept_shape
+from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
+
+Positions = Mapping[str, float]
+"""Of joints, by their names [rad or m]."""
+
+_STEP = np.radians(10.0)  # [rad] between the turns looked at
+
+
+def filled(
+    tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
+) -> dict[str, LinkGeometry]:
+    """Geometry in which hand and telescopes fill all the room that they can reach."""
+    found = with_travel(tree, geometry, chain[-1].child)
+    own = [joint.name for joint in chain]
+    for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
+        other = [j.name for j in tree.children(slide.child) if not _is_part(slide, j)]
+        found = with_travel(tree, found, slide.child, [*own, *other])
+    return found
+
+
+def _is_part(slide: Joint, joint: Joint) -> bool:
+    """Whether a joint lets a part of a telescope slide along on it."""
+    return joint.moves and parallel(slide, joint)
+
+
+def with_travel(
+    tree: Tree,
+    geometry: Mapping[str, LinkGeometry],
+    carrier: str,
+    without: Sequence[str] = (),
+) -> dict[str, LinkGeometry]:
+    """Geometry in which links on a carrier fill all that the joints on it let them reach.
+
+    It is in the frames that the links have at rest. Joints that follow another do so. Links on the
+    joints named in `without` keep their geometry.
+    """
+    links = tree.below(carrier, without=without)[1:]
+    joints = [tree.joint_of[link] for link in links]
+    held = _placed(tree, links, carrier, {joint.name: held_at(joint) for joint in joints})
+    tried = [_placed(tree, links, carrier, each) for each in _positions(joints)]
+    found = dict(geometry)
+    for link in links:
+        ways = [held[link].actInv(places[link]) for places in tried]
+        if any(not way.isIdentity(1e-6) for way in ways) and geometry[link].shapes:
+            shapes = tuple(swept_shape(shape, ways) for shape in geometry[link].shapes)
+            found[link] = geometry[link]._replace(shapes=shapes)
+    return found
+
+
+def held_at(joint: Joint) -> float:
+    """[rad or m] where a joint beside the arm stands: at zero, or at the limit nearest to it."""
+    low, high = joint.lower or 0.0, joint.upper or 0.0
+    return 0.0 if low >= high else float(np.clip(0.0, low, high))
+
+
+def _positions(joints: Sequence[Joint]) -> Iterator[Positions]:
+    """Each joint through its range, the others at rest; then all of them at once."""
+    own = [joint for joint in joints if joint.moves]
+    ranges = {joint.name: _range(joint) for joint in own}
+    rest = {joint.name: held_at(joint) for joint in own}
+    for name, values in ranges.items():
+        for value in values:
+            yield _followed(joints, {**rest, name: value})
+    most = max(map(len, ranges.values()), default=0)
+    for share in np.linspace(0.0, 1.0, most):
+        at = {name: each[0] + share * (each[-1] - each[0]) for name, each in ranges.items()}
+        yield _followed(joints, at)
+
+
+def _range(joint: Joint) -> list[float]:
+    """Positions of a joint through its range, its ends among them."""
+    low, high = joint.lower, joint.upper
+    if low is None or high is None or low >= high:
+        low, high = (0.0, 0.0) if joint.kind == "prismatic" else (-np.pi, np.pi)
+    count = 2 if joint.kind == "prismatic" else int(np.ceil(min(high - low, 7.0) / _STEP)) + 1
+    return np.linspace(low, high, count).tolist()
+
+
+def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
+    """Positions with those of the joints that follow others."""
+    found = dict(at)
+    for _ in joints:  # one may follow another that follows a third
+        for joint in joints:
+            if joint.mimic is not None:
+                leader, multiplier, offset = joint.mimic
+                found[joint.name] = multiplier * found.get(leader, 0.0) + offset
+    return found
+
+
+def _placed(tree: Tree, links: Sequence[str], carrier: str, at: Positions) -> dict[str, pin.SE3]:
+    """T_carrier_link of links on a carrier, each after the one that carries it."""
+    found = {carrier: pin.SE3.Identity()}
+    for link in links:
+        joint = tree.joint_of[link]
+        moved = joint.kind in MOVING
+        own = joint.motion(at.get(joint.name, 0.0)) if moved else joint.T_parent_child
+        found[link] = found[joint.parent] * own
+    return found

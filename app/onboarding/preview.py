@@ -1,0 +1,76 @@
+"""Which links no body holds, by design or by mistake, and a page that shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+from trimesh.viewer.notebook import scene_to_html
+
+from app.onboarding.fit.units import moved
+from app.onboarding.warn import outside
+from app.robot.shapes import shape_mesh
+
+if TYPE_CHECKING:
+    from app.onboarding.new_robot import NewRobot
+
+Array = np.ndarray
+Bare = Literal["design", "mistake"]
+
+COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
+"""Of links that bodies hold, and of those that they do not."""
+_BARE = 0.005  # [m] by which a link may stand out of its body
+_BODY = "#0072B2"
+
+
+def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
+    """Links that stand out of their body in the ready pose, `placed` by joint.
+
+    It is by design where no watched body can come to that part of the link.
+    """
+    found: dict[str, Bare] = {}
+    for k, body in enumerate(robot.bodies):
+        others = [u for j, far in enumerate(robot.bodies) if abs(j - k) > 1 for u in far.units]
+        joint = robot.model.body_joints[body.name]
+        for unit in (robot.meetings.units[u] for u in body.units):
+            points = moved(unit.surface, placed[joint].actInv(placed[unit.joint]))
+            out = outside(robot.model, body.name, points) > _BARE
+            met = out & robot.meetings.needed(unit.index, others)
+            links = np.array(unit.links)[unit.owners]
+            found |= dict.fromkeys(links[out].tolist(), "design")
+            found |= dict.fromkeys(links[met].tolist(), "mistake")
+    return found
+
+
+def view_html(robot: NewRobot, placed: Sequence[pin.SE3]) -> str:
+    """A page that shows the links by colour, and the bodies over them, in three dimensions."""
+    scene, bare = trimesh.Scene(), bare_links(robot, placed)
+    for mesh, colour, alpha in _meshes(robot, placed, bare):
+        r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        material = trimesh.visual.material.PBRMaterial(
+            baseColorFactor=[r, g, b, int(255 * alpha)],
+            alphaMode="BLEND" if alpha < 1 else "OPAQUE",
+            doubleSided=True,
+        )
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(mesh)
+    return scene_to_html(scene)
+
+
+def _meshes(
+    robot: NewRobot, placed: Sequence[pin.SE3], bare: dict[str, Bare]
+) -> Iterator[tuple[trimesh.Trimesh, str, float]]:
+    model = robot.model
+    for unit in robot.meetings.units:
+        for part in unit.parts:
+            hull = trimesh.convex.convex_hull(moved(part.corners, placed[unit.joint]))
+            yield hull, COLOURS[bare.get(part.link)], 1.0
+    for body in robot.bodies:
+        shapes = model.description.body(body.name).shapes
+        for k, shape in zip(model.shape_ids[body.name], shapes, strict=True):
+            item = model.geometry.geometryObjects[k]
+            T = placed[item.parentJoint] * item.placement
+            yield shape_mesh(shape).copy().apply_transform(T.homogeneous), _BODY, 0.3

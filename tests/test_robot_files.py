@@ -1,0 +1,305 @@
+"""Robots' files as others write them: read as they are meant, or refused with the cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+from app.errors import RobotFileError
+from app.onboarding.fit.travel import filled
+from app.onboarding.new_robot import Parsed, parse
+from app.onboarding.read.links import MOST_FACES, read_mesh
+from app.onboarding.read.package import open_package
+from app.onboarding.request import Request
+from app.onboarding.write import rebased_urdf
+from app.robot.assets import xml_text
+from benchmarks.urdf_mutants import collada
+from tests.onboarding import arm, cart, cube, joint, link, robot, solid, with_mesh
+from tests.robots import husky_panda
+
+TOY = robot([*cart(), *arm()])
+HAND = (0.08, 0.12, 0.08)
+LIMIT = 'lower="-2.5" upper="2.5" effort="60" velocity="2"'
+HEAD = '<?xml version="1.0"?>'
+ABOVE = '<link name="map"/><joint name="root" type="{}"><parent link="map"/><child link="base"/>'
+ABOVE += "</joint>"
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
+
+
+def parsed(folder: Path, text: str | bytes, **changes: str) -> Parsed:
+    path = folder / "toy.urdf"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    asked = {"base": "base", "tip": "hand"} | changes
+    return parse(Request(urdf=str(path), out=folder / "made", **asked))
+
+
+def extents(made: Parsed, name: str = "hand") -> list[float]:
+    return made.geometry[name].shapes[0].hull.extents.tolist()
+
+
+@pytest.mark.parametrize(
+    ("code", "stated"),
+    [
+        ("latin-1", "ISO-8859-1"),
+        ("cp1252", "windows-1252"),
+        ("utf-16", "UTF-16"),
+        ("utf-16-le", "UTF-16"),
+        ("utf-8-sig", "utf-8"),
+        ("utf-8", "UTF-16"),
+        ("gbk", "GBK"),
+        ("shift_jis", "Shift_JIS"),
+    ],
+)
+def test_a_urdf_is_read_in_the_encoding_that_it_declares(
+    tmp_path: Path, code: str, stated: str
+) -> None:
+    word = {"gbk": "爪", "shift_jis": "ソ"}.get(code, "Grün")
+    head = f'<?xml version="1.0" encoding="{stated}"?>'
+    text = TOY.replace(HEAD, head).replace('"wrist_link"', f'"{word}"')
+    assert word in parsed(tmp_path, text.encode(code)).tree.links
+
+
+@pytest.mark.parametrize(
+    ("content", "cause"),
+    [
+        (POINTER, "a Git LFS pointer; get the file by: git lfs pull"),
+        ("<!DOCTYPE html><html></html>", "a web page (HTML)"),
+        ("<!-- saved --> <HTML><body/></HTML>", "a web page (HTML)"),
+        ("404: Not Found", "a server's error"),
+        ("../other/toy.urdf", "the text of a symbolic link"),
+        ("\x1f\x8b\x08", "an archive; unpack it"),
+        ("", "an empty file"),
+    ],
+)
+def test_what_stands_in_the_place_of_a_file_is_said_by_name(
+    tmp_path: Path, content: str, cause: str
+) -> None:
+    path = tmp_path / "m.stl"
+    path.write_bytes(content.encode("latin-1"))
+    for read in (lambda: read_mesh(path, "link 'a'"), lambda: xml_text(path)):
+        with pytest.raises(RobotFileError) as caught:
+            read()
+        assert cause in str(caught.value)
+
+
+@pytest.mark.parametrize(("unit", "up"), [(0.0254, "Z_UP"), (0.001, "Z_UP"), (0.01, "Y_UP")])
+def test_the_unit_of_a_mesh_holds_in_bodies_and_in_the_file_that_engines_read(
+    tmp_path: Path, unit: float, up: str
+) -> None:
+    pytest.importorskip("collada")
+    (tmp_path / "m.dae").write_text(collada(trimesh.creation.box(HAND), unit, up))
+    made, home = parsed(tmp_path, with_mesh(TOY, "m.dae")), tmp_path / "home"
+    assert extents(made) == pytest.approx(HAND, abs=1e-6)
+    home.mkdir()
+    (home / "robot.urdf").write_text(rebased_urdf(made, name="toy", header="", home=home))
+    model = pin.buildModelFromUrdf(str(home / "robot.urdf"))
+    shapes = pin.buildGeomFromUrdf(
+        model, str(home / "robot.urdf"), pin.GeometryType.COLLISION, package_dirs=[str(home)]
+    )
+    hand = next(each for each in shapes.geometryObjects if each.name.startswith("hand"))
+    hand.geometry.computeLocalAABB()
+    box = hand.geometry.aabb_local
+    assert [box.width(), box.height(), box.depth()] == pytest.approx(HAND, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "address",
+    ["file://{}/my%20robot/m.stl", "{}/my robot/m.stl", ".\\my robot\\m.stl", " my%20robot/m.stl"],
+)
+def test_addresses_of_meshes_are_read_as_their_writers_mean_them(
+    tmp_path: Path, address: str
+) -> None:
+    (tmp_path / "my robot").mkdir()
+    (tmp_path / "my robot" / "m.stl").write_bytes(cube())
+    assert extents(parsed(tmp_path, with_mesh(TOY, address.format(tmp_path)))) == pytest.approx(
+        HAND
+    )
+
+
+@pytest.mark.parametrize(
+    ("address", "cause"),
+    [
+        ("https://a.b/m.stl", "an address of the web or of another tool"),
+        ("C:\\robots\\m.stl", "a path of another machine, of Windows"),
+        ("file:///C:/robots/m.stl", "a path of another machine, of Windows"),
+        ("m.STL", "there is no file"),
+    ],
+)
+def test_an_address_that_leads_nowhere_says_why(tmp_path: Path, address: str, cause: str) -> None:
+    with pytest.raises(RobotFileError) as caught:
+        parsed(tmp_path, with_mesh(TOY, address))
+    assert cause in str(caught.value)
+
+
+def test_a_mesh_by_a_path_from_the_packages_top_is_found(tmp_path: Path) -> None:
+    for name in ("urdf", "meshes"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "meshes" / "m.stl").write_bytes(cube())
+    made = parsed(tmp_path / "urdf", with_mesh(TOY, "meshes/m.stl"))
+    assert extents(made) == pytest.approx(HAND)
+
+
+@pytest.mark.parametrize(("code", "name"), [("gbk", "爪"), ("shift_jis", "ソ"), ("cp1252", "Grün")])
+def test_a_zip_may_have_names_of_another_code_page(tmp_path: Path, code: str, name: str) -> None:
+    import zipfile
+
+    class Info(zipfile.ZipInfo):
+        def _encodeFilenameFlags(self) -> tuple[bytes, int]:
+            return self.filename.encode(code), self.flag_bits
+
+    with zipfile.ZipFile(tmp_path / "toy.zip", "w") as archive:
+        archive.writestr(Info("a/toy.urdf"), with_mesh(TOY, f"{name}.stl"))
+        archive.writestr(Info(f"a/{name}.stl"), cube())
+    path = open_package(tmp_path / "toy.zip", tmp_path / "made")
+    made = parse(Request(str(path), "base", "hand", tmp_path / "made"))
+    assert extents(made) == pytest.approx(HAND)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "causes"),
+    [
+        (
+            LIMIT,
+            'lower="-90" upper="90" effort="60" velocity="90"',
+            ["pan (-90 to 90)", "roll", "degrees"],
+        ),
+        (
+            LIMIT,
+            'lower="0" upper="0"',
+            ["pan (0 to 0)", "roll (0 to 0)", "write those of the real"],
+        ),
+        (LIMIT, 'lower="1" upper="-1"', ["pan", "roll", "not below"]),
+        ('rpy="1.5708 0 0"', 'rpy="90 0 0"', ['rpy="90 0 0" looks like degrees']),
+        ('xyz="0 0 0.34"', 'xyz="0 0 13.4"', ["inches or centimetres"]),
+        ('xyz="0 0 0.34"', 'xyz="0 0 340"', ["millimetres"]),
+        ('<mass value="2"/>', '<mass value="2000"/>', ["grams"]),
+    ],
+)
+def test_numbers_in_other_units_name_the_unit(
+    tmp_path: Path, old: str, new: str, causes: list[str]
+) -> None:
+    assert old in TOY
+    with pytest.raises(RobotFileError) as caught:
+        parsed(tmp_path, TOY.replace(old, new))
+    assert all(cause in str(caught.value) for cause in causes), caught.value
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, kind: str) -> None:
+    text = TOY.replace("</robot>", ABOVE.format(kind) + "</robot>")
+    made = parsed(tmp_path, text)
+    assert "map" not in rebased_urdf(made, name="toy", header="")
+    with pytest.raises(RobotFileError, match="is the base's own motion; give --base base"):
+        parsed(tmp_path, text, base="map")
+
+
+@pytest.mark.parametrize("shape", ['<box size="0 0 0"/>', '<sphere radius="0"/>'])
+def test_a_placeholder_of_size_0_is_left_out_and_said(tmp_path: Path, shape: str) -> None:
+    tag = link("tag", f"<collision><geometry>{shape}</geometry></collision>")
+    mount = joint("tag_joint", "fixed", "wrist_link", "tag")
+    made = parsed(tmp_path, TOY.replace("</robot>", tag + mount + "</robot>"))
+    assert "a collision of tag is left out" in made.changes[0]
+    assert 'size="0 0 0"' not in rebased_urdf(made, name="toy", header="")
+
+
+def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(tmp_path: Path) -> None:
+    visual = '<visual><geometry><mesh filename="m.usd"/></geometry></visual>'
+    made = parsed(tmp_path, TOY.replace('<link name="hand">', f'<link name="hand">{visual}'))
+    assert "m.usd" in made.changes[0]
+
+
+@pytest.mark.parametrize("name", ["end_effector", "floor_point", "universe", "planar_x_link"])
+def test_a_link_may_have_the_name_of_a_frame_of_ours(tmp_path: Path, name: str) -> None:
+    from app.onboarding.write import compiled, description
+
+    made = parsed(tmp_path, TOY.replace('"fore"', f'"{name}"'))
+    (tmp_path / "robot.urdf").write_text(rebased_urdf(made, name="made", header=""))
+    asked = Request(str(tmp_path / "toy.urdf"), "base", "hand", tmp_path / "made")
+    model = compiled(description(asked, made), tmp_path / "robot.urdf")
+    assert model.pin.frames[model.ee_frame].parentFrame == model.pin.getFrameId("hand")
+
+
+FINGERS = "".join(
+    link(f"{s}_finger", solid('<box size="0.02 0.02 0.12"/>', mass=0.1, xyz="0 0 0.06"))
+    + joint(
+        f"{s}_slide",
+        "prismatic",
+        "hand",
+        f"{s}_finger",
+        xyz=f"0 {y} 0.12",
+        axis=f"0 {a} 0",
+        limit='lower="0" upper="0.1" effort="2" velocity="1"',
+    )
+    for s, y, a in (("left", 0.02, 1), ("right", -0.02, -1))
+)
+
+
+def test_bodies_hold_fingers_over_their_whole_travel(tmp_path: Path) -> None:
+    made = parsed(tmp_path, TOY.replace("</robot>", FINGERS + "</robot>"))
+    found = filled(made.tree, made.geometry, made.arm.joints)
+    assert found["left_finger"].shapes[0].hull.extents.tolist() == pytest.approx([0.02, 0.12, 0.12])
+    assert found["hand"] is made.geometry["hand"]
+
+
+def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> None:
+    """Its end goes as far as before, its middle part is held in all of its places."""
+    tube = solid('<box size="0.04 0.04 0.2"/>', xyz="0 0 0.1")
+    limit = 'lower="0" upper="0.1" effort="6" velocity="1"'
+    first = joint("slide", "prismatic", "fore", "middle", limit=limit)
+    second = joint("follower", "prismatic", "middle", "end", xyz="0 0 0.01", limit=limit)
+    second = second.replace("</joint>", '<mimic joint="slide"/></joint>')
+    text = TOY.replace(
+        "</robot>", f"{link('middle', tube)}{link('end', tube)}{first}{second}</robot>"
+    )
+    text = text.replace('<parent link="fore"/>', '<parent link="end"/>', 1)
+    made = parsed(tmp_path, text)
+    slide = made.tree.joints["slide"]
+    assert (slide.child, slide.upper, slide.effort, slide.velocity) == ("end", 0.2, 3.0, 2.0)
+    assert slide.T_parent_child.translation.tolist() == pytest.approx([0.0, 0.0, 0.01])
+    assert "slide as one" in made.changes[0]
+    held = filled(made.tree, made.geometry, made.arm.joints)["middle"].shapes[0].hull
+    assert held.extents[2] == pytest.approx(0.3)
+
+
+def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_taken(
+    tmp_path: Path,
+) -> None:
+    rough = trimesh.creation.icosphere(subdivisions=7, radius=0.1)
+    rough.export(tmp_path / "m.stl")
+    assert len(rough.faces) > 2 * MOST_FACES
+    light = read_mesh(tmp_path / "m.stl", "link 'a'")
+    assert len(light.faces) <= 1.1 * MOST_FACES
+    D = np.asarray(trimesh.creation.icosphere(subdivisions=2).vertices)
+    reach = [(np.asarray(m.vertices) @ D.T).max(axis=0) for m in (rough, light)]
+    np.testing.assert_allclose(*reach, atol=1e-4)
+
+
+def test_a_wheel_with_a_mirrored_axis_turns_in_the_picture_as_it_drives(tmp_path: Path) -> None:
+    from app.dashboard.scene.robot import _senses
+
+    mirrored = TOY.replace(
+        '<axis xyz="0 1 0"/><limit effort="20"', '<axis xyz="0 -1 0"/><limit effort="20"', 1
+    )
+    model = pin.buildModelFromXML(rebased_urdf(parsed(tmp_path, mirrored), name="toy", header=""))
+    senses = dict(zip(list(model.names)[1:], _senses(model, "floor_point").tolist(), strict=True))
+    assert (senses["left_axle"], senses["right_axle"]) == (-1.0, 1.0)
+
+
+@pytest.mark.parametrize(("unseen", "outcome"), [(0, "passed"), (1, "failed")])
+def test_a_check_fails_on_any_collision_that_no_watched_pair_sees_and_says_what_a_rule_leaves_out(
+    monkeypatch: pytest.MonkeyPatch, unseen: int, outcome: str
+) -> None:
+    from app.onboarding import check
+    from app.onboarding.fit.grouping import Unseen
+
+    found = Unseen(4000, 638, unseen, 900, 0, 0.0, (), "head and arm", 287, "link5 and hand (7.2%)")
+    monkeypatch.setattr(check, "unseen_collisions", lambda *_: found)
+    monkeypatch.setattr(check, "_geometry", lambda _: {})
+    row = check.arm_row(husky_panda())
+    assert row.outcome == outcome
+    assert "a rule leaves 287 poses out" in row.text
+    assert "link5 and hand (7.2%)" in row.text
