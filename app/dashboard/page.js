@@ -61,6 +61,21 @@
     if (!event.repeat) at.click();
   };
 
+  // The camera stays above the floor, wherever it looks to.
+  let guarded = null;
+  const stayAbove = () => {
+    const control = window.__viserMutable?.cameraControl;
+    if (!control || control === guarded) return;
+    guarded = control;
+    const hold = () => {
+      const most = Math.acos(Math.min(Math.max((0.05 - control.getTarget(control._target.clone()).y) / control.distance, -1), 1));
+      control.maxPolarAngle = most;
+      if (control.polarAngle > most + 1e-6) control.rotatePolarTo(most, false);
+    };
+    control.addEventListener("update", hold);
+    hold();
+  };
+
   // A light drawing has fewer pixels, unless the address says how many.
   let light = false;
   const thinOut = () => {
@@ -81,16 +96,15 @@
     window.dbb?.tell("scene", ...scene());
   };
 
-  // [px] height of the scene, and how much of it the strip and the drawer of a narrow page lie over;
-  // the strip grows and shrinks with what it says, under which the scene must not move.
-  let tallest = 0;
+  const CARD = 150; // [px] of any card: the scene must not move with its text
+  // [px] height of the scene, and how much of it the guide's card and the drawer of a narrow page cover.
   const scene = () => {
     const rect = (element) => element?.getBoundingClientRect() ?? { height: 0 };
-    const box = rect(window.__viserMutable?.canvas);
-    const [strip, drawer] = ["[data-strip]", "[data-drawer]"].map((kind) => rect(document.querySelector(kind)));
-    tallest = matches(NARROW).matches ? Math.max(tallest, strip.height) : 0;
-    const below = drawer.height && box.bottom - drawer.top;
-    return [box.height, tallest, below].map((px) => Math.round(Math.max(px, 0)));
+    const [box, drawer] = [window.__viserMutable?.canvas, document.querySelector("[data-drawer]")].map(rect);
+    const guided = document.getElementById("dbb-card")?.hidden === false ? CARD : 0;
+    const [above, card] = matches(NARROW).matches ? [guided, 0] : [0, guided];
+    const below = Math.max(card, drawer.height && box.bottom - drawer.top);
+    return [box.height, above, below].map((px) => Math.round(Math.max(px, 0)));
   };
 
   // What the page's address asks for is told once; the client may connect again and again.
@@ -110,12 +124,17 @@
     open: (name) => (place = name),
     title: (text) => (document.title = text),
   };
+  // Tabs of a dock answer to the pointer and to keys only, those of a panel to clicks only.
+  const openTab = (tab) => {
+    tab?.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+    tab?.click();
+  };
   const openPlace = () => {
     const drawer = document.querySelector("[data-drawer]");
     if (place === null || (!drawer && matches(NARROW).matches)) return;
     if (drawer) drawer.dataset.drawer = "open";
     const named = (tab) => tab.innerText.trim() === place;
-    if (place) [...document.querySelectorAll("[role=tab]")].find(named)?.click();
+    if (place) openTab([...document.querySelectorAll("[role=tab]")].find(named));
     place = null;
   };
 
@@ -137,6 +156,7 @@
         openPlace();
         makeDrawer();
         thinOut();
+        stayAbove();
         look();
       }, 300);
     },

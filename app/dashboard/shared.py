@@ -10,7 +10,7 @@ from pathlib import Path
 
 from app.border.dbb import Cloud
 from app.config import Config
-from app.dashboard.job import Challenge, Job
+from app.dashboard.job import Job
 from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
 from app.dashboard.record import Course, Record, Strip
@@ -175,7 +175,6 @@ class SharedState(SceneData):
         """What happened when, in the last ten minutes."""
         self.keepers += [self.record, self.course, self.strip]
         self.sweep_job = Job()
-        self.challenge = Challenge()
         self._watched = True
         self._explorer: Explorer | None = None
 
@@ -188,7 +187,6 @@ class SharedState(SceneData):
     def followed_by(self, robot: RunningRobot) -> SharedState:
         """The same with another robot; what was started for this one ends."""
         self.sweep_job.close()
-        self.challenge.close()
         after = SharedState(
             robot.loop, robot.model, robot.clouds, robot.parts, sweeps=self.sweeps, before=self
         )
@@ -204,5 +202,5 @@ class SharedState(SceneData):
     def close(self) -> None:
         """End the background jobs."""
         robots = (self.robot_build, self.robot_check, self.robot_switch)
-        for job in (self.sweep_job, self.challenge, *robots):
+        for job in (self.sweep_job, *robots):
             job.close()

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from app.simulation.trace.snapshot import Snapshot
 
 
+PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
+"""Names of actions, the same on every button and in the list of commands."""
+
+
 @dataclass
 class Viewer:
     """Who looks at the page of one robot: what the panels are built for."""

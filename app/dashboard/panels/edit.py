@@ -271,7 +271,7 @@ def rows_html(check: RobotCheck) -> str:
             cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, '#868e96')}"),
             hint=each.text,
         )
-        + row(cell(escape(each.text), "opacity:.65", span=2))
+        + row(cell(escape(each.text), "opacity:.8", span=2))
         for each in check.rows
     ]
     return f"<b>{escape(check.name)}</b>{table(rows)}" if rows else ""

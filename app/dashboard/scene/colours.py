@@ -7,7 +7,7 @@ from app.strict import Array
 
 Rgb = tuple[int, int, int]
 
-BRAND: Rgb = (38, 132, 214)
+BRAND: Rgb = (24, 104, 176)  # white text on it has a contrast of 5.9
 BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
 """Of a dark and of a light page, behind the scene."""
 
@@ -60,6 +60,12 @@ def viridis_css() -> str:
 def css(colour: Rgb) -> str:
     """The colour as CSS writes it."""
     return "rgb({},{},{})".format(*colour)
+
+
+def ink(ground: Rgb) -> str:
+    """Black or white, whichever has more contrast on a ground: at least 4.5 to 1."""
+    luminance = float(linear(np.array(ground)) / 255.0 @ (0.2126, 0.7152, 0.0722))
+    return "black" if luminance > 0.179 else "white"
 
 
 def linear(colours: Array) -> Array:

@@ -20,6 +20,7 @@ from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
 from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
+from app.simulation.trace.words import METHODS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
@@ -43,7 +44,6 @@ _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "handle": (_HANDLE, None),
 }
 _DOOR_LIFT = 0.05  # [m] of the angle over the door
-_NAME_HEIGHT = 0.02  # [m] of the names of robots that are compared
 _DOOR_ARC = 0.30  # [m] radius of the angle
 
 
@@ -61,13 +61,13 @@ def draw_distances(
         canvas.segments(
             f"/distances/{kind}", ends, np.repeat(shades[:, None, :], 2, axis=1), pixels
         )
-    nearest = min(pairs, key=lambda pair: pair.d)
+    nearest = snapshot.nearest
     for pair in pairs:
         if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
             # Between the base and the arm stand the acting points with their own labels.
             place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
-            depth = "" if pair.d >= 0.0 else " inside: contact"
-            text = f"{spoken[pair.name]}  {1000 * abs(pair.d):.0f} mm{depth}"
+            overlap = "" if pair.d >= 0.0 else " overlap"
+            text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.names and pair.d < d_b:
             node = f"/distances/{pair.name}"
@@ -92,6 +92,9 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
     The base's top is at a height [m].
     """
     for reading in snapshot.acting:
+        size = np.linalg.norm(reading.f)
+        if size < _LEAST_FORCE:
+            continue
         node = f"/acting/{reading.name}"
         canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
         canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
@@ -100,19 +103,17 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
         place = _draw_force(canvas, node, reading, top)
-        force = f"{np.linalg.norm(reading.f):.0f} N"
+        force = f"base pushed {size:.0f} N"
         canvas.label(f"{node}/p_act_label", place, f"p_act  {force}" if view.names else force)
 
 
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
-    """The arrow of the force on the base at p_act, if it is strong enough; gives its label's place.
+    """The arrow of the force on the base at p_act; gives its label's place.
 
     The arrow ends there, for the base would hide one that began there; and below the base's top it
     is drawn straight above p_act, for the arm would hide it.
     """
     p_act = reading.p_act
-    if np.linalg.norm(reading.f) < _LEAST_FORCE:
-        return p_act
     end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
     start = end - METRES_PER_NEWTON * reading.f
     canvas.arrow(f"{node}/force", start, end, colours.ACTING)
@@ -159,16 +160,23 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
         ends = np.array([pull.point, pull.target])
         if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
             canvas.lines(f"/pull/{i}", [ends], colours.PERSON, 3.0)
-            text = f"{np.linalg.norm(pull.force):.0f} N{words.borne(snapshot.force_bound)}"
-            canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
+            force = float(np.linalg.norm(pull.force))
+            if force >= _LEAST_FORCE:
+                text = f"pull {force:.0f} N{words.borne(snapshot.force_bound)}"
+                canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
 
-def draw_names(canvas: Canvas, snapshot: Snapshot) -> None:
-    """Below each of several robots its controller's name."""
-    ghosts = [(ghost.controller, ghost.base_pose) for ghost in snapshot.ghosts]
-    robots = [(f"{snapshot.controller} (led)", snapshot.base_pose), *ghosts] if ghosts else []
-    for i, (name, (x, y, _)) in enumerate(robots):
-        canvas.label(f"/names/{i}", np.array([x, y, _NAME_HEIGHT]), name)
+def draw_names(canvas: Canvas, snapshot: Snapshot, top: float) -> None:
+    """At a height [m] over each of several robots what its controller does, and if it touches."""
+    scores = snapshot.scores or (None,) * (1 + len(snapshot.ghosts))
+    robots = [(snapshot.controller, snapshot.base_pose, snapshot.nearest.d)]
+    robots += [(ghost.controller, ghost.base_pose, ghost.clearance) for ghost in snapshot.ghosts]
+    for i, ((name, (x, y, _), d), score) in enumerate(zip(robots, scores, strict=False)):
+        if snapshot.ghosts:
+            text, place = METHODS.get(name, name), np.array([x, y, top])
+            if score is not None and (score.contacts or score.clearance < 0.0):
+                text += ": touches" if d < 0.0 else ": has touched"
+            canvas.label(f"/names/{i}", place, text)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

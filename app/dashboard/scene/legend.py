@@ -123,7 +123,7 @@ def key_html(d_b: float) -> str:
     ]
     signs = "width:2.6em;text-align:center"
     return small(
-        table(row(cell(sign, signs, ONE_LINE), cell(text, "opacity:.75")) for sign, text in rows)
+        table(row(cell(sign, signs, ONE_LINE), cell(text, "opacity:.85")) for sign, text in rows)
     )
 
 

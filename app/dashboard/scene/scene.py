@@ -20,12 +20,13 @@ from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.door import BODY as DOOR
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
 SURROUNDINGS = "city"  # what viser mirrors in the meshes unless it is told otherwise
+_SAME = 0.01  # [m or rad] nearer to the robot a ghost is not seen as another one
 _TRACK_LIFT = 0.004  # [m] of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
@@ -246,7 +247,7 @@ class Scene:
         if view.motion:
             layers.draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
         layers.draw_pulls(canvas, snapshot)
-        layers.draw_names(canvas, snapshot)
+        layers.draw_names(canvas, snapshot, float(self._data.parts.extent[:, 2].max()))
         if snapshot.door is not None:
             layers.draw_door(canvas, snapshot.door)
         for name, points in self._trails.items():
@@ -264,7 +265,14 @@ class Scene:
                 self._ghosts.append(robot)
             self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
         for i, robot in enumerate(self._ghosts):
-            robot.root.visible = i < len(snapshot.ghosts)
+            ghosts = snapshot.ghosts[i : i + 1]
+            robot.root.visible = any(not coincides(ghost, snapshot) for ghost in ghosts)
+
+
+def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
+    """Whether a ghost stands where the robot does: drawn over it, it would only tint the robot."""
+    poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
+    return all(bool(np.abs(each).max() < _SAME) for each in poses)
 
 
 def set_floor(scene: viser.SceneApi, *, dark: bool, shadows: bool = True) -> None:
