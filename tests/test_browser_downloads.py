@@ -116,7 +116,7 @@ def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
     job = page.viewer.files
     page.timeline.go_to(END)
     tab.page.locator("#dbb-past").wait_for()
-    tab.choose("Film as", ".gif")
+    tab.choose("Film format", ".gif")
     tab.click("Film")
     tab.page.get_by_text("Film: ").filter(visible=True).first.wait_for(timeout=PATIENCE)
     tab.page.keyboard.press("Escape")

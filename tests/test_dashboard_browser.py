@@ -73,12 +73,12 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
 
     tab.open_tab("Plots")
     assert tab.page.locator(".uplot canvas").count() == 3
-    for title in ("distance [m]", "activation β_m", "base acceleration of avoidance, β ẍ"):
+    for title in ("distance [m]", "activation β_m", "avoidance acceleration of the base, β ẍ"):
         wait_for(lambda title=title: tab.plot(title).shape[1] > 5, what=title)
     for pair, line in zip(served.loop.latest().pairs, tab.plot("distance [m]")[1:], strict=False):
         np.testing.assert_allclose(line, pair.d, atol=1e-5, err_msg=pair.name)
     tab.open_tab("Key")
-    assert tab.page.get_by_text("closest points, pair outside its buffer").is_visible()
+    assert tab.page.get_by_text("closest points of a pair outside its buffer").is_visible()
     tab.open_tab("Why")
 
 
@@ -212,7 +212,7 @@ def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, se
                 return
         pytest.fail(f"{text} is not reached")
 
-    inside = tab.page.get_by_role("button", name="Make a map", exact=True)
+    inside = tab.page.get_by_role("button", name="Compute a map", exact=True)
     reach("Sweep")
     keys.press("Enter")
     inside.wait_for()

@@ -57,7 +57,7 @@ def test_a_camera_comes_back_to_the_centimetre():
         ("robot=huskypanda", "did you mean 'husky_panda'"),
         ("border.db=0.2", "did you mean 'border.d_b'"),
         ("border.d_b=9", "0.06 to 0.3 m"),
-        ("border.d_b=abc", "'abc' is no number"),
+        ("border.d_b=abc", "'abc' is not a number"),
         ("border.d_b=nan", "no number"),
         ("border.kind=line", "surface or points"),
         ("look=above", "look"),

@@ -43,11 +43,11 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
     light = drawn(tab)
     assert light["points"] <= LIGHT_POINTS
     tab.open_tab("View")
-    tab.check("Light drawing", on=False)
+    tab.check("Low detail", on=False)
     wait_for(lambda: drawn(tab)["triangles"] > 8 * light["triangles"], what="the fine drawing")
     assert drawn(tab)["calls"] > 1.5 * light["calls"]
     assert not tab.page.get_by_text("Software WebGL rendering").count(), "it is said once"
-    tab.check("Light drawing", on=True)
+    tab.check("Low detail", on=True)
     wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")
     assert tab.errors == []
 

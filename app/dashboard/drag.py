@@ -68,7 +68,7 @@ class Grip:
         x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._warned:
             self._warned = True  # once a drag, not twenty times a second
-            self._notifier.warn(client, "The floor is at z = 0: the hand stays above it.")
+            self._notifier.warn(client, "The floor is at z = 0; the hand stays above it.")
         self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
 
     def release(self) -> None:
@@ -82,7 +82,7 @@ class Grip:
         if self._hold is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
-                client, "Let go: your browser has not answered. Take the robot again."
+                client, "Released, because your browser did not respond. Pull the robot again."
             )
 
 

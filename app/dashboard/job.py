@@ -154,7 +154,7 @@ def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
 
 def sample_border(report: Report, robot: str) -> BorderData:
     """Pairs and clouds of a robot, sampled if they are not cached."""
-    text = "sampling its border, once"
+    text = "sampling its border (once)"
     report(text, 0.0)
     return _loaded(robot, processes=_CORES, on_progress=lambda share: report(text, share))[1]
 
@@ -201,7 +201,7 @@ def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
     """A sweep, and its files in a folder."""
     from app.studies.sweep.sweep import sweep, write_sweep
 
-    result = sweep(plan, processes=1, on_progress=lambda share: report("sweep under way", share))
+    result = sweep(plan, processes=1, on_progress=lambda share: report("sweeping", share))
     write_sweep(result, folder)
 
 

@@ -29,7 +29,7 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
 logger = logging.getLogger(__name__)
-_PAGE_ENDED = "This page has ended; reload it. The simulation and other pages go on"
+_PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
 FRAME = 1 / 30  # [s] between two pictures
 TEXTS_EVERY = 6  # pictures between two renewals of panels, plots and labels: 5 Hz
@@ -112,7 +112,7 @@ class DashboardServer:
         except Exception as error:  # nobody joins this thread: it says itself what went wrong
             self.error = error
             logger.exception("drawing ended")
-            self._fail("Drawing has ended", error)
+            self._fail("Drawing has stopped", error)
             self._show_to_late_viewers()
 
     def _draw_frames(self) -> None:
@@ -140,7 +140,7 @@ class DashboardServer:
         error = self.shared.loop.error
         if error is not None and self._failure is None:
             logger.error("the simulation ended", exc_info=error)
-            self._fail("The simulation has ended", error)
+            self._fail("The simulation has stopped", error)
 
     def _draw_pages(self, *, texts: bool) -> None:
         for page in self.pages.values():
@@ -182,8 +182,8 @@ class DashboardServer:
             self._show(robot)
         finally:
             switch.shown()  # even if drawing ends here: its thread waits for this
-        note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
-        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is here{note}.")
+        note = robot.note or "your parameters are kept"
+        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use; {note}.")
 
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)

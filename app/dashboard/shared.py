@@ -110,7 +110,7 @@ class Tuning:
         Raises:
             ConfigError: There is none, or something was changed since.
         """
-        self._go(1, "nothing to do again")
+        self._go(1, "nothing to redo")
 
     def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
         """Go on with another robot's simulation, which has a configuration already.

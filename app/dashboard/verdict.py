@@ -85,10 +85,10 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
 
 def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
     touches = {
-        "arm on base": snapshot.in_contact,
-        "within arm": snapshot.arm_in_contact,
-        "arm on floor": snapshot.floor_contact,
-        "door on base": snapshot.door is not None and snapshot.door.contact,
+        "arm and base": snapshot.in_contact,
+        "links of the arm": snapshot.arm_in_contact,
+        "arm and floor": snapshot.floor_contact,
+        "door and base": snapshot.door is not None and snapshot.door.contact,
     }
     texts = [text for text, touch in touches.items() if touch]
     name, _, d, *_ = snapshot.nearest

@@ -250,7 +250,7 @@ class _Fuzz:
     def _jobs(self) -> list[Job]:
         """The work that buttons begin: each takes a core, and that it begins is enough."""
         shared = self._server.shared
-        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
+        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job]
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:

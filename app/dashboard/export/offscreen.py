@@ -332,7 +332,9 @@ def write_film(
                 process.stdin.close()
             if process.wait():
                 said.seek(0)
-                why = said.read().decode(errors="replace").strip().splitlines() or ["no reason"]
+                why = said.read().decode(errors="replace").strip().splitlines() or [
+                    "no reason given"
+                ]
                 raise OutputError(f"cannot write {path}: {why[-1]}")
         finally:
             process.kill()

@@ -144,7 +144,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
     deadline = time.monotonic() + offscreen.TIMEOUT
     while not (clients := server.get_clients()):
         if time.monotonic() > deadline:
-            raise BrowserError("the browser's page does not connect")
+            raise BrowserError("the browser's page did not connect")
         time.sleep(0.02)
     return next(iter(clients.values()))
 

@@ -76,7 +76,7 @@ class FilePanel(Panel):
                 client.send_file_download(told, data, save_immediately=True)
 
         def pressed(_: Any) -> None:
-            self._job.start(label, "is being made", lambda: self._notifier.attempt(client, send))
+            self._job.start(label, "in progress", lambda: self._notifier.attempt(client, send))
 
         return self.button(label, pressed, icon, **look)
 
@@ -95,9 +95,9 @@ class FilePanel(Panel):
         try:
             pixels = asked.result()
         except (RuntimeError, TimeoutError) as error:
-            raise BrowserError(f"the browser gave no picture: {error}") from None
+            raise BrowserError(f"the browser did not deliver a picture: {error}") from None
         if pixels.shape != (height, width, 4):
-            raise BrowserError("the browser gave another picture than it was asked for")
+            raise BrowserError("the browser delivered a picture of another size")
         picture = Image.fromarray(pixels, "RGBA")  # transparent where nothing is drawn
         whole = Image.new("RGBA", picture.size, (*BACKGROUND[self._viewer.view.dark], 255))
         whole.alpha_composite(picture)
@@ -118,7 +118,7 @@ class SavePanel(FilePanel):
             self.file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._scene)
             if viewer.page_picture is not None:
                 self.file("Whole page (PNG)", viser.Icon.BROWSER, "page.png", self._whole_page)
-        with gui.add_folder("The marked interval, or all that is kept"):
+        with gui.add_folder("Marked interval, or the last minute"):
             for label, name in (("Log (CSV)", "log.csv"), ("Log (Parquet)", "log.parquet")):
                 self.file(label, viser.Icon.TABLE, name, partial(self._log, name))
             for label, name, write in (
@@ -126,17 +126,17 @@ class SavePanel(FilePanel):
                 ("Replay (HTML)", "replay.html", write_replay),
             ):
                 self.file(label, viser.Icon.MOVIE, name, partial(self._of_log, name, write))
-            self._film_as = gui.add_dropdown("Film as", tuple(CODECS))
-            self._film_from = gui.add_dropdown("Film from", tuple(PRESETS))
+            self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
+            self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
             self.file(
                 "Film",
                 viser.Icon.VIDEO,
                 lambda: f"film{self._film_as.value}",
                 self._film,
-                hint=f"{FILM_RATE:g} pictures a second of the interval, as large as a picture; "
-                "each takes about a quarter of a second to draw: mark a short interval",
+                hint=f"{FILM_RATE:g} pictures per second, in the size of a picture. Each takes "
+                "about 0.25 s to draw: mark a short interval.",
             )
-        gui.add_markdown("Parameters are saved in the tab *Tune*.")
+        gui.add_markdown("The tab *Tune* saves parameters.")
 
     def _size(self) -> tuple[int, int]:
         """[px] the wanted width and height."""
@@ -198,11 +198,11 @@ class SweepPanel(Panel):
             self.status = JobStatus(viewer, self._job)
             """How far the sweep is, which is common to all viewers."""
             self._button = self.button(
-                "Make a map",
+                "Compute a map",
                 lambda _: self.begin(),
                 viser.Icon.RADAR,
-                hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
-                "parameters of now, in a process of low priority; takes some minutes.",
+                hint=f"Hand paths towards the base from every {STEP:g}°, with the present "
+                "controller and parameters. Takes some minutes.",
             )
         self._image: viser.GuiImageHandle | None = None
 

@@ -134,7 +134,7 @@ class Timeline:
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.history(-1.0)
         if len(found) < 2:
-            raise LogError("the marked interval is a single instant: mark a start and a later end")
+            raise LogError("the marked interval has no duration; mark a start and a later end")
         return found
 
     def _go_on(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
@@ -216,5 +216,5 @@ class TimelinePanel(Panel):
 
     def _jump(self, to: Snapshot | None) -> None:
         if to is None:
-            raise LogError("nobody has pulled the robot yet")
+            raise LogError("there has been no pull yet")
         self._timeline.show(to)

@@ -122,8 +122,8 @@ def sentence(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
-    touch = "Parts of the arm touch! " if snapshot.arm_in_contact else ""
-    return ("Arm and base touch! " if snapshot.in_contact else touch) + _answer(snapshot, why)
+    touch = "Contact within the arm. " if snapshot.arm_in_contact else ""
+    return ("Contact of arm and base. " if snapshot.in_contact else touch) + _answer(snapshot, why)
 
 
 def _hand_is_disturbed(why: Explanation) -> bool:
@@ -227,7 +227,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
     moves = _motion(snapshot, why, ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
-        return f"the base {moves}" + (", as fast as it may" if top else "")
+        return f"the base {moves}" + (", at its speed limit" if top else "")
     asked = planar(why.axes, why.base_asked)
     will = words.intention(asked.forward, asked.turn, ahead=ahead, left=asked.left)
     return None if will is None else f"the base is about to {will}"

@@ -32,6 +32,7 @@ _VIRIDIS = np.array(
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
 """One colour a link pair, in the order of the snapshot; distinct on white and on black."""
 
+BETA = "#8e6bd8"  # activation
 CLEAR: Rgb = (128, 138, 150)  # a pair outside of its buffer
 NEAR: Rgb = (235, 205, 70)  # a pair inside of its buffer, on which nothing acts
 YIELDS: Rgb = (240, 150, 40)  # a pair for which the base gives way
