@@ -262,7 +262,7 @@ def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashb
         job.start("map", "begins", held.wait)
         wait_for(lambda: "<b>map</b>: begins" in told.content)
         job.cancel()
-        wait_for(lambda: "<b>map</b>: is being cancelled" in told.content)
+        wait_for(lambda: "<b>map</b>: cancelling" in told.content)
         held.set()
         wait_for(lambda: not told.visible)
 
@@ -644,7 +644,7 @@ def test_legend_says_how_many_points_are_drawn():
     legend = Legend.of("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
     html = legend_html([legend])
     assert "m⁴/rad⁴" in html
-    assert "20,000 of the 50,000 points" in html
+    assert "20,000 of 50,000 points" in html
     assert "0.150 m" in html
     np.testing.assert_allclose(legend.normalised(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
 

@@ -26,7 +26,7 @@ window.dbbControls = (box, ranges) => {
   };
   const head = make("header", document.body, "dbb-head");
   const name = make("div", head, "dbb-name");
-  make("h1", name, "", "dbb self-collision avoidance");
+  make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
   make("p", name, "", "Drives a mobile robot's base out of its own arm's way");
   const live_ = make("div", head, "dbb-live");
   const card = make("section", document.body, "dbb-card");

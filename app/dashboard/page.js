@@ -133,8 +133,12 @@
     const drawer = document.querySelector("[data-drawer]");
     if (place === null || (!drawer && matches(NARROW).matches)) return;
     if (drawer) drawer.dataset.drawer = "open";
-    const named = (tab) => tab.innerText.trim() === place;
-    if (place) openTab([...document.querySelectorAll("[role=tab]")].find(named));
+    const tab = [...document.querySelectorAll("[role=tab]")].find((each) => each.innerText.trim() === place);
+    // A drawer shows the names of a closed group of tabs in one line, which opens it.
+    const line = (each) => each.innerText.trim().split(" · ").includes(place);
+    const group = drawer && place && !tab && [...drawer.querySelectorAll("div, span, p")].filter(line).pop();
+    if (group) return group.click();
+    openTab(tab);
     place = null;
   };
 

@@ -37,6 +37,7 @@ from app.robot.description import RobotDescription
 from app.simulation.loop.commands import Compare, Play, Reset, Restart
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios import SCENARIOS, scenario_of
+from app.simulation.scenarios.line import LineScenario
 from app.simulation.trace.snapshot import Snapshot
 
 PanelType = TypeVar("PanelType", bound=Panel)
@@ -50,6 +51,7 @@ LIGHT = (
 PATIENCE = 1.0  # [s] without a sign of life of the simulation or of the viewer's browser
 SHOWN = "guiding-lateral"
 """The scenario that shows what the base does: it is pulled at along its wheels' axis."""
+FARTHER = 1.25  # [-] of its path: so the arm runs into a base that does not give way
 UNTOUCHED = 20.0  # [s] for which nobody touches a page before it shows something of itself
 REST = 3.0  # [s] between two times
 
@@ -245,8 +247,9 @@ class Page:
         loop = self._shared.loop
 
         def watch() -> None:
+            play = shown_play(self._shared.model.description)
             loop.send(Compare(("none",)))
-            self._run.play(SHOWN)
+            loop.send(play)
 
         return {
             "watch": watch,
@@ -293,6 +296,19 @@ class Page:
         self._refusal = newest.refusal
 
 
+def shown_play(robot: RobotDescription) -> Play:
+    """The command that plays what a robot is shown by.
+
+    Raises:
+        UnreachableError: It has no line for that.
+    """
+    scenario = scenario_of(robot, SHOWN)
+    if isinstance(scenario, LineScenario):
+        x, y, z = (FARTHER * part for part in scenario.move)
+        scenario = scenario.changed(move=(x, y, z))
+    return Play(scenario)
+
+
 class Demonstration:
     """What a page that nobody touches shows of itself, until somebody does.
 
@@ -325,7 +341,7 @@ class Demonstration:
         elif monotonic() > self._due:
             self._due, self._plays = None, True
             try:
-                play = Play(scenario_of(robot, SHOWN))
+                play = shown_play(robot)
                 loop.send(Compare(("none",)))
                 loop.send(play)
                 pages[0].guide.go("demo")

@@ -64,8 +64,8 @@ CARDS = {
     ),
     "watch": Card(
         "The same pull on two robots",
-        "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays and "
-        "the arm runs into it.",
+        "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays "
+        "and the arm runs into it.",
         (PULL, CLOSE),
     ),
     "demo": Card(

@@ -7,6 +7,7 @@ from app.control.active_bounds import Bound, BoundKind
 from app.simulation.trace.words import body as body
 from app.simulation.trace.words import pair as pair
 from app.simulation.trace.words import spoken as spoken
+from app.strict import Array
 
 AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below which the base stands still
 SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] below which a commanded acceleration moves nothing yet
@@ -125,7 +126,7 @@ def _moves(
     return " and ".join(parts) or None
 
 
-def speeds(velocity: Sequence[float]) -> str:
+def speeds(velocity: Array) -> str:
     """A base's velocity, as in "0.09 m/s, 5°/s left"; its last axis turns."""
     *linear, w = velocity
     turn = math.degrees(abs(w))

@@ -123,12 +123,12 @@ class LabPanel(Panel):
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
         self._speed = gui.add_slider(
-            "Speed [× real time]",
+            "Speed",
             min=SPEEDS[0],
             max=SPEEDS[1],
             step=0.1,
             initial_value=1.0,
-            hint="Upper bound; a slow machine stays below it.",
+            hint="Times real time; a slow machine stays below it.",
         )
         self.on_update(self._speed, lambda event: sink.send(Speed(event.target.value)))
         if (case := viewer.shared.case) is not None:

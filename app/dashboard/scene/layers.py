@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pinocchio as pin
 
 from app.dashboard.panels import phrases as words
 from app.dashboard.scene import colours
@@ -166,17 +167,16 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
                 canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
 
-def draw_names(canvas: Canvas, snapshot: Snapshot, top: float) -> None:
-    """At a height [m] over each of several robots what its controller does, and if it touches."""
-    scores = snapshot.scores or (None,) * (1 + len(snapshot.ghosts))
-    robots = [(snapshot.controller, snapshot.base_pose, snapshot.nearest.d)]
+def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
+    """At a place (3,) [m] of each of several bases what its controller does, and its distance."""
+    robots = [
+        (snapshot.controller, snapshot.base_pose, min(p.d for p in snapshot.pairs if p.mobile))
+    ]
     robots += [(ghost.controller, ghost.base_pose, ghost.clearance) for ghost in snapshot.ghosts]
-    for i, ((name, (x, y, _), d), score) in enumerate(zip(robots, scores, strict=False)):
-        if snapshot.ghosts:
-            text, place = METHODS.get(name, name), np.array([x, y, top])
-            if score is not None and (score.contacts or score.clearance < 0.0):
-                text += ": touches" if d < 0.0 else ": has touched"
-            canvas.label(f"/names/{i}", place, text)
+    for i, (name, (x, y, phi), d) in enumerate(robots if snapshot.ghosts else ()):
+        place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
+        near = "touches" if d < 0.0 else f"{millimetres(d)} to its base"
+        canvas.label(f"/names/{i}", place, f"{METHODS.get(name, name)}: {near}")
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

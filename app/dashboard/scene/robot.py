@@ -103,6 +103,8 @@ class RobotParts:
         self.extent = self._extent(robot.description)
         """(N, 3) [m] corners of all that a camera has to show, in the base's frame: the links in
         the ready pose, and the borders' place around the base."""
+        self.rear = np.array([self.extent[:8, 0].min(), 0.0, self.extent[:8, 2].max()])
+        """(3,) [m] a place over the rear of the base, in its frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:
