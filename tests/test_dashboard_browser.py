@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.page import PRODUCT
 from app.dashboard.panels.help import CARDS
 from app.dashboard.panels.plots import SIGHT
 from app.dashboard.panels.run import FREE, TITLES
@@ -59,8 +60,8 @@ def tab(opened, served):
 
 
 def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
-    assert tab.page.title().startswith(served.server.shared.model.description.title)
-    texts = "This machine", "hand – base", "d_b [m]", "score S, (10)", "Nearest", "Pause"
+    assert tab.page.title() == f"{PRODUCT} · {served.server.shared.model.description.title}"
+    texts = "out of its own arm's way", "hand – base", "score S, (10)", "Nearest", "Pause"
     for text in texts:
         tab.page.get_by_text(text).filter(visible=True).first.wait_for(timeout=10_000)
     assert tab.page.get_by_text("no explanation for this instant").first.is_visible()
@@ -109,6 +110,7 @@ def test_the_robot_is_framed_by_the_scene(tab, served):
 
 def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     before = tab.picture()
+    tab.open_tab("Tune")
     tab.set_slider("d_b [m]", 0.25)
     wait_for(lambda: any(isinstance(c, Configure) for c in served.loop.commands))
     assert served.loop.commands[-1].config.border.d_b == 0.25
@@ -116,6 +118,7 @@ def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     tab.wait_for_change(before, 5000)
     tab.set_slider("d_b [m]", 0.15)
     tab.page.get_by_text("= 0.150 m").wait_for(timeout=40_000)
+    tab.open_tab("Run")
 
 
 def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, served):
@@ -146,7 +149,7 @@ def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(
     assert len({(pull.link, pull.point, pull.who) for pull in pulls}) == 1, "one point of one link"
     wait_for(lambda: tab.is_shown("/pull/0"), what="the rubber band")
     [pull] = loop.latest().pulls
-    newtons = f"{np.linalg.norm(pull.force):.0f} N"
+    newtons = f"pull {np.linalg.norm(pull.force):.0f} N"
     wait_for(lambda: tab.text("/pull/label_0") == newtons, what=newtons)
     along = [tab.pixel("", tuple(pull.point + u * (pull.target - pull.point))) for u in (0.3, 0.6)]
     tab.wait_for_change(before, 40, np.array(along), radius=12)
@@ -185,7 +188,7 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
 
 
 def test_keys_do_what_the_help_says(tab, served):
-    tab.page.mouse.click(640, 60)  # the scene, so that no widget takes the key
+    tab.page.mouse.click(640, 120)  # the scene, so that no widget takes the key
     for key, command, paused in (
         ("Space", Pause(True), True),
         ("Space", Pause(False), False),

@@ -319,6 +319,18 @@ window.dbbControls = (box, ranges) => {
     if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
   });
 
+  // ---- the hand is pulled by keys as long as Shift is held
+  const PULLS = { ArrowUp: [1, 0, 0], ArrowDown: [-1, 0, 0], ArrowLeft: [0, 1, 0], ArrowRight: [0, -1, 0],
+    PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
+  const elsewhere = (e) => e.target.closest?.("input, textarea, [role=slider], [role=tab]");
+  listen(window, "keydown", (e) => {
+    if (!e.shiftKey || !(e.key in PULLS) || elsewhere(e)) return;
+    ask("nudge", ...PULLS[e.key]);
+    e.preventDefault();
+    e.stopImmediatePropagation();
+  }, { capture: true });
+  listen(window, "keyup blur", (e) => (e.key === "Shift" || e.type === "blur") && ask("drop"));
+
   // ---- a double click resets the view
   listen(window, "dblclick", (e) => e.target.tagName === "CANVAS" && e.target !== strip && ask("look"));
 

@@ -50,6 +50,21 @@
       head.setAttribute("role", "button");
     }
   };
+  // Names for screen readers: of icons by their picture, of sliders and boxes by the label beside them.
+  const ICONS = { "list-search": "All commands", adjustments: "Display settings", x: "Close" };
+  const makeNames = () => {
+    document.getElementById("root")?.setAttribute("role", "main");
+    for (const each of document.querySelectorAll("button:not([aria-label])")) {
+      const icon = each.innerText.trim() ? null : each.querySelector("svg");
+      const kind = icon && [...icon.classList].find((name) => name.startsWith("tabler-icon-"))?.slice(12);
+      if (icon) each.setAttribute("aria-label", ICONS[kind] ?? kind?.replaceAll("-", " ") ?? "Close");
+    }
+    for (const each of document.querySelectorAll("[role=slider][aria-label=''], .mantine-Input-input:not([aria-label])")) {
+      let label = each.labels?.[0];
+      for (let at = each.parentElement; at && !label; at = at.parentElement) label = at.querySelector("label");
+      if (label) each.setAttribute("aria-label", label.textContent.replace("•", "").trim());
+    }
+  };
   const press = (event) => { // on its way to the page's own keys
     byKeys ||= event.key === "Tab";
     const [at, space] = [event.target, event.key === " "];
@@ -157,6 +172,7 @@
       window.addEventListener("pointerdown", () => (byKeys = false), true);
       timer = setInterval(() => {
         makeHeads();
+        makeNames();
         openPlace();
         makeDrawer();
         thinOut();

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import TypeVar
 
+import numpy as np
 import viser
 
 from app.dashboard.drag import DragHandles, Grip
@@ -83,6 +84,8 @@ class Page:
         self.view, self.timeline = view, Timeline(shared.loop, shared.strip)
         self.channel = Channel(client, notifier)
         self.channel.on("escape", self._escape)
+        self.channel.on("nudge", self._nudge)
+        self.channel.on("drop", lambda: self.grip.release_keys())
         self.grip = Grip(shared.loop, notifier, client.client_id)
         self._camera = before.viewer.camera if before else Camera(client)
         self._camera.fit(shared.parts.extent)
@@ -285,6 +288,12 @@ class Page:
         """Close what lies over the page."""
         self.guide.go("")
         self._notifier.clear(self._client)
+
+    def _nudge(self, *ahead: float) -> None:
+        """A key pulls the hand, (3,) along the base's axes."""
+        direction = np.clip(np.array([*ahead, 0.0, 0.0, 0.0][:3], dtype=float), -1.0, 1.0)
+        if np.isfinite(direction).all():
+            self.grip.nudge(direction, self._shared.loop.latest(), self._client)
 
     def _toggle_dark(self) -> None:
         self.view.dark = not self.view.dark

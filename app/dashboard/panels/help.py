@@ -35,7 +35,8 @@ controllers on the same pull. *Key* explains colours and arrows. *Run* has scena
 readings and joint sliders, *View* layers and cameras, *Tune* all parameters, *Robot* other robots
 and your own, *Save* pictures, logs, replays and films.
 
-**Keys** (outside text fields): {keys}. `?` opens this page, `Ctrl K` lists all commands. Double
+**Keys** (outside text fields): {keys}. `?` opens this page, `Ctrl K` lists all commands. `Shift`
+with the arrow keys, `Page Up` and `Page Down` pulls the hand until `Shift` is released. Double
 click the scene to reset the view.
 
 Several people can use the page at once. Each has their own view and place in time; the simulation
