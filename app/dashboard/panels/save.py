@@ -119,8 +119,11 @@ class SavePanel(FilePanel):
             if viewer.page_picture is not None:
                 self.file("Whole page (PNG)", viser.Icon.BROWSER, "page.png", self._whole_page)
         with gui.add_folder("Marked interval, or the last minute"):
-            for label, name in (("Log (CSV)", "log.csv"), ("Log (Parquet)", "log.parquet")):
-                self.file(label, viser.Icon.TABLE, name, partial(self._log, name))
+            for label, name, hint in (
+                ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
+                ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
+            ):
+                self.file(label, viser.Icon.TABLE, name, partial(self._log, name), hint=hint)
             for label, name, write in (
                 ("Report (HTML)", "report.html", write_report),
                 ("Replay (HTML)", "replay.html", write_replay),
@@ -158,7 +161,9 @@ class SavePanel(FilePanel):
 
     def _log(self, name: str) -> bytes:
         with tempfile.TemporaryDirectory() as folder:
-            return self._write(Path(folder) / name).read_bytes()
+            data = self._write(Path(folder) / name).read_bytes()
+        # Spreadsheets and pandas open a plain table; `dbb replay` and `report` take Parquet.
+        return data.partition(b"\n")[2] if name.endswith(".csv") else data
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
         """What `write(report, log, path, *more)` makes of the log."""
