@@ -72,9 +72,9 @@ def readings(values: Mapping[str, str], *styles: str) -> str:
     return table((reading(*each) for each in values.items()), *styles)
 
 
-def reading(name: str, value: str, colour: str = "") -> str:
-    """A row of what is read; loud in a colour."""
-    return row(cell(name, FAINT), cell(value, RIGHT, colour and f"color:{colour};font-weight:600"))
+def reading(name: str, value: str) -> str:
+    """A row of what is read."""
+    return row(cell(name, FAINT), cell(value, RIGHT))
 
 
 def spread(*texts: str) -> str:

@@ -52,7 +52,7 @@ LIGHT = (
 PATIENCE = 1.0  # [s] without a sign of life of the simulation or of the viewer's browser
 SHOWN = "guiding-lateral"
 """The scenario that shows what the base does: it is pulled at along its wheels' axis."""
-FARTHER = 1.25  # [-] of its path: so the arm runs into a base that does not give way
+FARTHER = 1.5  # [-] of its path: so the arm runs into a base that does not give way
 UNTOUCHED = 20.0  # [s] for which nobody touches a page before it shows something of itself
 REST = 3.0  # [s] between two times
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.dashboard.markup import cell, problem, row, small, table
+from app.dashboard.markup import BAD_COLOUR, cell, problem, row, small, table
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.phrases import spoken
 from app.dashboard.robots import RobotCheck
@@ -262,7 +262,11 @@ def changes_html(changes: HandMade) -> str:
     )
 
 
-_COLOURS = {"passed": "#2f9e44", "warned": "#e8590c", "failed": "#e03131"}
+_COLOURS = {
+    "passed": "light-dark(#1e7b34, #51cf66)",
+    "warned": "light-dark(#a83f05, #ffa94d)",
+    "failed": BAD_COLOUR,
+}
 
 
 def rows_html(check: RobotCheck) -> str:
@@ -272,7 +276,7 @@ def rows_html(check: RobotCheck) -> str:
     rows = [
         row(
             cell(escape(each.name), "white-space:nowrap;vertical-align:top"),
-            cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, '#868e96')}"),
+            cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, 'inherit')}"),
             hint=each.text,
         )
         + row(cell(escape(each.text), "opacity:.8", span=2))

@@ -16,6 +16,7 @@ from app.dashboard.markup import (
     banner,
     bar,
     cell,
+    chip,
     framed,
     mark,
     minus,
@@ -29,7 +30,7 @@ from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, 
 from app.dashboard.panels import phrases as words
 from app.dashboard.panels.why import BAR_RANGE
 from app.dashboard.record import Course
-from app.dashboard.scene.colours import GHOSTS, SERIES, css
+from app.dashboard.scene.colours import GHOSTS, SERIES, css, ink
 from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
@@ -202,16 +203,10 @@ def scores_html(scores: tuple[Score, ...]) -> str:
     )
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
     valid = [end == "no contact" for end in ends]
-    loud = f"color:{css(COLOURS['contact'])};font-weight:700"
-    rows = [
-        row(
-            cell("outcome", FAINT),
-            *(
-                cell(end, RIGHT, "" if good else loud)
-                for end, good in zip(ends, valid, strict=True)
-            ),
-        )
+    texts = [
+        end if good else state_chip(end, "contact") for end, good in zip(ends, valid, strict=True)
     ]
+    rows = [row(cell("outcome", FAINT), *(cell(text, RIGHT) for text in texts))]
     for label, name, text, best in _SCORES:
         values = [getattr(score, name) for score in scores]
         rows.append(row(cell(label, FAINT), *_marked(values, text, best, valid)))
@@ -334,7 +329,12 @@ def _number(value: float, form: str) -> str:
 
 
 def _status_row(label: str, value: str, state: State = "clear") -> str:
-    return reading(label, value, "" if state == "clear" else css(COLOURS[state]))
+    return reading(label, value if state == "clear" else state_chip(value, state))
+
+
+def state_chip(text: str, state: State) -> str:
+    """A text on the colour of a state, which can be read on any page."""
+    return chip(text, css(COLOURS[state]), ink(COLOURS[state]))
 
 
 def pairs_html(
@@ -361,12 +361,12 @@ def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) ->
     colour = css(COLOURS[state])
     share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
     limit = min(d_b, BAR_RANGE) / BAR_RANGE
-    loud = f"color:{colour};font-weight:600" if state == "contact" else ""
+    distance = millimetres(pair.d)[:-3]
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
         cell(bar(share, colour, limit), "width:34%"),
-        cell(millimetres(pair.d)[:-3], RIGHT, loud),
+        cell(state_chip(distance, state) if state == "contact" else distance, RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
         f"the stroke is d_b = {millimetres(d_b)}; activation β is 0 at d_b and 1 at d_full",
