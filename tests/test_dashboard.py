@@ -256,9 +256,9 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
 
 
 def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashboard):
-    held, job = threading.Event(), dashboard.shared.sweep_job
+    held, job = threading.Event(), dashboard.shared.robot_switch
     with RawClient(dashboard.address):
-        told = page_of(dashboard).sweep_panel.status.text
+        told = page_of(dashboard)._change.text
         job.start("map", "begins", held.wait)
         wait_for(lambda: "<b>map</b>: begins" in told.content)
         job.cancel()

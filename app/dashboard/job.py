@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
-    from app.studies.sweep.plan import SweepPlan
 
 logger = logging.getLogger(__name__)
 _CORES = max(1, usable_cores() - 1)  # of a job: one core is the simulation's
@@ -195,14 +194,6 @@ def check_rows(report: Report, robot: str) -> list[Row]:
 
     found = check_robot(load_robot(robot), tell=lambda text: report(text, -1.0), processes=_CORES)
     return list(found)
-
-
-def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
-    """A sweep, and its files in a folder."""
-    from app.studies.sweep.sweep import sweep, write_sweep
-
-    result = sweep(plan, processes=1, on_progress=lambda share: report("sweeping", share))
-    write_sweep(result, folder)
 
 
 def write_report(report: Report, log: Path, page: Path) -> None:

@@ -19,7 +19,7 @@ from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
-from app.dashboard.panels.save import SavePanel, SweepPanel
+from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.share import Link, SharePanel
 from app.dashboard.panels.timeline import Timeline, TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
@@ -230,7 +230,6 @@ class Page:
         with tabs.add_tab("Lab"):
             self._add(LabPanel(viewer))
             self.explorer_panel = self._add(ExplorerPanel(viewer))
-            self.sweep_panel = self._add(SweepPanel(viewer))
         with tabs.add_tab("View"):
             ViewPanel(viewer)
         with tabs.add_tab("Tune"):

@@ -6,7 +6,6 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
-from pathlib import Path
 
 import viser
 
@@ -14,7 +13,6 @@ from app.border.dbb import Cloud
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
-from app.dashboard.panels.save import SWEEPS
 from app.dashboard.panels.share import read_link
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
@@ -213,7 +211,6 @@ def serve_dashboard(
     host: str = "127.0.0.1",
     port: int = 8080,
     case: Scenario | None = None,
-    sweeps: Path = SWEEPS,
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
@@ -227,7 +224,6 @@ def serve_dashboard(
             network should it be more than this machine.
         port: Port to listen at; 0 takes a free one.
         case: A scenario that begins where the loop does, for a button that plays it.
-        sweeps: Folder of the maps of sweeps, where new ones are written too.
         parts: The robot's meshes if they have been read already.
         start_loop: Begins the simulation of another robot; without, it cannot be changed.
 
@@ -237,7 +233,7 @@ def serve_dashboard(
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
-    shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
+    shared = SharedState(loop, model, clouds, parts, case=case, robot_switch=switch)
     server = open_server(host, port, LARGEST_ARCHIVE, read_link)
     try:
         if port not in (0, server.get_port()):

@@ -18,7 +18,6 @@ from app.dashboard.export.offscreen import OffscreenScene, RecordedLoop
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import SEEN
-from app.dashboard.panels.save import SWEEPS
 from app.dashboard.scene.scene import SceneData
 from app.dashboard.shared import SharedState
 from app.dashboard.view import Viewpoint
@@ -55,7 +54,7 @@ def take_pictures(
     loop = RecordedLoop(snapshots)
     with offscreen.own_page(browser, look) as (server, page):
         if look.page:
-            shared = SharedState(loop, model, clouds, sweeps=SWEEPS)
+            shared = SharedState(loop, model, clouds)
             try:
                 return _of_page(page, server, loop, shared, times, look, viewpoint)
             finally:

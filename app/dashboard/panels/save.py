@@ -1,11 +1,10 @@
-"""Tab "Save" and folder "Sweep": files that are made beside the simulation."""
+"""Tab "Save": files that are made beside the simulation."""
 
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
-from html import escape
 from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
@@ -17,29 +16,21 @@ from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS
 from app.dashboard.job import (
     FILM_RATE,
-    Job,
-    sweep_to_files,
     write_film_of,
     write_replay,
     write_report,
 )
-from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.view import Viewpoint
-from app.errors import BrowserError, OutputError, StudyError
+from app.errors import BrowserError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
-from app.studies.sweep.plan import SweepPlan
-from app.studies.sweep.sweep import newest_map, read_map
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
-STEP = 15.0  # [deg] between two directions of a map that is made here
-SWEEPS = Path("out/sweep")  # where `dbb sweep` writes by default
-_LOOK_EVERY = 20  # updates between two looks into the folder of maps
 _CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
 _PATIENCE = 30.0  # [s] for a browser to draw a picture
 
@@ -186,82 +177,6 @@ class SavePanel(FilePanel):
         model = self._viewer.shared.model
         write_trace(path, Trace.of_snapshots(model, snapshots, scenario=scenario))
         return path
-
-
-class SweepPanel(Panel):
-    """The newest polar map of a folder, and the button that begins a sweep."""
-
-    def __init__(self, viewer: Viewer) -> None:
-        super().__init__(viewer)
-        self._shared, self._job = viewer.shared, viewer.shared.sweep_job
-        self._map: tuple[Path, int] | None = None
-        self._problem = ""
-        self._updates = 0
-        self._box = self._gui.add_folder("Sweep", expand_by_default=False)
-        with self._box:
-            self._text = self._gui.add_html("")
-            self.status = JobStatus(viewer, self._job)
-            """How far the sweep is, which is common to all viewers."""
-            self._button = self.button(
-                "Compute a map",
-                lambda _: self.begin(),
-                viser.Icon.RADAR,
-                hint=f"Hand paths towards the base from every {STEP:g}°, with the present "
-                "controller and parameters. Takes some minutes.",
-            )
-        self._image: viser.GuiImageHandle | None = None
-
-    def update(self, moment: Moment) -> None:
-        self.status.show(problem(self._job.problem) if self._job.problem else "")
-        self._button.disabled = self._job.progress is not None
-        if self._updates % _LOOK_EVERY == 0:
-            self._look()
-        self._updates += 1
-        none = f"No map in {self._shared.sweeps} yet."
-        text = self._problem or (self._map[0].name if self._map else none)
-        self._text.content = small(escape(text))  # a file's name may be anybody's
-
-    def begin(self) -> None:
-        """Make a map with what is chosen now."""
-        shared = self._shared
-        plan = SweepPlan(
-            shared.model.description.name,
-            (shared.loop.latest().controller,),
-            step=STEP,
-            config=shared.tuning.config,
-        )
-        start_sweep(self._job, plan, shared.sweeps)
-
-    def _look(self) -> None:
-        """Show the folder's newest map, if it is another one than is shown."""
-        found = newest_map(self._shared.sweeps)
-        if found is None or found == self._map:
-            return
-        self._map, self._problem = found, ""
-        try:
-            picture = read_map(found[0])  # whole: a press on it enlarges it
-        except StudyError as error:
-            self._problem = str(error)
-            return
-        if self._image is None:
-            with self._box:
-                self._image = self._gui.add_image(picture, format="png")
-        else:
-            self._image.image = picture
-
-
-def start_sweep(job: Job, plan: SweepPlan, folder: Path) -> None:
-    """Begin a sweep; its files are written into the folder when all of it is done.
-
-    Raises:
-        OutputError: The folder cannot be made.
-        ConfigError: A sweep is under way.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write to {folder}: {error.strerror}") from None
-    job.start("sweep", "begins", lambda: job.run(sweep_to_files, plan, folder))
 
 
 def png(picture: Image.Image) -> bytes:
