@@ -5,12 +5,15 @@ from __future__ import annotations
 import ast
 import asyncio
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import viser
+from viser import _messages
 
-from app.dashboard.viser_compat import close_server, open_server
+from app.dashboard.viser_compat import _Buffer, close_server, open_server
 
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
@@ -79,3 +82,19 @@ def test_a_server_that_takes_long_to_end_prints_nothing_either(capfd) -> None:
     close_server(server)
     time.sleep(1.0)
     assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+def test_a_viewer_gets_the_removal_of_a_node_that_is_created_again(persistent: bool) -> None:
+    """Else the page would keep the pose of the node before, as viser sends no default pose.
+
+    What later viewers get from the beginning needs no removal.
+    """
+    loop = asyncio.new_event_loop()
+    queue = _Buffer(loop, persistent_messages=persistent)
+    frame = _messages.FrameMessage("/robot", SimpleNamespace())
+    for message in (frame, _messages.RemoveSceneNodeMessage("/robot"), replace(frame)):
+        queue.push(message)
+    kinds = [type(message).__name__ for message in queue.message_from_id.values()]
+    assert kinds == ["RemoveSceneNodeMessage"] * (not persistent) + ["FrameMessage"]
+    loop.close()
