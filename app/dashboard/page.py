@@ -44,7 +44,7 @@ from app.simulation.trace.snapshot import Snapshot
 PanelType = TypeVar("PanelType", bound=Panel)
 
 PRODUCT = "dbb self-collision avoidance"
-PANEL_WIDTH = 330  # [px] of each of the two columns
+PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
 LIGHT = (
     "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
     "shadows. Change it in the tab View."
@@ -220,7 +220,7 @@ class Page:
     def _build_right(self) -> None:
         gui, viewer = self._client.gui, self.viewer
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(PANEL_WIDTH)
+        gui.main_panel.set_width(MAIN_WIDTH)
         self._banner = gui.add_html("", visible=False)
         self._change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
