@@ -247,7 +247,7 @@ class Scene:
         if view.motion:
             layers.draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
         layers.draw_pulls(canvas, snapshot)
-        layers.draw_names(canvas, snapshot, self._data.parts.rear)
+        layers.draw_names(canvas, snapshot, self._data.parts.crown)
         if snapshot.door is not None:
             layers.draw_door(canvas, snapshot.door)
         for name, points in self._trails.items():
