@@ -242,6 +242,9 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     assert tab.page.get_by_text("No comparison is running.").is_visible()
     tab.choose("Second robot", "repulsive")
     wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
+    hand = served.loop.latest().p_ee
+    assert not tab.is_shown("/ghost_0"), "where it coincides it would only tint the robot"
+    served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: tab.is_shown("/ghost_0"))
     wait_for(
         lambda: (tab.text("/names/1") or "").startswith("arm repulsion only"),
@@ -251,8 +254,6 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     heads = tab.page.locator("th").filter(visible=True)
     heads.nth(1).wait_for()
     assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]
-    hand = served.loop.latest().p_ee
-    served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
     wait_for(lambda: in_scene(tab, hand), what="the ghost's hand beside the panels")

@@ -20,11 +20,18 @@ from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
+from app.simulation.trace.snapshot import (
+    ActingReading,
+    DoorView,
+    GhostReading,
+    PairReading,
+    Snapshot,
+)
 from app.simulation.trace.words import METHODS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
+_SAME = 0.01  # [m or rad] nearer to the robot a ghost is not seen as another one
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 _LEAST_FORCE = 0.5  # [N] weaker forces get no arrow, whose head would be longer than itself
 _FORCE_LIFT = 0.08  # [m] of the arrow of a force on the base over the base's top
@@ -169,14 +176,21 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     """At a place (3,) [m] of each of several bases what its controller does, and its distance."""
+    apart = any(not coincides(ghost, snapshot) for ghost in snapshot.ghosts)
     robots = [
         (snapshot.controller, snapshot.base_pose, min(p.d for p in snapshot.pairs if p.mobile))
     ]
     robots += [(ghost.controller, ghost.base_pose, ghost.clearance) for ghost in snapshot.ghosts]
-    for i, (name, (x, y, phi), d) in enumerate(robots if snapshot.ghosts else ()):
+    for i, (name, (x, y, phi), d) in enumerate(robots if apart else ()):
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
         near = "touches" if d < 0.0 else f"{millimetres(d)} to its base"
         canvas.label(f"/names/{i}", place, f"{METHODS.get(name, name)}: {near}")
+
+
+def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
+    """Whether a ghost stands where the robot does: drawn over it, it would only tint the robot."""
+    poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
+    return all(bool(np.abs(each).max() < _SAME) for each in poses)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

@@ -20,13 +20,12 @@ from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.door import BODY as DOOR
-from app.simulation.trace.snapshot import GhostReading, Snapshot
+from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
 SURROUNDINGS = "city"  # what viser mirrors in the meshes unless it is told otherwise
-_SAME = 0.01  # [m or rad] nearer to the robot a ghost is not seen as another one
 _TRACK_LIFT = 0.004  # [m] of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
@@ -266,13 +265,7 @@ class Scene:
             self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
         for i, robot in enumerate(self._ghosts):
             ghosts = snapshot.ghosts[i : i + 1]
-            robot.root.visible = any(not coincides(ghost, snapshot) for ghost in ghosts)
-
-
-def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
-    """Whether a ghost stands where the robot does: drawn over it, it would only tint the robot."""
-    poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
-    return all(bool(np.abs(each).max() < _SAME) for each in poses)
+            robot.root.visible = any(not layers.coincides(ghost, snapshot) for ghost in ghosts)
 
 
 def set_floor(scene: viser.SceneApi, *, dark: bool, shadows: bool = True) -> None:
