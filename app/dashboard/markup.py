@@ -73,7 +73,7 @@ def readings(values: Mapping[str, str], *styles: str) -> str:
 
 
 def reading(name: str, value: str) -> str:
-    """A row of what is read."""
+    """A row of a reading: its name and value."""
     return row(cell(name, FAINT), cell(value, RIGHT))
 
 

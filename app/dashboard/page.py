@@ -245,7 +245,7 @@ class Page:
             add_help(gui, self._shortcuts())
 
     def _shows(self) -> dict[str, Callable[[], None]]:
-        """What the guide demonstrates."""
+        """The guide's demonstrations, by its state."""
         loop = self._shared.loop
 
         def watch() -> None:
@@ -305,10 +305,10 @@ class Page:
 
 
 def shown_play(robot: RobotDescription) -> Play:
-    """The command that plays what a robot is shown by.
+    """The command that plays the demonstration of a robot.
 
     Raises:
-        UnreachableError: It has no line for that.
+        UnreachableError: The robot has no line for it.
     """
     scenario = scenario_of(robot, SHOWN)
     if isinstance(scenario, LineScenario):

@@ -196,7 +196,7 @@ def replay_html(
 
 
 def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
-    """Title of a replay, and its verdict with the legend of what is drawn."""
+    """Title of a replay, and its verdict with the legend of the scene."""
     controller = log.snapshots[0].controller
     title = f"{log.meta.scenario or 'Guiding by hand'}, {METHODS.get(controller, controller)}"
     legend = (

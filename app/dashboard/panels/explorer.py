@@ -1,4 +1,4 @@
-"""Folder "Joint sliders": what the law would do where the robot does not stand, while time does."""
+"""Folder "Joint sliders": the controller's answer for other postures, while the simulation pauses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -171,8 +171,8 @@ class ExplorerPanel(Panel):
             )
             if self.posture is not None
             else small(
-                "The simulation pauses. Move joints, base and hand: the readings show what the "
-                "controller would do."
+                "The simulation pauses. Move joints, base and hand: the readings are the "
+                "controller's answer."
             )
         )
 

@@ -47,7 +47,7 @@ TOUR = "Take the tour"
 
 
 class Card(NamedTuple):
-    """What the card over the scene says, and its buttons."""
+    """Text and buttons of the card over the scene."""
 
     title: str
     text: str

@@ -1,4 +1,4 @@
-"""Tabs "Run", "Lab" and "Compare": what is simulated, its readings, and other controllers."""
+"""Tabs "Run", "Lab" and "Compare": scenario, readings, and other controllers."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -62,7 +62,7 @@ _SCORES = (
 
 
 class RunPanel(Panel):
-    """Scenario, controller, pause, distances and the result; what one viewer chooses, all see."""
+    """Scenario, controller, pause, distances and the result; choices are for all viewers."""
 
     of_instant = True
 
@@ -249,7 +249,7 @@ def notice_html(newest: Snapshot) -> str:
 
 
 def course_html(course: Course, busy: str) -> str:
-    """What is prepared, how far the scenario is, or its result; nothing at the free start."""
+    """Preparation, progress or result of the scenario; empty at the free start."""
     if busy:
         return banner("notice", f"{capital(busy)} …", "The simulation waits until it is ready.")
     if not course.name:
@@ -270,7 +270,7 @@ def course_html(course: Course, busy: str) -> str:
 
 
 def course_figures(course: Course) -> dict[str, str]:
-    """What a scenario has come to."""
+    """Figures of a scenario."""
     return {
         "least distance": millimetres(course.least),
         "largest pull": f"{course.pull:.0f} N",

@@ -86,7 +86,7 @@ def number_text(value: Any, none: str = "–") -> str:
 
 
 def missing(key: str) -> str:
-    """What a figure without a value means, by its key."""
+    """The meaning of a figure without a value, by its key."""
     if key.startswith(("stuck", "left_way")):
         return "no"
     return "never" if key.endswith("_s") else "not measured"
