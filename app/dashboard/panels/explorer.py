@@ -1,4 +1,4 @@
-"""Folder "Joint sliders": the controller's answer for other postures, while the simulation pauses."""
+"""Folder "Joint sliders": the controller's answer for a posture, while the simulation pauses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
