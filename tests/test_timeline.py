@@ -144,7 +144,7 @@ def test_a_single_instant_is_refused_by_name():
     timeline.unmark()
     timeline.go_to(0.0)
     timeline.mark_end()
-    with pytest.raises(LogError, match="single instant"):
+    with pytest.raises(LogError, match="no duration"):
         timeline.interval()
 
 
