@@ -1,22 +1,27 @@
-"""Numerical kernels, compiled to machine code once for a machine and kept beside their source.
+"""Numerical kernels, compiled to machine code once and read by everybody who may read them.
 
 What a control step computes on vectors of nine is nothing but overhead in an interpreter: kernels
 make the whole step twice to three times as fast. A kernel is a plain function of floats and arrays,
 which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 """
 
+import hashlib
+import inspect
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from types import FunctionType
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 from numba import types
-from numba.core import config, sigutils
+from numba.core import caching, config, sigutils
 from numba.core.dispatcher import Dispatcher
 from numba.core.typing.templates import Signature
+
+from app.system import cache_folders
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -24,9 +29,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str) -> Callable[[Function], Function]:
     """Compile a function for the given types, when its module is imported for the first time.
 
-    So a control loop never waits for a compiler, and an array of another dtype is refused. Where
-    nothing can be kept, neither beside the source nor in the user's cache, each process compiles
-    what it imports.
+    So a control loop never waits for a compiler, and an array of another dtype is refused. Where no
+    folder can be written, each process compiles the kernels that it imports.
 
     Args:
         signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``. Without any it is a part
@@ -37,38 +41,130 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
         kernel = numba.njit(error_model="numpy")(function)
         if config.DISABLE_JIT or not signatures:
             return cast("Function", kernel)
-        try:
-            kernel.enable_caching()
-        except RuntimeError:  # numba has found no folder that it can write to
-            how_often = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
-        else:  # for numba (so still 0.68) a kernel is its own file only
-            kernel._cache._cache_file._source_stamp = _stamp(kernel)
-            how_often = "once on this machine"
+        with suppress(OSError):  # a function without a file, as in an interpreter, is not kept
+            kernel._cache = _Kept(kernel.py_func)
         for signature in signatures:
             kernel.compile(_any_array(signature))
         kernel.disable_compile()
-        if kernel.stats.cache_misses:
-            _tell_once(how_often)
+        if kernel.stats.cache_misses or not isinstance(kernel._cache, _Kept):
+            _tell_once(getattr(kernel._cache, "saved", False))
         return cast("Function", kernel)
 
     return compile_
 
 
-def _stamp(kernel: Dispatcher) -> tuple[tuple[str, float, int], ...]:
-    """What a kernel is made of: name, time and size of its file, and of each that it calls into.
+def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
+    """Name and digest of the files that a kernel is made of: its own, and those that it calls into.
 
-    Others are those that it has by their own names; constants are to be its own file's.
+    Called functions are found by the names that the kernel has for them; constants are to be in its
+    own file. A digest, unlike a time, survives the copy of an installation into an image.
+
+    Raises:
+        OSError: One of them is not a file that can be read.
     """
-    files, known, called = set[Path](), set[FunctionType](), [kernel.py_func]
+    files, known, called = set[Path](), set[FunctionType](), [function]
     while called:
-        function = called.pop()
-        files.add(Path(function.__code__.co_filename))
-        known.add(function)
-        named = (function.__globals__.get(name) for name in function.__code__.co_names)
+        part = called.pop()
+        files.add(Path(part.__code__.co_filename))
+        known.add(part)
+        named = (part.__globals__.get(name) for name in part.__code__.co_names)
         parts = {each.py_func for each in named if isinstance(each, Dispatcher)}
         called += parts - known
-    kept = sorted((file, file.stat()) for file in files)
-    return tuple((file.name, stat.st_mtime, stat.st_size) for file, stat in kept)
+    return tuple((file.name, _digest(file)) for file in sorted(files))
+
+
+@lru_cache(maxsize=None)
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _folders(file: str) -> list[Path]:
+    """Where the kernels of a source file may be, in the order in which they are looked for.
+
+    A folder that the environment names, the one beside the source where Python has its own compiled
+    files, and those of this user.
+    """
+    subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
+    named = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
+    own = [folder / "kernels" for folder in cache_folders()]
+    return [
+        *(folder / subfolder for folder in named),
+        Path(file).parent / "__pycache__",
+        *(folder / subfolder for folder in own),
+    ]
+
+
+class _Locator(caching._CacheLocator):
+    """Describes a kernel to numba, whose own locators refuse each folder that cannot be written."""
+
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+
+    @classmethod
+    def from_function(cls, py_func: FunctionType, py_file: str) -> "_Locator":
+        return cls(py_func)
+
+    def get_cache_path(self) -> str:
+        return str(Path(inspect.getfile(self._function)).parent)
+
+    def ensure_cache_path(self) -> None:
+        """Whether a folder can be written turns out when it is written to."""
+
+    def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
+        return _stamp(self._function)
+
+    def get_disambiguator(self) -> str:
+        return str(self._function.__code__.co_firstlineno)
+
+
+class _Described(caching.CompileResultCacheImpl):
+    """How numba writes a kernel, and under which name."""
+
+    _locator_classes = [_Locator]  # noqa: RUF012 - as numba has it
+
+
+class _Index(caching.IndexDataCacheFile):
+    """The index of a folder's kernels; a damaged one is empty, and is written anew."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return super()._load_index()
+        except Exception:  # whatever its bytes stand for
+            return {}
+
+
+class _Kept(caching.FunctionCache):
+    """The kernels of a function: read where they are, written to the first folder that allows it.
+
+    So a user without write access reads those that another one compiled.
+    """
+
+    _impl_class = _Described
+
+    def __init__(self, function: FunctionType) -> None:
+        super().__init__(function)
+        stamp, name = self._impl.locator.get_source_stamp(), self._impl.filename_base
+        self._files = [
+            _Index(str(folder), name, stamp) for folder in _folders(inspect.getfile(function))
+        ]
+        self.saved = False
+        """Whether a kernel that this process has compiled could be written."""
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        for self._cache_file in self._files:
+            with suppress(Exception):  # it cannot be read, or is damaged
+                found = super()._load_overload(sig, target_context)
+                if found is not None:
+                    return found
+        return None
+
+    def _save_overload(self, sig: Any, data: Any) -> None:
+        for self._cache_file in self._files:
+            with suppress(OSError):
+                Path(self._cache_file._cache_path).mkdir(parents=True, exist_ok=True)
+                super()._save_overload(sig, data)
+                self.saved = True
+                return
 
 
 def _any_array(signature: str) -> Signature:
@@ -89,6 +185,8 @@ def _any_array(signature: str) -> Signature:
 
 
 @lru_cache(maxsize=1)
-def _tell_once(how_often: str) -> None:
+def _tell_once(saved: bool) -> None:
     """Say why nothing happens for a while: another kernel was not kept yet."""
+    never = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
+    how_often = "once on this machine" if saved else never
     print(f"dbb: compiling kernels, {how_often}: half a minute", file=sys.stderr)

@@ -5,18 +5,23 @@ no `malloc_trim`; there the work is done without. Nothing here raises for want o
 """
 
 import ctypes
+import errno
 import fcntl
 import os
 import resource
 import secrets
 import signal
+import stat
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
+
+import platformdirs
 
 from app.errors import OutputError
 
@@ -174,6 +179,33 @@ def give_freed_memory_back() -> None:
         trim(0)
 
 
+def cache_folders() -> list[Path]:
+    """Folders of this user for files that can be made again: the usual one, then a temporary one.
+
+    A user without a home directory, as in a container, has only the second.
+    """
+    usual = platformdirs.user_cache_path("dbb", appauthor=False)  # "~/…" where there is no home
+    found = [usual] if usual.is_absolute() else []
+    with suppress(OSError):  # no temporary folder either
+        found.append(_private_folder(Path(tempfile.gettempdir())))
+    return found
+
+
+def _private_folder(shared: Path) -> Path:
+    """This user's own folder in one that all users share.
+
+    Raises:
+        OSError: It cannot be made, or others could have put files into it.
+    """
+    folder = shared / f"dbb-{os.getuid()}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    about = folder.lstat()
+    if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o022:
+        raise PermissionError(errno.EPERM, "others can write to it", str(folder))
+    return folder
+
+
 def open_standard_files() -> None:
     """Standard input, output and error lead nowhere where whoever began this process closed them.
 
@@ -187,11 +219,18 @@ def open_standard_files() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def forget_missing_temporary_folder() -> None:
-    """Programs that this one starts take the usual folder, as it does, if `TMPDIR` is none."""
-    named = os.environ.get("TMPDIR", "")
-    if not os.access(named, os.W_OK | os.X_OK):
+def find_temporary_folder() -> None:
+    """Programs that this one starts take the usual folder, as it does, if `TMPDIR` is none.
+
+    On a read-only file system, as of a container, shared memory is the one place that can be
+    written.
+    """
+    if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError:
+        os.environ["TMPDIR"] = "/dev/shm"
 
 
 def flush_c_output() -> None:

@@ -270,7 +270,7 @@ def test_a_temporary_folder_that_is_none_is_forgotten(
 ) -> None:
     for folder, kept in ((tmp_path, True), (tmp_path / "nothing", False)):
         monkeypatch.setenv("TMPDIR", str(folder))
-        system.forget_missing_temporary_folder()
+        system.find_temporary_folder()
         assert ("TMPDIR" in os.environ) is kept
 
 
