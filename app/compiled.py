@@ -10,7 +10,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
@@ -73,7 +73,7 @@ def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
     return tuple((file.name, _digest(file)) for file in sorted(files))
 
 
-@lru_cache(maxsize=None)
+@cache
 def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
@@ -151,7 +151,8 @@ class _Kept(caching.FunctionCache):
         """Whether a kernel that this process has compiled could be written."""
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        for self._cache_file in self._files:
+        for file in self._files:
+            self._cache_file = file
             with suppress(Exception):  # it cannot be read, or is damaged
                 found = super()._load_overload(sig, target_context)
                 if found is not None:
@@ -159,9 +160,10 @@ class _Kept(caching.FunctionCache):
         return None
 
     def _save_overload(self, sig: Any, data: Any) -> None:
-        for self._cache_file in self._files:
+        for file in self._files:
+            self._cache_file = file
             with suppress(OSError):
-                Path(self._cache_file._cache_path).mkdir(parents=True, exist_ok=True)
+                Path(file._cache_path).mkdir(parents=True, exist_ok=True)
                 super()._save_overload(sig, data)
                 self.saved = True
                 return

@@ -15,7 +15,7 @@ import stat
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from pathlib import Path
@@ -29,6 +29,7 @@ _REAL_TIME = 1  # [-] the least priority of those that come before all others
 _SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
 _BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
+_NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
@@ -179,16 +180,30 @@ def give_freed_memory_back() -> None:
         trim(0)
 
 
+def home_folder(find: Callable[..., Path]) -> Path | None:
+    """This program's own folder of a kind of `platformdirs`; None for a user without a home."""
+    with suppress(RuntimeError):  # of recent versions
+        found = find("dbb", appauthor=False)
+        return found if found.is_absolute() else None  # "~/…" of others
+    return None
+
+
 def cache_folders() -> list[Path]:
     """Folders of this user for files that can be made again: the usual one, then a temporary one.
 
     A user without a home directory, as in a container, has only the second.
     """
-    usual = platformdirs.user_cache_path("dbb", appauthor=False)  # "~/…" where there is no home
-    found = [usual] if usual.is_absolute() else []
+    usual = home_folder(platformdirs.user_cache_path)
+    found = [usual] if usual else []
     with suppress(OSError):  # no temporary folder either
         found.append(_private_folder(Path(tempfile.gettempdir())))
     return found
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether files can be written into a folder, which is made if it does not exist yet."""
+    there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    return os.access(there, os.W_OK | os.X_OK)
 
 
 def _private_folder(shared: Path) -> Path:
@@ -231,6 +246,29 @@ def find_temporary_folder() -> None:
         tempfile.gettempdir()
     except FileNotFoundError:
         os.environ["TMPDIR"] = "/dev/shm"
+
+
+@contextmanager
+def decimal_points() -> Iterator[None]:
+    """C libraries that read numbers in this thread expect decimal points meanwhile.
+
+    A process whose locale has decimal commas, as GUI libraries set it, would read 0.5 as 0.
+    """
+    library = _c_library()
+    if library is None or not hasattr(library, "uselocale"):  # musl and others, which have decimal points only
+        yield
+        return
+    create, use, free = library.newlocale, library.uselocale, library.freelocale
+    create.argtypes = ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p
+    use.argtypes = free.argtypes = (ctypes.c_void_p,)
+    create.restype = use.restype = ctypes.c_void_p
+    plain = create(_NUMERIC, b"C", None)
+    before = use(plain)
+    try:
+        yield
+    finally:
+        use(before)
+        free(plain)
 
 
 def flush_c_output() -> None:

@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from app import system
-
 from tests.readme import PROJECT
 
 PART = """

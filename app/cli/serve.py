@@ -13,7 +13,6 @@ from app.cli.common import load_model, say
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, read
 from app.config import Config
-from app.errors import check_name
 from app.simulation.scenarios.leading import check_point
 from app.simulation.scenarios.line import Point
 from app.simulation.scenarios.pulled import free_start
@@ -70,9 +69,9 @@ def serve(
         else options.configured(chosen.robot, config, parameters)
     )
     # Imported here: it takes longer than to find a mistake in what was asked.
-    from app.robot.assets import robot_names
+    from app.robot.assets import check_robot_name
 
-    check_name("robot", chosen.robot, robot_names())
+    check_robot_name(chosen.robot)
     from app.simulation.loop.process_loop import loop_child
 
     # The simulation's process imports as much as this one: both at once.

@@ -18,7 +18,7 @@ from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import Request
-from app.robot.assets import bare_urdf, resolved_urdf, robot_folder, robot_names, user_robots
+from app.robot.assets import bare_urdf, is_own, resolved_urdf, robot_folder, robot_names
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
@@ -58,7 +58,7 @@ def robot_entries() -> list[RobotEntry]:
 
 def _entry(name: str) -> RobotEntry:
     folder, title, about, problem = robot_folder(name), name, "", None
-    own, report = folder.parent == user_robots(), (folder / "report.html").is_file()
+    own, report = is_own(name), (folder / "report.html").is_file()
     try:
         description = load_robot(name)
         title = description.title

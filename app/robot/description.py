@@ -10,8 +10,8 @@ from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
 from app.config import Config, range_text
-from app.errors import DescriptionError, check_name
-from app.robot.assets import robot_folder, robot_names
+from app.errors import DescriptionError
+from app.robot.assets import check_robot_name, robot_folder
 from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
@@ -255,5 +255,5 @@ def load_robot(name: str) -> RobotDescription:
         UnknownNameError: No robot has that name; lists those that exist.
         DescriptionError: Its description does not hold.
     """
-    check_name("robot", name, robot_names())
+    check_robot_name(name)
     return load_description(robot_folder(name) / "robot.toml")

@@ -195,7 +195,7 @@ class NewRobotPanel(Panel):
             str(package.archive),
             value["base"],
             value["tip"],
-            user_robots() / value["out"],
+            user_robots()[0] / value["out"],
             wheels=(left, right) if left else None,
             kind=value["kind"],
             assume_inertia=value["assume_inertia"],
@@ -265,7 +265,7 @@ def upload_html() -> str:
         f"A zip with a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
         f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB expanded. Nothing in it is executed; "
         "a xacro has to be expanded first. What is made of it, a description, its border and a "
-        f"report, is kept in<br><code>{escape(str(user_robots()))}</code>"
+        f"report, is kept in<br><code>{escape(str(user_robots()[0]))}</code>"
     )
 
 
