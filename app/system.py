@@ -255,7 +255,7 @@ def decimal_points() -> Iterator[None]:
     A process whose locale has decimal commas, as GUI libraries set it, would read 0.5 as 0.
     """
     library = _c_library()
-    if library is None or not hasattr(library, "uselocale"):  # musl and others, which have decimal points only
+    if library is None or not hasattr(library, "uselocale"):
         yield
         return
     create, use, free = library.newlocale, library.uselocale, library.freelocale

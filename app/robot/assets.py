@@ -202,6 +202,28 @@ def resolved_urdf(description: RobotDescription) -> str:
     return ElementTree.tostring(tree, encoding="unicode")
 
 
+def shown_urdf(description: RobotDescription) -> str:
+    """The robot's URDF for other programs: meshes by their addresses on this machine.
+
+    A shape whose mesh is not installed is left out.
+
+    Raises:
+        AssetError: The URDF is not there.
+        DescriptionError: As `read_urdf`.
+    """
+    tree, folder = read_urdf(description), urdf_path(description).parent
+    for link in tree.iterfind("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            if (mesh := shape.find("geometry/mesh")) is not None:
+                reference = mesh.get("filename", "")
+                try:
+                    path = Path(reference) if isfile(reference) else _mesh(reference, folder)
+                    mesh.set("filename", path.resolve().as_uri())
+                except AssetError:
+                    link.remove(shape)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
 def bare_urdf(description: RobotDescription) -> str:
     """The robot's URDF without shapes, so without meshes that may not be installed.
 

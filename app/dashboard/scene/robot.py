@@ -58,9 +58,7 @@ class LinkPoses:
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
         self._data = self.model.createData()
-        base, arm = robot.description.base, robot.description.arm
-        self._arm = self._places(arm.joints)
-        self._wheels = [self._places(wheels.joints) for wheels in base.wheels]
+        self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
@@ -69,8 +67,8 @@ class LinkPoses:
         """
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
-        for joints, angle in zip(self._wheels, wheel_angles, strict=True):
-            turned[joints] = angle
+        wheels = self._robot.wheel_positions(wheel_angles)
+        turned[self._places([*wheels])] = [*wheels.values()]
         # pinocchio keeps a continuous joint, which a wheel often is, as a point on the circle.
         q = pin.integrate(self.model, pin.neutral(self.model), turned)
         pin.forwardKinematics(self.model, self._data, q)
