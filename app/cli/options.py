@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.cli.records import Field, Given, from_fields, from_record
+from app.cli.records import REPEATED, Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import read_config
 from app.control import CONTROLLERS
@@ -126,6 +126,18 @@ def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual
     return changed(config, given, paths)
 
 
+def hosts_of(file: Path | None) -> tuple[str, ...]:
+    """Names by which browsers may reach a server, from the file of `--config`.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    try:
+        return () if file is None else read_config(file).hosts
+    except ConfigError as error:
+        raise ConfigError(f"--config: {error}") from None
+
+
 def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:
     """A configuration with the parameters of some options.
 
@@ -179,7 +191,7 @@ def check_once(words: list[str]) -> None:
         else:
             values.append(word)
     for name, each in given.items():
-        if len(each) > 1:
+        if len(each) > 1 and name[2:].replace("-", "_") not in REPEATED:
             together = " ".join([name, *(value for values in each for value in values)])
             raise ConfigError(
                 f"{name} is given {len(each)} times; give it once, with several values where it "

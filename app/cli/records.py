@@ -16,6 +16,7 @@ from typing_extensions import Required, TypedDict
 Given = dict[str, Any]  # what was given of a record's fields, by their names
 
 _METAVARS = {
+    "allow_host": "NAME",
     "base": "X Y YAW",
     "hinge_position": "X Y",
     "span": "BEGIN END",
@@ -27,6 +28,10 @@ _METAVARS = {
     "speeds": "V …",
     "xacro": "NAME=VALUE …",
 }
+
+
+REPEATED = {"allow_host"}
+"""Options that may be given several times, each time with one value."""
 
 
 class Field(NamedTuple):
@@ -84,6 +89,8 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
         help_behavior_hint="" if about.default is None else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
+    if name in REPEATED:
+        kind = tyro.conf.UseAppendAction[kind]
     if positional:
         kind = tyro.conf.Positional[kind]
     return Required[kind] if needed else kind

@@ -5,7 +5,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import viser
@@ -212,6 +212,7 @@ def serve_dashboard(
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
+    allowed: Sequence[str] = (),
     case: Scenario | None = None,
     sweeps: Path = SWEEPS,
     parts: RobotParts | None = None,
@@ -226,6 +227,7 @@ def serve_dashboard(
         host: Address to listen at. viser has neither password nor encryption: only on a trusted
             network should it be more than this machine.
         port: Port to listen at; 0 takes a free one.
+        allowed: Further names by which browsers may reach the server.
         case: A scenario that begins where the loop does, for a button that plays it.
         sweeps: Folder of the maps of sweeps, where new ones are written too.
         parts: The robot's meshes if they have been read already.
@@ -238,7 +240,7 @@ def serve_dashboard(
     check_address(host, port)
     switch = RobotSwitch(start_loop)
     shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
-    server = open_server(host, port, LARGEST_ARCHIVE, read_link)
+    server = open_server(host, port, LARGEST_ARCHIVE, read_link, allowed)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")

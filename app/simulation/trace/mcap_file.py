@@ -37,8 +37,20 @@ from google.protobuf import descriptor_pb2, message_factory
 from app.robot.assets import floats, shown_urdf
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
-from app.simulation.trace import ros_messages as ros_of
-from app.simulation.trace.motion import WORLD, Frames, JointReading, joints_of, nanoseconds
+from app.simulation.trace.motion import (
+    FRAMES,
+    JOINTS,
+    TEXT,
+    WORLD,
+    Frames,
+    JointReading,
+    joints_of,
+    nanoseconds,
+    ros_definition,
+    ros_frames,
+    ros_joints,
+    ros_text,
+)
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
 from app.strict import Array
@@ -95,7 +107,7 @@ class _Log:
 
     def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
         """Append a message of ROS of some type."""
-        data = ros_of.definition(kind)
+        data = ros_definition(kind)
         schema = foxglove.Schema(name=kind, encoding="ros2msg", data=data)
         self._put(topic, t, content, "cdr", lambda: schema)
 
@@ -132,13 +144,13 @@ def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
 
 def _put_motion(log: _Log, trace: Trace, model: RobotModel, *, ros: bool) -> None:
     """The robot, and where it is."""
-    frames, urdf = Frames(model), ros_of.text(shown_urdf(model.description))
-    log.put_ros("/robot_description", trace.snapshots[0].t, ros_of.TEXT, urdf)
+    frames, urdf = Frames(model), ros_text(shown_urdf(model.description))
+    log.put_ros("/robot_description", trace.snapshots[0].t, TEXT, urdf)
     for s in trace.snapshots:
         joints, transforms = joints_of(s, model), frames.at(s)
         if ros:
-            log.put_ros("/joint_states", s.t, ros_of.JOINTS, ros_of.joints(s.t, joints))
-            log.put_ros("/tf", s.t, ros_of.FRAMES, ros_of.frames(s.t, transforms))
+            log.put_ros("/joint_states", s.t, JOINTS, ros_joints(s.t, joints))
+            log.put_ros("/tf", s.t, FRAMES, ros_frames(s.t, transforms))
         else:
             states = [fg.JointState(**joint._asdict()) for joint in joints]
             log.put("/joint_states", s.t, fg.JointStates(timestamp=_time(s.t), joints=states))
@@ -173,7 +185,7 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
             curves = [JointReading(name, row[trace.index[name]]) for name in columns]
-            log.put_ros(f"/curves/{quantity}", s.t, ros_of.JOINTS, ros_of.joints(s.t, curves))
+            log.put_ros(f"/curves/{quantity}", s.t, JOINTS, ros_joints(s.t, curves))
         if s.config != config:
             config = s.config
             sections = config.model_dump(mode="json").items()
