@@ -13,7 +13,7 @@ from tomlkit.items import Table
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
-from app.strict import from_toml
+from app.strict import from_toml, text_of
 
 MOST_BYTES = 64 * 1024  # [-] of a file; with all parameters it has a tenth of that
 LONGEST_NAME = 60  # [-] characters
@@ -63,10 +63,7 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
     if len(content) > MOST_BYTES:
         raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
     try:
-        text = content.decode("utf-8-sig").replace("\r\n", "\n")
-        data: dict[str, Any] = from_toml(text)
-    except UnicodeDecodeError:
-        raise ConfigError("no TOML: not UTF-8") from None
+        data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
         raise ConfigError(f"no TOML: {error}") from None
     name = data.pop(_NAME, "")

@@ -235,7 +235,7 @@ def open_standard_files() -> None:
 
 
 def find_temporary_folder() -> None:
-    """Programs that this one starts take the usual folder, as it does, if `TMPDIR` is none.
+    """This program and those that it starts take the usual folder if `TMPDIR` names none.
 
     On a read-only file system, as of a container, shared memory is the one place that can be
     written.

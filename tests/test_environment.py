@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import codecs
+import csv
 import os
+import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from app import system
-from app.errors import UnknownNameError
+from app.config_file import decode_config
+from app.errors import ConfigError, LogError, UnknownNameError
 from app.robot import assets
-from app.robot.description import load_robot
+from app.robot.description import load_description, load_robot
+from app.simulation.trace.log_file import read_trace, write_trace
+from tests.logs import random_snapshots, trace_of
 from tests.readme import PROJECT
 
 COMMAS = "decimal_commas"
@@ -126,3 +134,67 @@ def test_without_a_home_nothing_is_written_beside_the_user(
     monkeypatch.chdir(tmp_path)
     folders = [assets.cache_folder(), *system.cache_folders(), *assets.user_robots()]
     assert all(folder.is_absolute() for folder in folders)
+
+
+EDITORS = {
+    "Notepad": lambda text: codecs.BOM_UTF8 + text.replace("\n", "\r\n").encode(),
+    "Unicode text of Windows": lambda text: text.replace("\n", "\r\n").encode("utf-16"),
+    "big-endian": lambda text: codecs.BOM_UTF16_BE + text.encode("utf-16-be"),
+    "old Mac": lambda text: text.replace("\n", "\r").encode(),
+}
+
+
+@pytest.mark.parametrize("edit", EDITORS.values(), ids=EDITORS)
+def test_files_survive_editors(edit, tmp_path: Path) -> None:
+    config = 'name = "grün"\n[border]\nd_b = 0.2 # [m]\n'
+    assert decode_config(edit(config)).config.border.d_b == 0.2
+    source = assets.ASSETS / "husky_panda" / "robot.toml"
+    (tmp_path / "robot.toml").write_bytes(edit(source.read_text(encoding="utf-8")))
+    assert load_description(tmp_path / "robot.toml") == load_description(source)
+    log = tmp_path / "log.csv"
+    write_trace(log, trace_of(random_snapshots(3, 4)))
+    before = read_trace(log)
+    log.write_bytes(edit(log.read_text(encoding="utf-8")))
+    after = read_trace(log)
+    assert np.array_equal(after.table, before.table, equal_nan=True)
+
+
+def test_a_log_survives_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    snapshots = [replace(each, pulls=(), ghosts=(), scores=()) for each in random_snapshots(3, 4)]
+    log = tmp_path / "log.csv"
+    write_trace(log, trace_of(snapshots))
+    before = read_trace(log)
+    head, *rows = log.read_text(encoding="utf-8").splitlines()
+    cells = [next(csv.reader([row])) for row in rows]
+    swapped = [
+        [x.replace(".", ",") if re.fullmatch(r"[-\d.e+]+", x) else x for x in row] for row in cells
+    ]
+    with log.open("w", encoding="utf-8-sig", newline="") as file:
+        file.write(f"{head};;;\r\n")
+        csv.writer(file, delimiter=";").writerows(swapped)
+    after = read_trace(log)
+    assert np.array_equal(after.table, before.table, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (b"[border]\nd_b = 0,2\n", "line 2 '= 0,2' has a decimal comma"),
+        ("name = “soft”\n".encode(), "line 1 '“' is a typographic quote"),
+        ("[border]\nd_b =\u00a00.2\n".encode(), "line 2"),
+        ("[border]\nd_b = −0.2\n".encode(), "no minus sign"),
+        ('name = "grün"\n'.encode("latin-1"), "not UTF-8 in line 1; save the file as UTF-8"),
+    ],
+)
+def test_a_slip_of_an_editor_is_named(content: bytes, named: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(named)):
+        decode_config(content)
+
+
+def test_a_log_whose_first_line_a_spreadsheet_has_changed_says_so(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    write_trace(log, trace_of(random_snapshots(3, 4)))
+    text = log.read_text(encoding="utf-8")
+    log.write_text('"' + text.replace("\n", '"\n', 1), encoding="utf-8")
+    with pytest.raises(LogError, match="as spreadsheets leave it"):
+        read_trace(log)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.cli.records import REPEATED, Field, Given, from_fields, from_record
+from app.cli.records import Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import read_config
 from app.control import CONTROLLERS
@@ -51,6 +51,7 @@ FORMERLY = {
     "--replay-case": "--case",
 }
 """Former spellings of options, which go on working."""
+_REPEATED = {"--allow-host"}
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Options that set one parameter, by its path."""
@@ -191,12 +192,28 @@ def check_once(words: list[str]) -> None:
         else:
             values.append(word)
     for name, each in given.items():
-        if len(each) > 1 and name[2:].replace("-", "_") not in REPEATED:
+        if len(each) > 1:
             together = " ".join([name, *(value for values in each for value in values)])
             raise ConfigError(
                 f"{name} is given {len(each)} times; give it once, with several values where it "
                 f"takes them: {together}"
             )
+
+
+def together(words: Iterable[str]) -> list[str]:
+    """The words with all values of an option of `_REPEATED` behind one of it."""
+    rest: list[str] = []
+    found: dict[str, list[str]] = {}
+    into = rest
+    for word in words:
+        name, sign, value = word.partition("=")
+        if name in _REPEATED:
+            into = found.setdefault(name, [])
+            into += [value] if sign else []
+        else:
+            into = rest if word.startswith("--") else into
+            into.append(word)
+    return [*rest, *(word for name, values in found.items() for word in (name, *values))]
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:

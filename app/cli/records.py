@@ -30,10 +30,6 @@ _METAVARS = {
 }
 
 
-REPEATED = {"allow_host"}
-"""Options that may be given several times, each time with one value."""
-
-
 class Field(NamedTuple):
     """An option: its type, its default or `MISSING`, and its help."""
 
@@ -89,8 +85,6 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
         help_behavior_hint="" if about.default is None else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
-    if name in REPEATED:
-        kind = tyro.conf.UseAppendAction[kind]
     if positional:
         kind = tyro.conf.Positional[kind]
     return Required[kind] if needed else kind

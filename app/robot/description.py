@@ -17,7 +17,17 @@ from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import BaseKind
 from app.robot.shapes import Shape
-from app.strict import Finite, NonNegative, Positive, Sourced, Strict, Vector3, explain, from_toml
+from app.strict import (
+    Finite,
+    NonNegative,
+    Positive,
+    Sourced,
+    Strict,
+    Vector3,
+    explain,
+    from_toml,
+    text_of,
+)
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
@@ -231,7 +241,7 @@ def load_description(path: Path) -> RobotDescription:
             of its range; the message names file, field and what would be right.
     """
     try:
-        data = from_toml(path.read_text(encoding="utf-8"))
+        data = from_toml(text_of(path.read_bytes()))
     except FileNotFoundError:
         raise DescriptionError(f"{path}: no such description") from None
     except OSError as error:

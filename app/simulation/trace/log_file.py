@@ -1,6 +1,7 @@
 """The file of a trace: CSV with a leading comment, or Parquet with schema metadata."""
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from app.errors import DbbError, LogError, did_you_mean
 from app.simulation.trace.columns import NAN, Column, TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
-from app.strict import Strict, explain
+from app.strict import Strict, explain, text_of
 from app.system import write_whole
 
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name says which of the two it is
@@ -201,15 +202,21 @@ def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
 
 
 def _read_csv(path: Path) -> tuple[str, pa.Table]:
-    content = path.read_bytes()
-    first, _, rest = content.partition(b"\n")
-    text = first.decode("utf-8")
-    if not text.startswith(_COMMENT):
-        raise ValueError("its first line is no comment with meta data")
+    first, _, rest = text_of(path.read_bytes()).partition("\n")
+    if not first.startswith(_COMMENT):
+        changed = ", as spreadsheets leave it: keep the file that was written, or use .parquet"
+        raise ValueError(f"its first line is no comment with meta data{changed * ('# ' in first)}")
+    names, _, rows = rest.partition("\n")
+    comma = ";" in names  # as spreadsheets of many countries write it, with decimal commas
+    point = "," if comma and re.search(r"\d,\d", rows[:10_000]) else "."
     # Nothing is guessed but what is a number and what is not: the caller knows the kinds.
-    options = pyarrow.csv.ConvertOptions(null_values=[""], strings_can_be_null=False)
-    table = pyarrow.csv.read_csv(io.BytesIO(rest), convert_options=options)
-    return text.removeprefix(_COMMENT).rstrip("\r"), table
+    options = pyarrow.csv.ConvertOptions(
+        null_values=[""], strings_can_be_null=False, decimal_point=point
+    )
+    cells = pyarrow.csv.ParseOptions(delimiter=";" if comma else ",")
+    content = io.BytesIO(rest.encode())
+    table = pyarrow.csv.read_csv(content, convert_options=options, parse_options=cells)
+    return first.removeprefix(_COMMENT).rstrip(",;"), table
 
 
 def _read_parquet(path: Path) -> tuple[str, pa.Table]:

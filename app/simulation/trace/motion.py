@@ -1,4 +1,4 @@
-"""What moves in a snapshot, as robots' tools name it: frames of links, and states of joints.
+"""Frames of links and states of joints at a snapshot, as robots' tools name them.
 
 As messages of ROS 2 too, in CDR, which needs no installation of ROS.
 """
