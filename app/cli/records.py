@@ -82,7 +82,7 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
         name=option,
         metavar=_metavar(name, about.kind, positional),
         help=about.help,
-        help_behavior_hint="" if about.default is None else hint,
+        help_behavior_hint="" if about.default in (None, ()) else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
     if positional:
