@@ -123,6 +123,8 @@ def test_bodies_and_visuals_are_fixed_to_links_and_forces_point_as_they_act(
     models = [model for e in (*bodies.entities, *looks.entities) for model in e.models]
     assert len(models) > 20
     assert all(model.data and model.media_type for model in models)
+    dark = next(e for e in looks.entities if e.frame_id == "base_link").models[0].color
+    assert (dark.r, dark.g, dark.b) == pytest.approx((0.16, 0.17, 0.18), abs=0.02)
     for s, (_, message) in zip(trace.snapshots, read["/markers"], strict=True):
         arrows = [a for e in message.entities for a in e.arrows]
         forces = [*(each.f for each in s.acting), s.hand_force]

@@ -56,6 +56,8 @@ from app.simulation.trace.trace import Trace
 from app.strict import Array
 from app.system import write_whole
 
+Colours = Mapping[str | None, Element | None]  # by the names of the robot's materials
+
 _METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
 _BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
     fg.Color(r=r, g=g, b=b, a=a)
@@ -107,18 +109,20 @@ class _Log:
 
     def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
         """Append a message of ROS of some type."""
-        data = ros_definition(kind)
-        schema = foxglove.Schema(name=kind, encoding="ros2msg", data=data)
-        self._put(topic, t, content, "cdr", lambda: schema)
+
+        def schema() -> foxglove.Schema:
+            return foxglove.Schema(name=kind, encoding="ros2msg", data=ros_definition(kind))
+
+        self._put(topic, t, content, "cdr", schema)
 
     def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
         """Append a record of numbers and texts, whose names are those of the topic's first."""
         if topic not in self._kinds:
             self._kinds[topic] = _record_kind(name, values)
         kind = self._kinds[topic]
-        file = descriptor_pb2.FileDescriptorProto()
 
         def schema() -> foxglove.Schema:
+            file = descriptor_pb2.FileDescriptorProto()
             kind.DESCRIPTOR.file.CopyToProto(file)
             data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
             return foxglove.Schema(name=f"dbb.{name}", encoding="protobuf", data=data)
@@ -207,26 +211,32 @@ def _fields(names: Iterable[str]) -> list[str]:
     return list(found)
 
 
-def _visual(
-    visual: Element, colours: Mapping[str | None, Element | None]
-) -> fg.ModelPrimitive | None:
+def _visual(visual: Element, colours: Colours) -> fg.ModelPrimitive | None:
     """A visual of the URDF; None where its mesh is too large, or of a format without a name."""
     shape, at = visual.find("geometry/*"), visual.find("origin")
-    material = visual.find("material")
-    colour = None if material is None else material.find("color")
-    colour = colours.get(material.get("name")) if material is not None and not colour else colour
-    rgba = None if colour is None else floats(colour.get("rgba", ""), 4)
+    tint = _tint(visual.find("material"), colours)
     turn = pin.rpy.rpyToMatrix(*_numbers(at, "rpy", 3))
     T = pin.SE3(turn, np.array(_numbers(at, "xyz", 3)))
-    tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
-    if shape is None or shape.tag != "mesh":
-        return shape if shape is None else _model(T, _GLB, _primitive(shape), tint or _GREY)
+    if shape is None:
+        return None
+    if shape.tag != "mesh":
+        return _model(T, _GLB, _primitive(shape), tint or _GREY)
     file = Path(unquote(urlsplit(shape.get("filename", "")).path))
     media = _MEDIA.get(file.suffix.lower())
     if media is None or file.stat().st_size > _LARGEST_MESH:
         return None
     tint = tint or (_GREY if media == _STL else None)  # other formats have colours of their own
     return _model(T, media, file.read_bytes(), tint, _numbers(shape, "scale", 3, 1.0))
+
+
+def _tint(material: Element | None, colours: Colours) -> fg.Color | None:
+    """The colour of a material, which may only name one of the robot's `colours`."""
+    if material is None:
+        return None
+    own = material.find("color")
+    colour = colours.get(material.get("name")) if own is None else own
+    rgba = None if colour is None else floats(colour.get("rgba", ""), 4)
+    return fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
 
 
 def _primitive(shape: Element) -> bytes:
