@@ -234,11 +234,11 @@ def open_standard_files() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def find_temporary_folder() -> None:
-    """This program and those that it starts take the usual folder if `TMPDIR` names none.
+def find_folders() -> None:
+    """This program and those that it starts have a temporary folder and a home that exist.
 
     On a read-only file system, as of a container, shared memory is the one place that can be
-    written.
+    written. A user whom the system does not know has no home, without which browsers do not start.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
@@ -246,6 +246,9 @@ def find_temporary_folder() -> None:
         tempfile.gettempdir()
     except FileNotFoundError:
         os.environ["TMPDIR"] = "/dev/shm"
+    if not os.path.isabs(os.path.expanduser("~")):
+        with suppress(OSError):
+            os.environ["HOME"] = str(_private_folder(Path(tempfile.gettempdir())))
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from app.errors import DbbError, check_name, extras_named
 from app.jobs.progress import ending_signals_raised
-from app.system import find_temporary_folder, open_standard_files
+from app.system import find_folders, open_standard_files
 
 COMMANDS = {
     "A robot that moves": {
@@ -62,7 +62,7 @@ def console() -> NoReturn:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
     open_standard_files()
-    find_temporary_folder()
+    find_folders()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         with ending_signals_raised(), extras_named():
