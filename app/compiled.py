@@ -1,4 +1,4 @@
-"""Numerical kernels, compiled to machine code once for a machine and kept beside their source.
+"""Numerical kernels, compiled to machine code once and read by everybody who may read them.
 
 What a control step computes on vectors of nine is nothing but overhead in an interpreter: kernels
 make the whole step twice to three times as fast. A kernel is a plain function of floats and arrays,
@@ -7,9 +7,8 @@ which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache
-from pathlib import Path
-from types import FunctionType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -21,6 +20,8 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.typing.templates import Signature
 
+from app.kernel_store import KernelStore
+
 _INLINED = 400  # bytes of bytecode of a function that may be inlined: LLVM needs far longer for
 # one large function than for several
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -29,9 +30,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """Compile a function for the given types, when its module is imported for the first time.
 
-    So a control loop never waits for a compiler, and an array of another dtype is refused. Where
-    nothing can be kept, neither beside the source nor in the user's cache, each process compiles
-    what it imports.
+    So a control loop never waits for a compiler, and an array of another dtype is refused. Where no
+    folder can be written, each process compiles the kernels that it imports.
 
     Args:
         signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
@@ -44,20 +44,15 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
         if config.DISABLE_JIT:
             return cast("Function", kernel)
         _be_part_of_callers(kernel, numba.njit(error_model="numpy", pipeline_class=_PartCompiler))
-        try:
-            kernel.enable_caching()
-        except RuntimeError:  # numba has found no folder that it can write to
-            how_often = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
-        else:  # for numba (so still 0.68) a kernel is its own file only
-            kernel._cache._cache_file._source_stamp = _stamp(kernel)
-            how_often = "once on this machine"
+        with suppress(OSError):  # a function without a file, as in an interpreter, is not kept
+            kernel._cache = KernelStore(kernel.py_func)
         if not signatures:
             return cast("Function", kernel)
         for signature in signatures:
             kernel.compile(_any_array(signature) if isinstance(signature, str) else signature)
         kernel.disable_compile()
-        if kernel.stats.cache_misses:
-            _tell_once(how_often)
+        if kernel.stats.cache_misses or not isinstance(kernel._cache, KernelStore):
+            _tell_once(getattr(kernel._cache, "saved", False))
         return cast("Function", kernel)
 
     return compile_
@@ -151,23 +146,6 @@ def direct(kernel: Function) -> Function:
     return compiled_code.entry_point
 
 
-def _stamp(kernel: Dispatcher) -> tuple[tuple[str, float, int], ...]:
-    """What a kernel is made of: name, time and size of its file, and of each that it calls into.
-
-    Others are those that it has by their own names; constants are to be its own file's.
-    """
-    files, known, called = set[Path](), set[FunctionType](), [kernel.py_func]
-    while called:
-        function = called.pop()
-        files.add(Path(function.__code__.co_filename))
-        known.add(function)
-        named = (function.__globals__.get(name) for name in function.__code__.co_names)
-        parts = {each.py_func for each in named if isinstance(each, Dispatcher)}
-        called += parts - known
-    kept = sorted((file, file.stat()) for file in files)
-    return tuple((file.name, stat.st_mtime, stat.st_size) for file, stat in kept)
-
-
 def _any_array(signature: str) -> Signature:
     """The same with arrays as they come: of any strides, and read-only if need be.
 
@@ -187,6 +165,8 @@ def _any_array(signature: str) -> Signature:
 
 
 @lru_cache(maxsize=1)
-def _tell_once(how_often: str) -> None:
+def _tell_once(saved: bool) -> None:
     """Say why nothing happens for a while: another kernel was not kept yet."""
+    never = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
+    how_often = "once on this machine" if saved else never
     print(f"dbb: compiling kernels, {how_often}: half a minute", file=sys.stderr)

@@ -3,6 +3,7 @@
 A file may hold only some sections and parameters; what is not in it is at its default.
 """
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,11 +13,13 @@ from tomlkit.items import Table
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
-from app.strict import from_toml
+from app.strict import from_toml, text_of
 
 MOST_BYTES = 64 * 1024  # [-] of a file; with all parameters it has a tenth of that
 LONGEST_NAME = 60  # [-] characters
 _NAME = "name"  # key of the file's own name, beside the sections
+_SERVER, _HOSTS = "server", "allow_host"  # a section of its own: no parameters of the controller
+_HOST = re.compile(r"[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?")
 
 
 class NamedConfig(NamedTuple):
@@ -25,6 +28,8 @@ class NamedConfig(NamedTuple):
     name: str
     """"" if the file gives itself none."""
     config: Config
+    hosts: tuple[str, ...] = ()
+    """Names of `[server] allow_host`, which only `dbb serve` uses."""
 
 
 def save_config(config: Config, name: str = "") -> str:
@@ -58,16 +63,19 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
     if len(content) > MOST_BYTES:
         raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
     try:
-        text = content.decode("utf-8-sig").replace("\r\n", "\n")
-        data: dict[str, Any] = from_toml(text)
-    except UnicodeDecodeError:
-        raise ConfigError("no TOML: not UTF-8") from None
+        data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
         raise ConfigError(f"no TOML: {error}") from None
     name = data.pop(_NAME, "")
     if not isinstance(name, str):
         raise ConfigError(f"{_NAME}: must be a text")
-    return NamedConfig(checked_name(name), make_config(data, usual))
+    server = data.pop(_SERVER, {})
+    hosts = server.pop(_HOSTS, []) if isinstance(server, dict) else None
+    if server or not isinstance(hosts, list) or not all(isinstance(host, str) for host in hosts):
+        raise ConfigError(f'[{_SERVER}]: holds only {_HOSTS}, a list of names: ["robot.local"]')
+    return NamedConfig(
+        checked_name(name), make_config(data, usual), tuple(map(checked_host, hosts))
+    )
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
@@ -99,6 +107,24 @@ def checked_name(name: str) -> str:
             f"name: must have at most {LONGEST_NAME} characters, all of which can be printed"
         )
     return name
+
+
+def checked_host(name: str) -> str:
+    """The name of a host, as browsers send it.
+
+    Raises:
+        ConfigError: It is none, or an address with more than a name.
+    """
+    try:
+        host = name.strip().rstrip(".").lower().encode("idna").decode()
+    except UnicodeError:  # a label is empty or too long
+        host = ""
+    if not _HOST.fullmatch(host):
+        raise ConfigError(
+            f"{name!r} is not the name of a host; write it without http://, port and path, "
+            "as in robot.local"
+        )
+    return host
 
 
 def _add(table: Table, about: Tunable, value: float | str) -> None:

@@ -118,7 +118,10 @@ EXTRAS = {
     ),
     "onboarding": ("xacrodoc",),
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
-    "sim": ("mcap", "mujoco", "pyarrow", "pybullet", "pybullet_data", "scipy", "trimesh"),
+    "sim": (
+        *("foxglove", "google", "mujoco", "pyarrow", "pybullet", "pybullet_data", "rosbags"),
+        *("scipy", "trimesh"),
+    ),
 }
 """The extras of the package, and the modules that each brings; all bring those of `sim`. The first
 three are for the rooms of their names."""

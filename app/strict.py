@@ -1,5 +1,7 @@
 """Validated, frozen records shared by descriptions and configuration."""
 
+import codecs
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -183,13 +185,9 @@ def content_of(path: Path) -> bytes:
     return content
 
 
-def text_of(path: Path) -> str:
-    """The text of a file, UTF-8, by whoever wrote it; raises what `content_of` does.
-
-    Raises:
-        ValueError: It is no text.
-    """
-    return content_of(path).decode("utf-8")
+def file_text(path: Path) -> str:
+    """`text_of` a file; raises what it and `content_of` raise."""
+    return text_of(content_of(path))
 
 
 def parsed(loads: Callable[[str], Any], text: str) -> Any:
@@ -214,6 +212,43 @@ def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
         return within_budget(loads, text, size=size)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"{error}{_slip(text)}") from None
+
+
+def text_of(content: bytes) -> str:
+    """The text of a user's file: as UTF-8, or as UTF-16 where editors of Windows have written it.
+
+    Without a byte order mark, and with line feeds alone at the ends of lines.
+
+    Raises:
+        ValueError: It is of another encoding; names the line.
+    """
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = content.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ValueError(f"not UTF-8 in line {line}; save the file as UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+_SLIPS = {
+    r"[“”„‘’‚«»]": 'is a typographic quote; write "',
+    r"[:=\[]\s*-?\d+,\d+\s*[,}\]]?\s*(#|$)": "has a decimal comma; write a point",
+    r"[\u00a0\u2007\u202f]": "is a space of a special kind; write a plain one",
+    r"[−–—]": "is no minus sign of a keyboard; write -",
+}
+"""What word processors and spreadsheets make of such files."""
+
+
+def _slip(text: str) -> str:
+    """Which of `_SLIPS` a text that cannot be read has, and where."""
+    for number, line in enumerate(text.splitlines(), 1):
+        for pattern, why in _SLIPS.items():
+            if found := re.search(pattern, line.partition("#")[0] or line):
+                return f"; in line {number} {found[0].strip()!r} {why}"
+    return ""
 
 
 def _parts(line: str) -> int:

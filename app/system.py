@@ -5,6 +5,7 @@ no `malloc_trim`; there the work is done without. Nothing here raises for want o
 """
 
 import ctypes
+import errno
 import fcntl
 import math
 import os
@@ -17,12 +18,14 @@ import sys
 import tempfile
 import threading
 import weakref
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from functools import lru_cache
 from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
+
+import platformdirs
 
 from app.errors import OutputError
 
@@ -33,6 +36,7 @@ _MOST = 30_000_000  # [µs] after which the system ends a process that cannot ev
 _BEGUN = ".dbb~"  # prefix of folders that hold unfinished results
 _MOST_LINKS = 40  # [-] that lead to one another, as the system has it
 _ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
+_NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
@@ -333,6 +337,47 @@ def give_freed_memory_back() -> None:
         trim(0)
 
 
+def home_folder(find: Callable[..., Path]) -> Path | None:
+    """This program's own folder of a kind of `platformdirs`; None for a user without a home."""
+    with suppress(RuntimeError):  # of recent versions
+        found = find("dbb", appauthor=False)
+        return found if found.is_absolute() else None  # "~/…" of others
+    return None
+
+
+def cache_folders() -> list[Path]:
+    """Folders of this user for files that can be made again: the usual one, then a temporary one.
+
+    A user without a home directory, as in a container, has only the second.
+    """
+    usual = home_folder(platformdirs.user_cache_path)
+    found = [usual] if usual else []
+    with suppress(OSError):  # no temporary folder either
+        found.append(_private_folder(Path(tempfile.gettempdir())))
+    return found
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether files can be written into a folder, which is made if it does not exist yet."""
+    there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    return os.access(there, os.W_OK | os.X_OK)
+
+
+def _private_folder(shared: Path) -> Path:
+    """This user's own folder in one that all users share.
+
+    Raises:
+        OSError: It cannot be made, or others could have put files into it.
+    """
+    folder = shared / f"dbb-{os.getuid()}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    about = folder.lstat()
+    if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o022:
+        raise PermissionError(errno.EPERM, "others can write to it", str(folder))
+    return folder
+
+
 def open_standard_files() -> None:
     """Standard input, output and error lead nowhere where whoever began this process closed them.
 
@@ -346,11 +391,44 @@ def open_standard_files() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def forget_missing_temporary_folder() -> None:
-    """Programs that this one starts take the usual folder, as it does, if `TMPDIR` is none."""
-    named = os.environ.get("TMPDIR", "")
-    if not os.access(named, os.W_OK | os.X_OK):
+def find_folders() -> None:
+    """This program and those that it starts have a temporary folder and a home that exist.
+
+    On a read-only file system, as of a container, shared memory is the one place that can be
+    written. A user whom the system does not know has no home, without which browsers do not start.
+    """
+    if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError:
+        os.environ["TMPDIR"] = "/dev/shm"
+    if not os.path.isabs(os.path.expanduser("~")):
+        with suppress(OSError):
+            os.environ["HOME"] = str(_private_folder(Path(tempfile.gettempdir())))
+
+
+@contextmanager
+def decimal_points() -> Iterator[None]:
+    """C libraries that read numbers in this thread expect decimal points meanwhile.
+
+    A process whose locale has decimal commas, as GUI libraries set it, would read 0.5 as 0.
+    """
+    library = _c_library()
+    if library is None or not hasattr(library, "uselocale"):
+        yield
+        return
+    create, use, free = library.newlocale, library.uselocale, library.freelocale
+    create.argtypes = ctypes.c_int, ctypes.c_char_p, ctypes.c_void_p
+    use.argtypes = free.argtypes = (ctypes.c_void_p,)
+    create.restype = use.restype = ctypes.c_void_p
+    plain = create(_NUMERIC, b"C", None)
+    before = use(plain)
+    try:
+        yield
+    finally:
+        use(before)
+        free(plain)
 
 
 def flush_c_output() -> None:

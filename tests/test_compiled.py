@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
+import stat
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from app import system
 from tests.readme import PROJECT
 
 PART = """
@@ -36,8 +42,8 @@ def kernel(x):
 print(kernel(2.0), len(kernel.signatures), len(kernel.stats.cache_misses))
 """
 NOWHERE = """
-from numba.core import caching
-caching.CacheImpl._locator_classes = []  # as where neither program nor home can be written
+import app.compiled
+app.compiled._folders = lambda file: []  # as where no folder can be written
 """
 
 CHECKED = """
@@ -56,10 +62,10 @@ except MeasurementError as error:
 """
 
 
-def run(folder, script, **other):
+def run(folder, script, *before, **other):
     path = os.pathsep.join([str(PROJECT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [sys.executable, str(folder / script)],
+        [*before, sys.executable, str(folder / script)],
         env={**os.environ, "PYTHONPATH": path, "NUMBA_DISABLE_JIT": "0", **other},
         capture_output=True,
         text=True,
@@ -91,6 +97,79 @@ def test_where_no_kernel_can_be_kept_it_is_compiled_all_the_same(tmp_path):
     assert printed == "4.0 1 1"
     assert "each time: set NUMBA_CACHE_DIR" in said
     assert "once" not in said
+
+
+READS = "-all,+dac_read_search"  # the interpreter may be in the folder of another user
+AS_NOBODY = (
+    *("setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"),
+    *(f"--inh-caps={READS}", f"--ambient-caps={READS}"),
+)
+READ_ONLY = "unshare", "--mount", "sh", "-c", 'mount --bind -r "$0" "$0" && exec "$@"'
+
+
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("kernels")
+    write(folder, 2.0)
+    assert run(folder, "kernel.py")[0] == "4.0 1 1"
+    return folder
+
+
+@pytest.fixture
+def installed(compiled_once) -> Iterator[Path]:
+    """Kernels that their owner has compiled and every user may read, copied as into an image."""
+    folder = Path(tempfile.mkdtemp(prefix="dbb-kernels-"))  # pytest's own is its user's alone
+    shutil.copytree(compiled_once, folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def prefix(kind: str, folder: Path) -> list[str]:
+    """A command that runs another one as another reader of a folder."""
+    if kind == "another process":
+        return []
+    before = AS_NOBODY if kind == "another user" else (*READ_ONLY, str(folder))
+    tried = [*before, sys.executable, "-c", ""]
+    if os.getuid() or not shutil.which(before[0]) or subprocess.run(tried).returncode:
+        pytest.skip("needs root on Linux")
+    return list(before)
+
+
+@pytest.mark.parametrize("kind", ["another process", "another user", "a read-only file system"])
+def test_whoever_can_read_kernels_compiles_none(installed, kind, tmp_path):
+    nothing_else = {"HOME": str(tmp_path), "XDG_CACHE_HOME": "", "PYTHONDONTWRITEBYTECODE": "1"}
+    printed, said = run(installed, "kernel.py", *prefix(kind, installed), **nothing_else)
+    assert (printed, said) == ("4.0 1 0", "")
+
+
+@pytest.mark.parametrize("kind", ["another user", "a read-only file system"])
+def test_changed_kernels_that_cannot_be_written_there_are_kept_elsewhere(installed, kind, tmp_path):
+    (installed / "part.py").write_text(PART.format(factor=30.0), encoding="utf-8")
+    no_home = {"HOME": "/nonexistent", "XDG_CACHE_HOME": "", "TMPDIR": str(tmp_path)}
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o777)
+    runs = [run(installed, "kernel.py", *prefix(kind, installed), **no_home) for _ in range(2)]
+    assert [printed for printed, _ in runs] == ["60.0 1 1", "60.0 1 0"]
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_file_of_kernels_is_replaced(installed, ending):
+    (path,) = (installed / "__pycache__").glob(f"*.{ending}")
+    path.write_bytes(path.read_bytes()[:9])
+    assert [run(installed, "kernel.py")[0] for _ in range(2)] == ["4.0 1 1", "4.0 1 0"]
+
+
+def test_a_folder_that_another_user_could_fill_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    own = tmp_path / f"dbb-{os.getuid()}"
+    assert own in system.cache_folders()
+    assert stat.S_IMODE(own.stat().st_mode) == 0o700
+    own.chmod(0o777)
+    assert own not in system.cache_folders()
+    own.rmdir()
+    own.symlink_to(tmp_path)
+    assert own not in system.cache_folders()
 
 
 @pytest.mark.parametrize("disabled", ["0", "1"])

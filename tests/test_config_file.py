@@ -120,3 +120,27 @@ def test_names_that_cannot_be_printed_are_not_written() -> None:
         with pytest.raises(ConfigError, match="name"):
             save_config(Config(), name)
     assert checked_name("  stiff arm ☃ ") == "stiff arm ☃"
+
+
+def test_hosts_of_a_server_are_no_parameters_of_the_controller() -> None:
+    text = '[server]\nallow_host = ["Robot.local", "bücher.example", "my_service"]\n'
+    read = decode_config(text.encode())
+    assert read.hosts == ("robot.local", "xn--bcher-kva.example", "my_service")
+    assert read.config == Config()
+
+
+@pytest.mark.parametrize(
+    "hosts",
+    [
+        '"robot.local"',
+        "[1]",
+        '["http://robot.local"]',
+        '["robot:8080"]',
+        '["*"]',
+        '["a..b"]',
+        '[""]',
+    ],
+)
+def test_a_host_that_is_none_is_refused(hosts: str) -> None:
+    with pytest.raises(ConfigError, match=r"robot\.local"):
+        decode_config(f"[server]\nallow_host = {hosts}\n".encode())

@@ -32,6 +32,8 @@ BASE = {
 
 NAMED_OTHERWISE = {
     "fast_simplification": "fast-simplification",
+    "foxglove": "foxglove-sdk",
+    "google": "protobuf",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "mpl_toolkits": "matplotlib",
     "PIL": "pillow",

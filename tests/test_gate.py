@@ -12,8 +12,9 @@ import time
 import urllib.error
 import urllib.request
 import warnings
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from html import escape
+from http.client import HTTPConnection
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -79,6 +80,8 @@ def camera(**changes):
         ("http://[::1]:8080", "[::1]:8080", True),
         ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
         ("http://robot:8080", "robot:8080", True),
+        ("https://robot", "robot.", False),  # a page of another name
+        ("https://robot.", "robot.", True),  # the same name, written out
         (None, "127.0.0.1:8080", True),  # no browser
         ("http://evil.example", "127.0.0.1:8080", False),
         ("http://127.0.0.1:9000", "127.0.0.1:8080", False),  # another server's page
@@ -97,7 +100,7 @@ def camera(**changes):
     ],
 )
 def test_only_the_servers_own_page_is_allowed(of_page, host, allowed):
-    assert is_allowed(of_page, host, "robot") is allowed
+    assert is_allowed(of_page, host, {"robot"}) is allowed
 
 
 @contextmanager
@@ -270,7 +273,7 @@ def test_the_gate_is_taken_away_again_for_other_servers():
 def test_a_viser_that_starts_in_another_way_is_not_used():
     with (
         pytest.raises(ServerError, match="this version of viser"),
-        Gate("127.0.0.1", 0, read_no_link).closed(),
+        Gate({"127.0.0.1"}, 0, read_no_link).closed(),
     ):
         pass
 
@@ -682,3 +685,30 @@ def test_what_a_widget_cannot_hold_is_told_to_its_sender_who_gets_the_value_back
         assert [message.updates for message in sent] == [{"value": 0.3}]
         assert len(told) == 1
         assert vars(slider._impl) == state
+
+
+def answer_of(server, host, path="/"):
+    """Status and page of a request to a server that is reached by some name."""
+    connection = HTTPConnection("127.0.0.1", server.get_port(), timeout=10)
+    connection.request("GET", path, headers={"Host": host})
+    answer = connection.getresponse()
+    with closing(connection):
+        return answer.status, answer.read().decode(errors="replace")
+
+
+def test_the_page_of_a_refused_name_says_how_to_allow_it_and_then_it_is():
+    with served() as server:
+        status, page = answer_of(server, "Robot.local:8080")
+    assert status == 403
+    assert "<code>--allow-host Robot.local</code>" in page
+    server = open_server("127.0.0.1", 0, allowed=["robot.local", "my_service"])
+    try:
+        for name in ("Robot.local:8080", "robot.local.", "my_service"):
+            assert answer_of(server, name)[0] == 200
+        assert answer_of(server, "<script>")[0] == 403
+        assert "<script>" not in answer_of(server, "<script>")[1]
+        status, page = answer_of(server, "robot.local", "/?unknown=1")
+        assert status == 400
+        assert 'href="."' in page  # relative: a proxy may have the server below a path
+    finally:
+        close_server(server)

@@ -273,7 +273,7 @@ def test_a_temporary_folder_that_is_none_is_forgotten(
 ) -> None:
     for folder, kept in ((tmp_path, True), (tmp_path / "nothing", False)):
         monkeypatch.setenv("TMPDIR", str(folder))
-        system.forget_missing_temporary_folder()
+        system.find_folders()
         assert ("TMPDIR" in os.environ) is kept
 
 
@@ -441,3 +441,12 @@ def is_peculiar(module: str, name: str) -> bool:
     if module == "os" and name.lower().startswith("sched_"):
         return True
     return name in NAMES.get(module, ()) or (module, name) == ("sys", "platform")
+
+
+def test_a_user_without_a_home_gets_an_own_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", "~")  # what the system says of a user whom it does not know
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    system.find_folders()
+    assert Path(os.environ["HOME"]).parent == tmp_path

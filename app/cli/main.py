@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from app.errors import DbbError, check_name, extras_named, printable
 from app.jobs.progress import ending_signals_raised
-from app.system import forget_missing_temporary_folder, open_standard_files
+from app.system import find_folders, open_standard_files
 
 COMMANDS = {
     "A robot that moves": {
@@ -62,7 +62,7 @@ def console() -> NoReturn:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
     open_standard_files()
-    forget_missing_temporary_folder()
+    find_folders()
     logging.basicConfig(level=logging.INFO, stream=sys.stderr)
     for handler in logging.getLogger().handlers:
         handler.setFormatter(_Plain("%(message)s"))
@@ -118,10 +118,10 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once, in_present_words
+    from app.cli.options import check_once, in_present_words, together
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = in_present_words(words)
+    rest = together(in_present_words(words))
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()

@@ -50,6 +50,7 @@ FORMERLY = {
     "--replay-case": "--case",
 }
 """Former spellings of options, which go on working."""
+_REPEATED = {"--allow-host"}
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Options that set one parameter, by its path."""
@@ -126,6 +127,18 @@ def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual
     return changed(config, given, paths)
 
 
+def hosts_of(file: Path | None) -> tuple[str, ...]:
+    """Names by which browsers may reach a server, from the file of `--config`.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    try:
+        return () if file is None else read_config(file).hosts
+    except ConfigError as error:
+        raise ConfigError(f"--config: {error}") from None
+
+
 def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:
     """A configuration with the parameters of some options.
 
@@ -185,6 +198,22 @@ def check_once(words: list[str]) -> None:
                 f"{name} is given {len(each)} times; give it once, with several values where it "
                 f"takes them: {together}"
             )
+
+
+def together(words: Iterable[str]) -> list[str]:
+    """The words with all values of an option of `_REPEATED` behind one of it."""
+    rest: list[str] = []
+    found: dict[str, list[str]] = {}
+    into = rest
+    for word in words:
+        name, sign, value = word.partition("=")
+        if name in _REPEATED:
+            into = found.setdefault(name, [])
+            into += [value] if sign else []
+        else:
+            into = rest if word.startswith("--") else into
+            into.append(word)
+    return [*rest, *(word for name, values in found.items() for word in (name, *values))]
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:

@@ -16,6 +16,7 @@ from typing_extensions import Required, TypedDict
 Given = dict[str, Any]  # what was given of a record's fields, by their names
 
 _METAVARS = {
+    "allow_host": "NAME",
     "base": "X Y YAW",
     "hinge_position": "X Y",
     "span": "BEGIN END",
@@ -81,7 +82,7 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
         name=option,
         metavar=_metavar(name, about.kind, positional),
         help=about.help,
-        help_behavior_hint="" if about.default is None else hint,
+        help_behavior_hint="" if about.default in (None, ()) else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
     if positional:

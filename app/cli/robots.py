@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -34,9 +35,11 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 def robots(json: Json = False) -> None:
     """List the described robots, and what is wrong with a broken one."""
     # Imported here: it needs the readers of descriptions.
-    from app.robot.assets import robot_names
+    from app.robot.assets import absent_folders, robot_names
     from app.robot.description import load_robot
 
+    if absent := absent_folders():
+        say(absent)
     found, broken = [], {}
     for name in robot_names():
         try:
@@ -183,7 +186,8 @@ def _print_made(made: dict[str, Any]) -> None:
         show(f"  warning: {warning}")
     print("next:")
     if robot_folder(name).resolve() != Path(folder).resolve():
-        show(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
+        own = f"$DBB_ROBOTS{os.pathsep}{Path(folder).resolve().parent}"
+        show(f"  export DBB_ROBOTS={own}   so that dbb finds it")
     show(f"  open {folder}/report.html, and look whether the bodies hold the links")
     show(f"  dbb check-robot {name}")
     show(f"  dbb serve --robot {name}")

@@ -12,7 +12,7 @@ from app.cli import options
 from app.cli.common import as_json, load_robot_and_border, print_json, say
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, of_case, planned, read, result_of
-from app.errors import check_name
+from app.errors import ConfigError, check_name
 from app.simulation.case import Planned
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
@@ -34,11 +34,15 @@ class Files:
     """Folder for `log.csv` and `metrics.json`."""
     log: Path | None = None
     """File ending in .csv or .parquet for 50 rows a second with all that the dashboard draws, which
-    `dbb report` and `dbb replay` take; or in .mcap for Foxglove and ROS tools."""
+    `dbb report` and `dbb replay` take; or in .mcap for Foxglove, Rerun and other viewers."""
+    ros: options.Flag = False
+    """Write messages of ROS 2 (CDR) into the .mcap file, as `ros2 bag play` takes them."""
 
     def __post_init__(self) -> None:
         options.make_folder(self.out)
         options.check_file("--log", self.log, (".csv", ".parquet", ".mcap"))
+        if self.ros and (self.log is None or self.log.suffix.lower() != ".mcap"):
+            raise ConfigError("--ros: needs --log FILE that ends in .mcap")
 
 
 FilesOptions = Annotated[Given, from_record(Files)]
@@ -188,7 +192,7 @@ def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]
         if log.suffix.lower() == ".mcap":
             from app.simulation.trace.mcap_file import write_mcap
 
-            write_mcap(log, result.trace, model)
+            write_mcap(log, result.trace, model, ros=files.ros)
         else:
             write_trace(log, result.trace)
     return written

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -13,7 +13,7 @@ from app.cli.common import load_model, say
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, read
 from app.config import Config
-from app.errors import check_name
+from app.config_file import checked_host
 from app.simulation.scenarios.leading import check_point
 from app.simulation.scenarios.line import Point
 from app.simulation.scenarios.pulled import free_start
@@ -36,6 +36,9 @@ class Serving:
     """Address to listen at; the default is this machine only."""
     port: int = 8080
     """Port to listen at; 0 takes a free one."""
+    allow_host: tuple[str, ...] = ()
+    """Further names by which browsers reach the server, as through a proxy; may be repeated, or
+    stand in the file of --config: [server] allow_host = ["NAME"]."""
     start: Point | None = None
     """[m] where the hand starts, in the world; by default in front of the base."""
     case: Path | None = None
@@ -43,6 +46,8 @@ class Serving:
     disturbances are the case's, and a button plays the pull."""
 
     def __post_init__(self) -> None:
+        """Refuse what cannot be served, before anything is loaded."""
+        object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))
         if self.start is not None:
             check_point("--start", self.start)
 
@@ -55,6 +60,7 @@ def serve(
 ) -> None:
     """Serve the dashboard: drag the hand, and the base gives way."""
     asked = Serving(**serving)
+    asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
     case = None
     if asked.case is not None:
         case = read(asked.case)
@@ -68,9 +74,9 @@ def serve(
         else options.configured(chosen.robot, config, parameters)
     )
     # Imported here: it takes longer than to find a mistake in what was asked.
-    from app.robot.assets import robot_names
+    from app.robot.assets import check_robot_name
 
-    check_name("robot", chosen.robot, robot_names())
+    check_robot_name(chosen.robot)
     from app.simulation.loop.process_loop import loop_child
 
     # The simulation's process imports as much as this one: both at once.
@@ -145,6 +151,7 @@ def _serve(first: _First) -> None:
             data.clouds,
             host=asked.host,
             port=asked.port,
+            allowed=asked.allow_host,
             case=first.case.scenario() if first.case else None,
             parts=parts,
             start_loop=first.begin_loop,

@@ -13,6 +13,7 @@ import gzip
 import http
 import ipaddress
 import math
+import re
 import socket
 import struct
 import threading
@@ -74,6 +75,8 @@ body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywh
 <p>{why}.</p>{more}</html>
 """
 """What a person sees of a refused address."""
+_WAY_OUT = """<p>If this server is meant to be reached under this name, restart it with
+<code>--allow-host {name}</code>; who can open it can move the robot.</p>"""
 _LONGEST_REASON = 400  # [characters] of it
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
 """Headers that are asked for one value here or by viser."""
@@ -130,13 +133,16 @@ class GarbageError(RefusedError):
 class Gate:
     """What stands between a server of viser and whoever connects to it."""
 
-    def __init__(self, own_name: str, largest_upload: int, read_link: ReadLink) -> None:
+    def __init__(
+        self, own_names: Collection[str], largest_upload: int, read_link: ReadLink
+    ) -> None:
         """Prepare.
 
-        `own_name` is the name that the server is told to listen at, `largest_upload` [bytes] of one
-        file, 0 if there is nothing to upload.
+        `own_names` are those by which browsers may reach the server, `largest_upload` [bytes] of
+        one file, 0 if there is nothing to upload.
         """
-        self._own_name, self._largest_upload = own_name, largest_upload
+        self._own_names = frozenset(name.lower() for name in own_names)
+        self._largest_upload = largest_upload
         self._read_link = read_link
         self._uploads: set[Uploads] = set()  # of each viewer who is there
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
@@ -207,9 +213,10 @@ class Gate:
         if twice:
             status = http.HTTPStatus.BAD_REQUEST
             why = f"the request has the header {twice[0]} twice"
-        elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_name):
+        elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_names):
             status = http.HTTPStatus.FORBIDDEN
             why = "this page is not allowed to connect to this server"
+            more = _WAY_OUT.format(name=escape(_named(headers.get("Host"))))
         elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
@@ -222,7 +229,8 @@ class Gate:
             why, rest = self._read_link(query)
             if not why:
                 return None
-            status, address = http.HTTPStatus.BAD_REQUEST, escape(f"/?{rest}" if rest else "/")
+            # Relative, for a server that a proxy has below a path.
+            status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
             more = f'<p>Without what is wrong: <a href="{address}">{address}</a></p>'
         body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode()
         kind = "text/html; charset=utf-8"
@@ -299,7 +307,13 @@ def draws_in_software(request: Request | None) -> bool:
     return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
 
 
-def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:
+def _named(host: str | None) -> str:
+    """The name in a header `Host`, as an option would have it."""
+    name = re.match(r"[A-Za-z0-9_.-]{1,253}", host or "")
+    return name[0].rstrip(".") if name else "NAME"
+
+
+def is_allowed(origin: str | None, host: str | None, own_names: Collection[str]) -> bool:
     """Whether a request may be answered.
 
     A browser names the page's origin in every websocket's request; it has to be the address that
@@ -309,7 +323,7 @@ def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:
     Args:
         origin: The request's header `Origin`; None for programs that are no browsers.
         host: Its header `Host`.
-        own_name: The name that the server was told to listen at.
+        own_names: Names by which browsers may reach the server, in small letters.
     """
     if host is None:
         return origin is None
@@ -318,19 +332,19 @@ def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:
         whole = here.netloc == host and here.port != 0  # looked at: one that is no number raises
     except ValueError:  # no address at all
         return False
-    if not (whole and _is_here(here.hostname, own_name)):
+    if not (whole and _is_here(here.hostname, own_names)):
         return False
     return origin is None or page.netloc.lower() == host.lower()
 
 
-def _is_here(name: str | None, own_name: str) -> bool:
+def _is_here(name: str | None, own_names: Collection[str]) -> bool:
     if name is None:
         return False
     try:
         ipaddress.ip_address(name)
     except ValueError:
-        known = {"localhost", own_name.lower(), socket.gethostname().lower()}
-        return name.lower() in known or name.lower().endswith(".localhost")
+        known = {"localhost", *own_names, socket.gethostname().lower()}
+        return name.rstrip(".") in known or name.lower().endswith(".localhost")
     return True
 
 

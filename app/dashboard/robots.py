@@ -17,7 +17,7 @@ from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import Request
-from app.robot.assets import bare_urdf, resolved_urdf, robot_folder, robot_names, user_robots
+from app.robot.assets import bare_urdf, is_own, resolved_urdf, robot_folder, robot_names
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
@@ -59,7 +59,7 @@ def robot_entries() -> list[RobotEntry]:
 def _entry(name: str) -> RobotEntry:
     folder, title, about, problem = robot_folder(name), name, "", None
     page = folder / "report.html"
-    own, report = folder.parent == user_robots(), page.is_file() and not page.is_symlink()
+    own, report = is_own(name), page.is_file() and not page.is_symlink()
     try:
         description = load_robot(name)
         title = description.title

@@ -6,7 +6,7 @@ import logging
 import socket
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import viser
 
@@ -211,6 +211,7 @@ def serve_dashboard(
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
+    allowed: Sequence[str] = (),
     case: Scenario | None = None,
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
@@ -224,6 +225,7 @@ def serve_dashboard(
         host: Address to listen at. viser has neither password nor encryption: only on a trusted
             network should it be more than this machine.
         port: Port to listen at; 0 takes a free one.
+        allowed: Further names by which browsers may reach the server.
         case: A scenario that begins where the loop does, for a button that plays it.
         parts: The robot's meshes if they have been read already.
         start_loop: Begins the simulation of another robot; without, it cannot be changed.
@@ -236,7 +238,7 @@ def serve_dashboard(
     switch = RobotSwitch(start_loop)
     switch.look()  # before anybody waits for a picture
     shared = SharedState(loop, model, clouds, parts, case=case, robot_switch=switch)
-    server = open_server(host, port, LARGEST_ARCHIVE, read_link)
+    server = open_server(host, port, LARGEST_ARCHIVE, read_link, allowed)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")

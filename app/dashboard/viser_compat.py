@@ -13,7 +13,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from inspect import signature
 from types import NoneType
 from typing import Any, ClassVar, NamedTuple
@@ -102,12 +102,17 @@ _knocks = _Knocks()
 
 
 def open_server(
-    host: str, port: int, largest_upload: int = 0, read_link: ReadLink = read_no_link
+    host: str,
+    port: int,
+    largest_upload: int = 0,
+    read_link: ReadLink = read_no_link,
+    allowed: Sequence[str] = (),
 ) -> viser.ViserServer:
     """A server that listens.
 
     viser waits for ever at a host that cannot be bound, and takes another port for one that is
     taken; 0 takes a free one. Files of `largest_upload` [bytes] can be uploaded, none if it is 0.
+    Browsers may reach it by the `allowed` names too.
 
     Raises:
         ServerError: viser starts in a way that is not known.
@@ -117,7 +122,7 @@ def open_server(
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
-    gate = Gate(host, largest_upload, read_link)
+    gate = Gate({host, *allowed}, largest_upload, read_link)
     with _silence(), gate.closed():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     notifier = Notifier(server)

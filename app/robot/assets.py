@@ -21,8 +21,9 @@ from xml.parsers import expat
 
 import platformdirs
 
-from app.errors import AssetError, DescriptionError, RobotFileError
+from app.errors import AssetError, DescriptionError, RobotFileError, UnknownNameError, check_name
 from app.strict import content_of
+from app.system import cache_folders, home_folder, is_writable
 
 if TYPE_CHECKING:
     from app.robot.description import RobotDescription
@@ -46,16 +47,24 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder where borders are kept: `dbb_cache/` in a checkout, else the user's cache folder."""
-    if IN_CHECKOUT:
-        return SHIPPED_CACHE
-    return platformdirs.user_cache_path("dbb", appauthor=False)
+    """Folder of new borders: `dbb_cache/` in a checkout, else the user's; the first writable."""
+    folders = [*[SHIPPED_CACHE] * IN_CHECKOUT, *cache_folders()]
+    return next((folder for folder in folders if is_writable(folder)), folders[0])
 
 
-def user_robots() -> Path:
-    """Folder of the user's own robots: `$DBB_ROBOTS`, else `robots` in the user's data folder."""
-    named = os.environ.get("DBB_ROBOTS")
-    return Path(named) if named else platformdirs.user_data_path("dbb", appauthor=False) / "robots"
+def user_robots() -> list[Path]:
+    """Folders of the user's own robots, as `$DBB_ROBOTS` lists them; new ones go into the first.
+
+    An empty entry is `robots` in the user's data folder.
+    """
+    usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
+    parts = os.environ.get("DBB_ROBOTS", "").split(os.pathsep)
+    return [Path(part.strip()).expanduser() if part.strip() else usual for part in parts]
+
+
+def is_own(name: str) -> bool:
+    """Whether a robot is one of the user's own."""
+    return robot_folder(name).parent != ASSETS
 
 
 def robot_names() -> list[str]:
@@ -64,14 +73,35 @@ def robot_names() -> list[str]:
     return sorted(name for name in found if not name.startswith("."))  # one that is being made
 
 
+def check_robot_name(name: str) -> None:
+    """Refuse the name of a robot that does not exist.
+
+    Raises:
+        UnknownNameError: Lists those that exist, and folders of `$DBB_ROBOTS` that do not.
+    """
+    try:
+        check_name("robot", name, robot_names())
+    except UnknownNameError as error:
+        if absent := absent_folders():
+            error.args = (f"{error}; {absent}",)
+        raise
+
+
+def absent_folders() -> str:
+    """Which folders of `$DBB_ROBOTS` do not exist, as a sentence; empty if all do."""
+    named = filter(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
+    absent = [part for part in named if not Path(part.strip()).expanduser().is_dir()]
+    return f"DBB_ROBOTS names a folder that does not exist: {', '.join(absent)}" if absent else ""
+
+
 def robot_folder(name: str) -> Path:
     """Folder of a robot's description; of two of the same name, the one that ships."""
     folders = [top / name for top in _tops()]
     return next((each for each in folders if (each / "robot.toml").is_file()), folders[0])
 
 
-def _tops() -> tuple[Path, Path]:
-    return ASSETS, user_robots()
+def _tops() -> list[Path]:
+    return [ASSETS, *user_robots()]
 
 
 def resolve_package_uri(uri: str) -> Path:
@@ -172,6 +202,28 @@ def resolved_urdf(description: RobotDescription) -> str:
         reference = mesh.get("filename", "")
         if reference and not reference.startswith("/"):
             mesh.set("filename", str(_mesh(reference, folder)))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def shown_urdf(description: RobotDescription) -> str:
+    """The robot's URDF for other programs: meshes by their addresses on this machine.
+
+    A shape whose mesh is not installed is left out.
+
+    Raises:
+        AssetError: The URDF is not there.
+        DescriptionError: As `read_urdf`.
+    """
+    tree, folder = read_urdf(description), urdf_path(description).parent
+    for link in tree.iterfind("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            if (mesh := shape.find("geometry/mesh")) is not None:
+                reference = mesh.get("filename", "")
+                try:
+                    path = Path(reference) if isfile(reference) else _mesh(reference, folder)
+                    mesh.set("filename", path.resolve().as_uri())
+                except AssetError:
+                    link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
 
 

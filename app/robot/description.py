@@ -10,8 +10,8 @@ from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
 from app.config import Config, range_text
-from app.errors import DescriptionError, check_name
-from app.robot.assets import robot_folder, robot_names
+from app.errors import DescriptionError
+from app.robot.assets import check_robot_name, robot_folder
 from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
@@ -25,8 +25,8 @@ from app.strict import (
     Strict,
     Vector3,
     explain,
+    file_text,
     from_toml,
-    text_of,
 )
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
@@ -243,7 +243,7 @@ def load_description(path: Path) -> RobotDescription:
             of its range; the message names file, field and what would be right.
     """
     try:
-        data = from_toml(text_of(path))
+        data = from_toml(file_text(path))
     except FileNotFoundError:
         raise DescriptionError(f"{path}: no such description") from None
     except OSError as error:
@@ -267,5 +267,5 @@ def load_robot(name: str) -> RobotDescription:
         UnknownNameError: No robot has that name; lists those that exist.
         DescriptionError: Its description does not hold.
     """
-    check_name("robot", name, robot_names())
+    check_robot_name(name)
     return load_description(robot_folder(name) / "robot.toml")

@@ -59,7 +59,9 @@ class RobotModel:
                 limits that contradict each other.
         """
         self.description = description
-        self.pin = _planar_model(description)
+        full = whole_model(description)
+        self.pin = _planar_model(description, full)
+        self._wheel_signs = _wheel_signs(description, full)
         self.n_m = len(description.arm.joints)
         base = description.base
         self.n_b, self.n_d = base.n_b, len(base.drive_at_rest())
@@ -92,6 +94,16 @@ class RobotModel:
         q[:4] = x, y, math.cos(phi), math.sin(phi)
         q[4:] = q_m
         return q
+
+    def wheel_positions(self, angles: Sequence[float] | Array) -> dict[str, float]:
+        """Positions [rad] of the wheels' joints, by name, for angles (n_w,) of the base's `wheels`.
+
+        An angle grows while the base rolls forward, or steers to the left, whichever way the axis
+        of a joint points.
+        """
+        signs = self._wheel_signs
+        pairs = zip(self.description.base.wheels, angles, strict=True)
+        return {name: signs[name] * float(a) for wheels, a in pairs for name in wheels.joints}
 
     def p_base(self) -> Array:
         """(3,) [m] position of the arm's mount in the base's frame: p_base of (9)."""
@@ -217,13 +229,31 @@ def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
     return np.array(stated if stated is not None else from_urdf, dtype=float)
 
 
-def _planar_model(description: RobotDescription) -> pin.Model:
-    """Pinocchio's model on a planar root, with all joints but the arm's locked at zero."""
-    where = f"{description.name}/robot.toml"
+def whole_model(description: RobotDescription) -> pin.Model:
+    """Pinocchio's model on a planar root, with all joints of the URDF."""
     try:
-        full = pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
+        return pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
     except (ValueError, RuntimeError) as error:
+        where = f"{description.name}/robot.toml"
         raise DescriptionError(f"{where}: urdf: pinocchio cannot read it: {error}") from None
+
+
+def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:
+    """1 for each wheel's joint whose axis points to the left, or up; -1 if it is mirrored."""
+    data, q = full.createData(), pin.neutral(full)
+    pin.computeJointJacobians(full, data, q)
+    signs = {}
+    for name in (name for wheels in description.base.wheels for name in wheels.joints):
+        joint = full.getJointId(name)
+        J = pin.getJointJacobian(full, data, joint, pin.LOCAL_WORLD_ALIGNED)
+        axis = J[3:, full.joints[joint].idx_v]
+        signs[name] = math.copysign(1.0, axis[np.abs(axis).argmax()])
+    return signs
+
+
+def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
+    """The model with all joints but the arm's locked at zero."""
+    where = f"{description.name}/robot.toml"
     names = list(full.names)[2:]  # after "universe" and the root joint
     wanted = {"arm.joints": description.arm.joints}
     wanted |= {f"base.{wheels.field}": wheels.joints for wheels in description.base.wheels}

@@ -16,7 +16,7 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.pulled import CHALLENGE
-from app.strict import MOST_SEEDS, Finite, Strict, explain, parsed, text_of
+from app.strict import MOST_SEEDS, Finite, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
 _MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
@@ -148,7 +148,7 @@ def read_case(path: Path) -> RunCase:
         CaseError: There is no such file, or it holds no case; says what is wrong.
     """
     try:
-        return RunCase.read(text_of(path), path)
+        return RunCase.read(file_text(path), path)
     except OSError as error:
         raise CaseError(f"cannot read the case {path}: {error.strerror}") from None
     except ValueError as error:

@@ -151,7 +151,7 @@ def _launch(playwright: Playwright, path: str | None, folder: str) -> Browser:
             browser = playwright.chromium.launch(
                 executable_path=path,
                 args=[*flags, *_QUIET],
-                env={**os.environ, "TMPDIR": folder},
+                env={**os.environ, "TMPDIR": folder, "HOME": folder},  # there may be no home
             )
         except Error as error:
             reason = str(error).strip().splitlines()[0]

@@ -22,7 +22,7 @@ from app.errors import ConfigError
 from app.onboarding.request import NAME
 from app.onboarding.write import HandMade, save_by_hand
 from app.robot import shapes
-from app.robot.assets import robot_folder, robot_names, user_robots
+from app.robot.assets import is_own, robot_folder, robot_names, user_robots
 from app.robot.shapes import Shape, shape_mesh
 from app.strict import Array
 
@@ -118,9 +118,10 @@ class EditPanel(Panel):
         name, own = self._name.value, self._robot.name
         if not NAME.fullmatch(name):  # before it becomes a part of a path
             raise ConfigError("a name starts with a letter and has only letters, digits and _")
-        if name in robot_names() and (name != own or robot_folder(name).parent != user_robots()):
+        if name in robot_names() and not (name == own and is_own(own)):
             raise ConfigError(f"there is a robot {name!r} already; give another name")
-        save_by_hand(robot_folder(own), user_robots() / name, self.changes)
+        there = robot_folder(own)
+        save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
         shared, switch = self._shared, self._shared.robot_switch
         switch.look_again()
         controller = shared.loop.latest().controller
@@ -200,7 +201,7 @@ class EditPanel(Panel):
 
 def own_name(name: str) -> str:
     """The name to save a robot by: its own where it is the user's."""
-    return name if robot_folder(name).parent == user_robots() else f"{name}_by_hand"
+    return name if is_own(name) else f"{name}_by_hand"
 
 
 def half_extents(shape: Shape) -> Array:

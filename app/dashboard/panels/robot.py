@@ -16,7 +16,7 @@ from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_F
 from app.onboarding.request import BOUNDS, NAME, Request, check_request, option
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
-from app.strict import text_of
+from app.strict import file_text
 
 FIND = "(detect)"  # choice of no wheels: they are looked for
 _WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
@@ -106,7 +106,7 @@ class RobotPanel(Panel):
         if client is None or path.is_symlink() or not path.is_file():
             raise AssetError(f"{name}: there is no report {path}")
         try:
-            page = text_of(path)
+            page = file_text(path)
         except (OSError, ValueError) as error:
             raise AssetError(f"{path} cannot be read: {error}") from None
         modal = client.gui.add_modal(f"How {name} was made")
@@ -202,7 +202,7 @@ class NewRobotPanel(Panel):
             str(package.archive),
             value["base"],
             value["tip"],
-            user_robots() / value["out"],
+            user_robots()[0] / value["out"],
             wheels=(left, right) if left else None,
             kind=value["kind"],
             assume_inertia=value["assume_inertia"],
@@ -272,7 +272,7 @@ def upload_html() -> str:
         f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, {MOST_FILES} "
         f"files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; nothing is executed. "
         "Description, border and report are saved in<br>"
-        f"<code>{escape(str(user_robots()))}</code>"
+        f"<code>{escape(str(user_robots()[0]))}</code>"
     )
 
 

@@ -27,7 +27,7 @@ from app.robot.assets import robot_names
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Play
 from app.simulation.scenarios import SCENARIOS, scenario_of
-from app.strict import Array, check_range
+from app.strict import Array, check_range, text_of
 
 if TYPE_CHECKING:
     from app.dashboard.shared import SharedState
@@ -265,7 +265,10 @@ class SharePanel(Panel):
             raise CaseError(
                 f"{file.name}: {len(file.content) / 1e6:.0f} MB is too large for a case"
             )
-        text = file.content.decode(errors="replace")
+        try:
+            text = text_of(file.content)
+        except ValueError as error:
+            raise CaseError(f"{file.name}: {error}") from None
         self._notifier.tell(event.client, "Case", play_case(self._shared, text, file.name))
 
 

@@ -60,10 +60,7 @@ class LinkPoses:
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
         self._data = self.model.createData()
-        base, arm = robot.description.base, robot.description.arm
-        self._arm = self._places(arm.joints)
-        self._wheels = [self._places(wheels.joints) for wheels in base.wheels]
-        self._signs = _senses(self.model, base.link)
+        self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
@@ -72,8 +69,8 @@ class LinkPoses:
         """
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
-        for joints, angle in zip(self._wheels, wheel_angles, strict=True):
-            turned[joints] = angle * self._signs[joints]
+        wheels = self._robot.wheel_positions(wheel_angles)
+        turned[self._places([*wheels])] = [*wheels.values()]
         # pinocchio keeps a continuous joint, which a wheel often is, as a point on the circle.
         q = pin.integrate(self.model, pin.neutral(self.model), turned)
         pin.forwardKinematics(self.model, self._data, q)
@@ -81,19 +78,6 @@ class LinkPoses:
 
     def _places(self, joints: Sequence[str]) -> list[int]:
         return [self.model.joints[self.model.getJointId(name)].idx_v for name in joints]
-
-
-def _senses(model: pin.Model, base: str) -> Array:
-    """(n_v,) 1, or -1 for a joint whose axis points to the right, down or back as the base stands.
-
-    A wheel whose axis is mirrored turns backwards by its own angle when the robot drives ahead.
-    """
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    pin.updateFramePlacements(model, data)
-    turns = data.oMf[model.getFrameId(base)].rotation.T @ data.J[3:]
-    main = np.abs(turns).argmax(axis=0)
-    return np.where(np.take_along_axis(turns, main[None], axis=0)[0] < 0.0, -1.0, 1.0)
 
 
 class RobotParts:

@@ -17,7 +17,7 @@ from app.errors import AssetError, ConfigError
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
 from app.simulation.plants.interface import Contacts
 from app.strict import Array
-from app.system import flush_c_output
+from app.system import decimal_points, flush_c_output
 
 
 @contextmanager
@@ -129,7 +129,7 @@ class BulletWorld:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         # Of a file without a name nothing is left wherever this process is ended.
-        with tempfile.TemporaryFile() as file, silence(1):  # of its warnings
+        with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # without warnings
             file.write(urdf.encode())
             file.seek(0)
             body = self.client.loadURDF(

@@ -4,6 +4,7 @@ It imports little, as a child process reads a file by it.
 """
 
 import io
+import re
 from pathlib import Path
 
 import pyarrow as pa
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 
 from app.errors import LogError
 from app.jobs.bounded import within_budget
+from app.strict import file_text
 from app.system import write_whole
 
 _KEY = b"dbb_log"
@@ -60,16 +62,21 @@ def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
 
 
 def _read_csv(path: Path) -> tuple[str, pa.Table]:
-    content = path.read_bytes()
-    first, _, rest = content.partition(b"\n")
-    text = first.decode("utf-8")
-    if not text.startswith(_COMMENT):
-        raise ValueError("its first line is no comment with meta data")
+    first, _, rest = file_text(path).partition("\n")
+    if not first.startswith(_COMMENT):
+        changed = ", as spreadsheets leave it: keep the file that was written, or use .parquet"
+        raise ValueError(f"its first line is no comment with meta data{changed * ('# ' in first)}")
+    names, _, rows = rest.partition("\n")
+    comma = ";" in names  # as spreadsheets of many countries write it, with decimal commas
+    point = "," if comma and re.search(r"\d,\d", rows[:10_000]) else "."
     # Nothing is guessed but what is a number and what is not: the caller knows the kinds.
-    options = pyarrow.csv.ConvertOptions(null_values=[""], strings_can_be_null=False)
-    alone = pyarrow.csv.ReadOptions(use_threads=False)
-    table = pyarrow.csv.read_csv(io.BytesIO(rest), convert_options=options, read_options=alone)
-    return text.removeprefix(_COMMENT).rstrip("\r"), table
+    options = pyarrow.csv.ConvertOptions(
+        null_values=[""], strings_can_be_null=False, decimal_point=point
+    )
+    cells = pyarrow.csv.ParseOptions(delimiter=";" if comma else ",")
+    alone, content = pyarrow.csv.ReadOptions(use_threads=False), io.BytesIO(rest.encode())
+    table = pyarrow.csv.read_csv(content, alone, cells, options)
+    return first.removeprefix(_COMMENT).rstrip(",;"), table
 
 
 def _read_parquet(path: Path) -> tuple[str, pa.Table]:

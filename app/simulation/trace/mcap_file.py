@@ -1,335 +1,352 @@
-"""A trace as MCAP, which Foxglove, PlotJuggler and ROS tools open: JSON by Foxglove's schemas.
+"""A trace as MCAP: Protobuf by Foxglove's schemas, with the robot in it; or messages of ROS 2.
 
 | topic | schema | how often |
 |---|---|---|
 | `/tf` | `foxglove.FrameTransforms`, the links in the world | each snapshot |
 | `/joint_states` | `foxglove.JointStates`, of arm and wheels | each snapshot |
+| `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, its meshes in the file | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
 | `/step` | `dbb.Step`, the columns of a log; names end in units, `-` is `_` | each row |
-| `/parameters` | `dbb.Config`, with units in its schema | when they change |
+| `/parameters` | `dbb.Config` | when they change |
+| `/robot_description` | `std_msgs/msg/String`, the URDF, its meshes by their paths here | once |
+| `/curves/…` | `sensor_msgs/msg/JointState`, the columns of a quantity by name | each snapshot |
+
+The last two are messages of ROS: Rerun takes a robot and named curves from no others. With `ros`
+all messages are: `/tf`, `/joint_states` and `/robot_description`.
 """
 
+import io
 import json
-import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+from urllib.parse import unquote, urlsplit
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
+import foxglove
 import numpy as np
 import pinocchio as pin
-from mcap.writer import Writer
+import trimesh
+from foxglove import messages as fg
+from foxglove.mcap import MCAPWriteOptions
+from google.protobuf import descriptor_pb2, message_factory
 
-from app.config import sections
-from app.parameters import Parameter, Section
+from app.robot.assets import floats, shown_urdf
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
+from app.simulation.trace.motion import (
+    FRAMES,
+    JOINTS,
+    TEXT,
+    WORLD,
+    Frames,
+    JointReading,
+    joints_of,
+    nanoseconds,
+    ros_definition,
+    ros_frames,
+    ros_joints,
+    ros_text,
+)
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
 from app.strict import Array
-from app.system import whole_file
+from app.system import write_whole
 
-Json = dict[str, Any]
+Colours = Mapping[str | None, Element | None]  # by the names of the robot's materials
 
-WORLD = "world"  # the frame in which base and links are
 _METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
-_BODY, _FREE, _INSIDE, _CONTACT = (
-    {"r": r, "g": g, "b": b, "a": a}
+_BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
+    fg.Color(r=r, g=g, b=b, a=a)
     for r, g, b, a in (
         (0.25, 0.6, 0.9, 0.4),
         (0.6, 0.6, 0.6, 1),
         (1, 0.7, 0.1, 1),
         (1, 0.1, 0.1, 1),
+        (0.6, 0.6, 0.6, 1),
     )
 )
-_LINE_LIST = 2
-_PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+_GLB, _STL = "model/gltf-binary", "model/stl"
+_MEDIA = {".glb": _GLB, ".stl": _STL, ".obj": "model/obj", ".dae": "model/vnd.collada+xml"}
+_LARGEST_MESH = 20_000_000  # [bytes] of a file that is put into a log
 
 
-def write_mcap(path: Path, trace: Trace, model: RobotModel) -> None:
-    """Write a trace with snapshots whole or not at all.
+def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
+    """Write a trace with snapshots whole or not at all; with `ros` as messages of ROS 2, in CDR.
 
     Raises:
         OutputError: It cannot be written there.
+        AssetError: The robot's URDF is not there.
     """
-    with whole_file(path) as beside, beside.open("wb") as file:
-        writer = Writer(file)
-        writer.start(profile="", library="dbb")
+    file = io.BytesIO()  # what cannot be written raises here, and not once a message in the library
+    log = _Log(file, profile="ros2" if ros else None)
+    with log.writer:
         about = trace.meta.model_dump(mode="json", exclude={"config"})
-        writer.add_metadata("dbb", {name: json.dumps(value) for name, value in about.items()})
-        topics = _Topics(writer, trace)
-        topics.put("/bodies", trace.snapshots[0].t, {"deletions": [], "entities": _bodies(model)})
-        frames, config = _Frames(model), None
-        for s in trace.snapshots:
-            topics.put("/tf", s.t, {"transforms": frames.transforms(s)})
-            topics.put("/joint_states", s.t, _joint_states(s, model))
-            topics.put("/markers", s.t, {"deletions": [], "entities": _markers(s)})
-            if s.config != config:
-                config = s.config
-                topics.put("/parameters", s.t, config.model_dump(mode="json"))
-        names = [_plain(column.name) for column in trace.columns]
-        for t, row in zip(trace.t.tolist(), trace.table.tolist(), strict=True):
-            known = zip(names, row, strict=True)
-            topics.put("/step", t, {name: x for name, x in known if math.isfinite(x)})
-        writer.finish()
+        log.writer.write_metadata("dbb", {name: json.dumps(x) for name, x in about.items()})
+        _put_motion(log, trace, model, ros=ros)
+        if not ros:
+            _put_scene(log, trace, model)
+            _put_numbers(log, trace)
+    write_whole(path, file.getvalue())
 
 
-class _Topics:
-    """Channels of a file, one a topic, and how a message comes into them."""
+class _Log:
+    """A file, whose channels are opened when their first messages come."""
 
-    def __init__(self, writer: Writer, trace: Trace) -> None:
-        step = _object("dbb.Step", **{_plain(c.name): {"type": "number"} for c in trace.columns})
-        step["required"] = ["t_s"]  # what is not known at a time is left out
-        schemas = {
-            "/tf": _schema("FrameTransforms"),
-            "/joint_states": _schema("JointStates"),
-            "/bodies": _schema("SceneUpdate"),
-            "/markers": _schema("SceneUpdate"),
-            "/step": step,
-            "/parameters": _object("dbb.Config", **{s.name: _section(s) for s in sections()}),
-        }
-        self._writer, self._numbers = writer, dict.fromkeys(schemas, 0)
-        self._channels = {}
-        for topic, schema in schemas.items():
-            text = json.dumps(schema).encode()
-            number = writer.register_schema(schema["title"], "jsonschema", text)
-            self._channels[topic] = writer.register_channel(topic, "json", number)
+    def __init__(self, file: BinaryIO, profile: str | None) -> None:
+        self._context = foxglove.Context()
+        options = MCAPWriteOptions(profile=profile)
+        self.writer = foxglove.open_mcap(file, context=self._context, writer_options=options)
+        self._channels: dict[str, foxglove.Channel] = {}
+        self._kinds: dict[str, Any] = {}
 
-    def put(self, topic: str, t: float, message: Json) -> None:
-        """Append a message of a time [s]."""
-        ns = round(1e9 * t)
-        self._numbers[topic] += 1
-        self._writer.add_message(
-            self._channels[topic],
-            ns,
-            json.dumps(message, allow_nan=False).encode(),
-            ns,
-            self._numbers[topic],
-        )
+    def put(self, topic: str, t: float, message: Any) -> None:
+        """Append a message of Foxglove's, of a time [s]."""
+        self._put(topic, t, message.encode(), "protobuf", message.get_schema)
 
+    def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
+        """Append a message of ROS of some type."""
 
-class _Frames:
-    """Where the links are, each in the one that carries it."""
+        def schema() -> foxglove.Schema:
+            return foxglove.Schema(name=kind, encoding="ros2msg", data=ros_definition(kind))
 
-    def __init__(self, model: RobotModel) -> None:
-        self._model, self._data = model, model.pin.createData()
-        frames = model.pin.frames
-        links = [i for i, f in enumerate(frames) if f.type == pin.FrameType.BODY]
-        self._pairs = [(self._carrier(i), i) for i in (*links, model.ee_frame)]
+        self._put(topic, t, content, "cdr", schema)
 
-    def _carrier(self, number: int) -> int | None:
-        """The link that carries another one; None is the world."""
-        frames = self._model.pin.frames
-        while parent := frames[number].parentFrame:
-            if parent == number:  # what pinocchio makes of a joint that is locked, such as a wheel
-                return self._model.base_frame
-            if frames[parent].type == pin.FrameType.BODY:
-                return parent
-            number = parent
-        return None
+    def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
+        """Append a record of numbers and texts, whose names are those of the topic's first."""
+        if topic not in self._kinds:
+            self._kinds[topic] = _record_kind(name, values)
+        kind = self._kinds[topic]
 
-    def transforms(self, snapshot: Snapshot) -> list[Json]:
-        """All of them at a snapshot."""
-        model, data = self._model, self._data
-        q = model.configuration(snapshot.base_pose, snapshot.q_m)
-        pin.framesForwardKinematics(model.pin, data, q)
-        found = []
-        for carrier, link in self._pairs:
-            T = data.oMf[link] if carrier is None else data.oMf[carrier].actInv(data.oMf[link])
-            pose = _pose(T)
-            found.append(
-                {
-                    "timestamp": _time(snapshot.t),
-                    "parent_frame_id": WORLD if carrier is None else model.pin.frames[carrier].name,
-                    "child_frame_id": model.pin.frames[link].name,
-                    "translation": pose["position"],
-                    "rotation": pose["orientation"],
-                }
+        def schema() -> foxglove.Schema:
+            file = descriptor_pb2.FileDescriptorProto()
+            kind.DESCRIPTOR.file.CopyToProto(file)
+            data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+            return foxglove.Schema(name=f"dbb.{name}", encoding="protobuf", data=data)
+
+        self._put(topic, t, kind(**values).SerializeToString(), "protobuf", schema)
+
+    def _put(self, topic: str, t: float, content: bytes, encoding: str, schema: Any) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = foxglove.Channel(
+                topic, schema=schema(), message_encoding=encoding, context=self._context
             )
-        return found
+        self._channels[topic].log(content, log_time=nanoseconds(t))
 
 
-def _joint_states(s: Snapshot, model: RobotModel) -> Json:
-    base, arm = model.description.base, model.description.arm
-    joints = [
-        {"name": name, "position": q, "velocity": qd, "effort": u}
-        for name, q, qd, u in zip(
-            arm.joints,
-            s.q_m.tolist(),
-            (np.zeros(model.n_m) if s.qd_m is None else s.qd_m).tolist(),
-            s.u_a.tolist(),
-            strict=True,
-        )
+def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
+    """A type of Protobuf for such a record."""
+    file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
+    kind = file.message_type.add(name=name)
+    for number, (field, value) in enumerate(example.items(), 1):
+        kind.field.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
+    return message_factory.GetMessages([file])[f"dbb.{name}"]
+
+
+def _put_motion(log: _Log, trace: Trace, model: RobotModel, *, ros: bool) -> None:
+    """The robot, and where it is."""
+    frames, urdf = Frames(model), ros_text(shown_urdf(model.description))
+    log.put_ros("/robot_description", trace.snapshots[0].t, TEXT, urdf)
+    for s in trace.snapshots:
+        joints, transforms = joints_of(s, model), frames.at(s)
+        if ros:
+            log.put_ros("/joint_states", s.t, JOINTS, ros_joints(s.t, joints))
+            log.put_ros("/tf", s.t, FRAMES, ros_frames(s.t, transforms))
+        else:
+            states = [fg.JointState(**joint._asdict()) for joint in joints]
+            log.put("/joint_states", s.t, fg.JointStates(timestamp=_time(s.t), joints=states))
+            moved = [_transform(s.t, *each) for each in transforms]
+            log.put("/tf", s.t, fg.FrameTransforms(transforms=moved))
+
+
+def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
+    begin, urdf = trace.snapshots[0].t, ElementTree.fromstring(shown_urdf(model.description))
+    colours = {each.get("name"): each.find("color") for each in urdf.iterfind("material")}
+    looks = {
+        str(link.get("name")): [_visual(each, colours) for each in link.iterfind("visual")]
+        for link in urdf.iterfind("link")
+    }
+    bodies = [
+        fg.SceneEntity(frame_id=body.frame, id=body.name, models=list(map(_body, body.shapes)))
+        for body in model.description.bodies
     ]
-    for wheels, angle in zip(base.wheels, s.wheel_angles.tolist(), strict=True):
-        joints += [{"name": name, "position": angle} for name in wheels.joints]
-    return {"timestamp": _time(s.t), "joints": joints}
+    robot = [
+        fg.SceneEntity(frame_id=name, id=name, models=list(filter(None, models)))
+        for name, models in looks.items()
+    ]
+    log.put("/robot", begin, fg.SceneUpdate(entities=robot))
+    log.put("/bodies", begin, fg.SceneUpdate(entities=bodies))
+    for s in trace.snapshots:
+        log.put("/markers", s.t, fg.SceneUpdate(entities=_markers(s)))
 
 
-def _bodies(model: RobotModel) -> list[Json]:
-    """The convex bodies that distances are measured to, fixed to their links."""
-    entities = []
-    for body in model.description.bodies:
-        triangles = []
-        for shape in body.shapes:
-            mesh = shape_mesh(shape)
-            triangles.append(
-                {
-                    "pose": _pose(shape.placement()),
-                    "points": list(map(_xyz, np.asarray(mesh.vertices))),
-                    "color": _BODY,
-                    "colors": [],
-                    "indices": np.asarray(mesh.faces).ravel().tolist(),
-                }
-            )
-        entities.append(_entity(0.0, body.name, body.frame, triangles=triangles))
-    return entities
+def _put_numbers(log: _Log, trace: Trace) -> None:
+    config = None
+    for s in trace.snapshots:
+        row = trace.table[trace.row_at(s.t)]
+        for quantity, columns in trace.groups.items():
+            curves = [JointReading(name, row[trace.index[name]]) for name in columns]
+            log.put_ros(f"/curves/{quantity}", s.t, JOINTS, ros_joints(s.t, curves))
+        if s.config != config:
+            config = s.config
+            sections = config.model_dump(mode="json").items()
+            flat = {f"{name}_{key}": x for name, section in sections for key, x in section.items()}
+            log.put_record("/parameters", s.t, "Config", flat)
+    names = _fields(column.name for column in trace.columns)
+    for t, row in zip(trace.t.tolist(), trace.table.tolist(), strict=True):
+        log.put_record("/step", t, "Step", dict(zip(names, row, strict=True)))
 
 
-def _markers(s: Snapshot) -> list[Json]:
+def _fields(names: Iterable[str]) -> list[str]:
+    """Names of columns as Protobuf may have them, each once."""
+    found: dict[str, None] = {}
+    for name in names:
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+        while plain in found:
+            plain += "_"
+        found[plain] = None
+    return list(found)
+
+
+def _visual(visual: Element, colours: Colours) -> fg.ModelPrimitive | None:
+    """A visual of the URDF; None where its mesh is too large, or of a format without a name."""
+    shape, at = visual.find("geometry/*"), visual.find("origin")
+    tint = _tint(visual.find("material"), colours)
+    turn = pin.rpy.rpyToMatrix(*_numbers(at, "rpy", 3))
+    T = pin.SE3(turn, np.array(_numbers(at, "xyz", 3)))
+    if shape is None:
+        return None
+    if shape.tag != "mesh":
+        return _model(T, _GLB, _primitive(shape), tint or _GREY)
+    file = Path(unquote(urlsplit(shape.get("filename", "")).path))
+    media = _MEDIA.get(file.suffix.lower())
+    if media is None or file.stat().st_size > _LARGEST_MESH:
+        return None
+    tint = tint or (_GREY if media == _STL else None)  # other formats have colours of their own
+    return _model(T, media, file.read_bytes(), tint, _numbers(shape, "scale", 3, 1.0))
+
+
+def _tint(material: Element | None, colours: Colours) -> fg.Color | None:
+    """The colour of a material, which may only name one of the robot's `colours`."""
+    if material is None:
+        return None
+    own = material.find("color")
+    colour = colours.get(material.get("name")) if own is None else own
+    rgba = None if colour is None else floats(colour.get("rgba", ""), 4)
+    return fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
+
+
+def _primitive(shape: Element) -> bytes:
+    (radius,), (length,) = (_numbers(shape, key, 1) for key in ("radius", "length"))
+    if shape.tag == "box":
+        mesh = trimesh.creation.box(_numbers(shape, "size", 3))
+    elif shape.tag == "sphere":
+        mesh = trimesh.creation.icosphere(radius=radius)
+    else:
+        mesh = trimesh.creation.cylinder(radius, length)
+    return _glb(mesh)
+
+
+def _body(shape: Any) -> fg.ModelPrimitive:
+    return _model(shape.placement(), _GLB, _glb(shape_mesh(shape)), _BODY)
+
+
+def _glb(mesh: trimesh.Trimesh) -> bytes:
+    return bytes(mesh.export(file_type="glb"))  # pyright: ignore[reportArgumentType]
+
+
+def _model(
+    T: pin.SE3,
+    media: str,
+    data: bytes,
+    colour: fg.Color | None,
+    scale: Iterable[float] = (1.0, 1.0, 1.0),
+) -> fg.ModelPrimitive:
+    return fg.ModelPrimitive(
+        pose=_pose(T),
+        scale=fg.Vector3(**dict(zip("xyz", scale, strict=True))),
+        color=colour,
+        override_color=colour is not None,
+        media_type=media,
+        data=data,
+    )
+
+
+def _markers(s: Snapshot) -> list[fg.SceneEntity]:
     """Closest points, acting points and forces; an entity replaces the one of its name."""
     lines = [
-        {
-            "type": _LINE_LIST,
-            "pose": _pose(pin.SE3.Identity()),
-            "thickness": 3.0,
-            "scale_invariant": True,
-            "points": [_xyz(pair.p_a), _xyz(pair.p_b)],
-            "color": _CONTACT if pair.d < 0 else _INSIDE if pair.beta > 0 else _FREE,
-            "colors": [],
-            "indices": [],
-        }
+        fg.LinePrimitive(
+            type=fg.LinePrimitiveLineType.LineList,
+            pose=_pose(pin.SE3.Identity()),
+            thickness=3.0,
+            scale_invariant=True,
+            points=[fg.Point3(**_xyz(pair.p_a)), fg.Point3(**_xyz(pair.p_b))],
+            color=_CONTACT if pair.d < 0 else _INSIDE if pair.beta > 0 else _FREE,
+        )
         for pair in s.pairs
     ]
     forces = [_arrow(each.p_act, each.f, _INSIDE) for each in s.acting]
-    points = [_ball(p) for each in s.acting for p in (each.p_n, each.p_t, each.p_act)]
+    balls = [_ball(p) for each in s.acting for p in (each.p_n, each.p_t, each.p_act)]
     person = _arrow(s.p_ee, s.hand_force, _FREE)
+    about = {"timestamp": _time(s.t), "frame_id": WORLD}
     return [
-        _entity(s.t, "closest points", WORLD, lines=lines),
-        _entity(s.t, "avoidance", WORLD, arrows=forces, spheres=points),
-        _entity(s.t, "person", WORLD, arrows=[person]),
+        fg.SceneEntity(id="closest points", lines=lines, **about),
+        fg.SceneEntity(id="avoidance", arrows=forces, spheres=balls, **about),
+        fg.SceneEntity(id="person", arrows=[person], **about),
     ]
 
 
-def _entity(t: float, name: str, frame: str, **primitives: Sequence[Json]) -> Json:
-    return {
-        "timestamp": _time(t),
-        "frame_id": frame,
-        "id": name,
-        "lifetime": _time(0.0),
-        "frame_locked": True,
-        "metadata": [],
-        **{kind: list(primitives.get(kind, ())) for kind in _PRIMITIVES},
-    }
-
-
-def _arrow(start: Array, force: Array, colour: Json) -> Json:
+def _arrow(start: Array, force: Array, colour: fg.Color) -> fg.ArrowPrimitive:
     """A force (3,) [N] at a place (3,) [m]."""
     newtons = float(np.linalg.norm(force))
     turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), np.asarray(force))
     still = pin.Quaternion.Identity()
-    return {
-        "pose": _pose(pin.SE3(turn if newtons > 0 else still, np.asarray(start))),
-        "shaft_length": _METRES_PER_NEWTON * newtons,
-        "shaft_diameter": 0.016,
-        "head_length": 0.035 if newtons > 0 else 0.0,
-        "head_diameter": 0.04,
-        "color": colour,
-    }
+    return fg.ArrowPrimitive(
+        pose=_pose(pin.SE3(turn if newtons > 0 else still, np.asarray(start))),
+        shaft_length=_METRES_PER_NEWTON * newtons,
+        shaft_diameter=0.016,
+        head_length=0.035 if newtons > 0 else 0.0,
+        head_diameter=0.04,
+        color=colour,
+    )
 
 
-def _ball(place: Array) -> Json:
-    pose = _pose(pin.SE3(np.eye(3), np.asarray(place)))
-    return {"pose": pose, "size": dict.fromkeys("xyz", 0.025), "color": _INSIDE}
+def _ball(at: Array) -> fg.SpherePrimitive:
+    size = fg.Vector3(x=0.025, y=0.025, z=0.025)
+    return fg.SpherePrimitive(
+        pose=_pose(pin.SE3(np.eye(3), np.array(at))), size=size, color=_INSIDE
+    )
 
 
-def _time(t: float) -> dict[str, int]:
-    sec, nsec = divmod(round(1e9 * t), 10**9)
-    return {"sec": sec, "nsec": nsec}
+def _transform(t: float, parent: str, child: str, T: pin.SE3) -> fg.FrameTransform:
+    return fg.FrameTransform(
+        timestamp=_time(t),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=fg.Vector3(**_xyz(T.translation)),
+        rotation=_turn(T),
+    )
 
 
-def _xyz(place: Array) -> dict[str, float]:
-    return dict(zip("xyz", map(float, place), strict=True))
+def _pose(T: pin.SE3) -> fg.Pose:
+    return fg.Pose(position=fg.Vector3(**_xyz(T.translation)), orientation=_turn(T))
 
 
-def _pose(T: pin.SE3) -> Json:
-    x, y, z, *quaternion = pin.SE3ToXYZQUAT(T).tolist()
-    turn = dict(zip("xyzw", quaternion, strict=True))
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": turn}
+def _turn(T: pin.SE3) -> fg.Quaternion:
+    return fg.Quaternion(**dict(zip("xyzw", pin.SE3ToXYZQUAT(T)[3:].tolist(), strict=True)))
 
 
-def _plain(name: str) -> str:
-    """A column's name as a path of a message may have it."""
-    return name.replace("-", "_")
+def _xyz(at: Array) -> dict[str, float]:
+    return dict(zip("xyz", map(float, at), strict=True))
 
 
-def _object(title: str, /, **properties: Json) -> Json:
-    """A schema of an object that has all of these and nothing else."""
-    return {
-        "title": title,
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
-    }
+def _numbers(element: Element | None, key: str, count: int, usual: float = 0.0) -> list[float]:
+    found = None if element is None else floats(element.get(key, ""), count)
+    return found or [usual] * count
 
 
-def _section(section: Section) -> Json:
-    found = {}
-    for each in section.tunables:
-        name = each.path.partition(".")[2]
-        if isinstance(each, Parameter):
-            found[name] = {"type": "number", "description": f"[{each.unit}] {each.help}"}
-        else:
-            found[name] = {"type": "string", "description": each.help}
-    return _object(f"dbb.{section.name}", **found)
-
-
-_PLAIN: dict[str, Json] = {
-    "number": {"type": "number"},
-    "text": {"type": "string"},
-    "truth": {"type": "boolean"},
-    "count": {"type": "integer", "minimum": 0},
-    "nanoseconds": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
-    "line-list": {"oneOf": [{"title": "LINE_LIST", "const": _LINE_LIST}]},
-    "nothing": {"type": "object", "properties": {}},
-}
-_RECORDS = {
-    "time": "sec:count nsec:nanoseconds",
-    "duration": "sec:count nsec:nanoseconds",
-    "Vector3": "x y z",
-    "Point3": "x y z",
-    "Quaternion": "x y z w",
-    "Color": "r g b a",
-    "Pose": "position:Vector3 orientation:Quaternion",
-    "FrameTransforms": "transforms:FrameTransform[]",
-    "FrameTransform": "timestamp:time parent_frame_id:text child_frame_id:text "
-    "translation:Vector3 rotation:Quaternion",
-    "JointStates": "timestamp:time joints:JointState[]",
-    "JointState": "name:text position? velocity? effort?",
-    "LinePrimitive": "type:line-list pose:Pose thickness scale_invariant:truth points:Point3[] "
-    "color:Color colors:Color[] indices:count[]",
-    "TriangleListPrimitive": "pose:Pose points:Point3[] color:Color colors:Color[] indices:count[]",
-    "ArrowPrimitive": "pose:Pose shaft_length shaft_diameter head_length head_diameter color:Color",
-    "SpherePrimitive": "pose:Pose size:Vector3 color:Color",
-    "SceneUpdate": "deletions:nothing[] entities:SceneEntity[]",
-    "SceneEntity": "timestamp:time frame_id:text id:text lifetime:duration frame_locked:truth "
-    "metadata:nothing[] arrows:ArrowPrimitive[] cubes:nothing[] spheres:SpherePrimitive[] "
-    "cylinders:nothing[] lines:LinePrimitive[] triangles:TriangleListPrimitive[] texts:nothing[] "
-    "models:nothing[]",
-}
-"""Fields of Foxglove's records, as far as they are used here: `name:kind`, a number without a kind,
-`[]` a list, `?` not always there."""
-
-
-def _schema(kind: str) -> Json:
-    """The schema of a kind of `_PLAIN` or `_RECORDS`, or of a list of it."""
-    if kind.endswith("[]"):
-        few = {"maxItems": 0} if kind == "nothing[]" else {}
-        return {"type": "array", "items": _schema(kind[:-2]), **few}
-    if kind in _PLAIN:
-        return _PLAIN[kind]
-    fields = [field.partition(":")[::2] for field in _RECORDS[kind].split()]
-    title = kind if kind in ("time", "duration") else f"foxglove.{kind}"
-    found = _object(title, **{n.rstrip("?"): _schema(each or "number") for n, each in fields})
-    return found | {"required": [name for name, _ in fields if not name.endswith("?")]}
+def _time(t: float) -> fg.Timestamp:
+    return fg.Timestamp(*divmod(nanoseconds(t), 10**9))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from array import array
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import compress
 from typing import Any, Literal, NamedTuple
 
@@ -123,6 +123,18 @@ class Trace:
     def columns(self) -> tuple[Column, ...]:
         """Of the table, in order."""
         return self._layout.columns
+
+    @property
+    def index(self) -> Mapping[str, int]:
+        """Where each column stands in the table, by its name."""
+        return self._layout.index
+
+    @property
+    def groups(self) -> dict[str, list[str]]:
+        """Names of the columns of each quantity of the table that has some."""
+        every = np.array([column.name for column in self.columns])
+        found = {name: every[at] for name, at in self._layout.slices.items() if name != "t"}
+        return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
 
     @property
     def t(self) -> Array:

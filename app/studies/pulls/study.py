@@ -19,7 +19,7 @@ from app.errors import StudyError
 from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.simulation.case import RunCase
-from app.strict import parsed, text_of
+from app.strict import file_text, parsed
 from app.studies.pulls.case import broken_off, failed, planned_of, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
@@ -212,7 +212,7 @@ class Journal(AbstractContextManager["Journal"]):
             write_json(path, identity)
             return
         try:
-            kept = parsed(json.loads, text_of(path))
+            kept = parsed(json.loads, file_text(path))
         except ValueError:
             raise StudyError(f"--out: {path} is damaged; choose another folder") from None
         if kept != identity:

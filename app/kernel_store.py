@@ -1,0 +1,132 @@
+"""Where compiled kernels are kept: read by everybody who may read them, written where possible."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from numba.core import caching, config
+from numba.core.dispatcher import Dispatcher
+
+from app.system import cache_folders
+
+
+def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
+    """Name and digest of the files that a kernel is made of: its own, and those that it calls into.
+
+    Called functions are found by the names that the kernel has for them; constants are to be in its
+    own file. A digest, unlike a time, survives the copy of an installation into an image.
+
+    Raises:
+        OSError: One of them is not a file that can be read.
+    """
+    files, known, called = set[Path](), set[FunctionType](), [function]
+    while called:
+        part = called.pop()
+        files.add(Path(part.__code__.co_filename))
+        known.add(part)
+        named = (part.__globals__.get(name) for name in part.__code__.co_names)
+        parts = {each.py_func for each in named if isinstance(each, Dispatcher)}
+        called += parts - known
+    return tuple((file.name, _digest(file)) for file in sorted(files))
+
+
+@cache
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _folders(file: str) -> list[Path]:
+    """Where the kernels of a source file may be, in the order in which they are looked for.
+
+    A folder that the environment names, the one beside the source where Python has its own compiled
+    files, and those of this user.
+    """
+    subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
+    named = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
+    own = [folder / "kernels" for folder in cache_folders()]
+    return [
+        *(folder / subfolder for folder in named),
+        Path(file).parent / "__pycache__",
+        *(folder / subfolder for folder in own),
+    ]
+
+
+class _Locator(caching._CacheLocator):
+    """Describes a kernel to numba, whose own locators refuse each folder that cannot be written."""
+
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+
+    @classmethod
+    def from_function(cls, py_func: FunctionType, py_file: str) -> _Locator:
+        return cls(py_func)
+
+    def get_cache_path(self) -> str:
+        return str(Path(inspect.getfile(self._function)).parent)
+
+    def ensure_cache_path(self) -> None:
+        """Whether a folder can be written turns out when it is written to."""
+
+    def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
+        return _stamp(self._function)
+
+    def get_disambiguator(self) -> str:
+        return str(self._function.__code__.co_firstlineno)
+
+
+class _Described(caching.CompileResultCacheImpl):
+    """How numba writes a kernel, and under which name."""
+
+    _locator_classes = [_Locator]  # noqa: RUF012 - as numba has it
+
+
+class _Index(caching.IndexDataCacheFile):
+    """The index of a folder's kernels; a damaged one is empty, and is written anew."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return super()._load_index()
+        except Exception:  # whatever its bytes stand for
+            return {}
+
+
+class KernelStore(caching.FunctionCache):
+    """The kernels of a function: read where they are, written to the first folder that allows it.
+
+    So a user without write access reads those that another one compiled.
+    """
+
+    _impl_class = _Described
+
+    def __init__(self, function: FunctionType) -> None:
+        super().__init__(function)
+        stamp, name = self._impl.locator.get_source_stamp(), self._impl.filename_base
+        self._files = [
+            _Index(str(folder), name, stamp) for folder in _folders(inspect.getfile(function))
+        ]
+        self.saved = False
+        """Whether a kernel that this process has compiled could be written."""
+
+    def _load_overload(self, sig: Any, target_context: Any) -> Any:
+        for file in self._files:
+            self._cache_file = file
+            with suppress(Exception):  # it cannot be read, or is damaged
+                found = super()._load_overload(sig, target_context)
+                if found is not None:
+                    return found
+        return None
+
+    def _save_overload(self, sig: Any, data: Any) -> None:
+        for file in self._files:
+            self._cache_file = file
+            with suppress(OSError):
+                Path(file._cache_path).mkdir(parents=True, exist_ok=True)
+                super()._save_overload(sig, data)
+                self.saved = True
+                return

@@ -1,0 +1,200 @@
+"""What a user's machine has around the program changes no result: locale, folders, time zone."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app import system
+from app.config_file import decode_config
+from app.errors import ConfigError, LogError, UnknownNameError
+from app.robot import assets
+from app.robot.description import load_description, load_robot
+from app.simulation.trace.log_file import read_trace, write_trace
+from tests.logs import random_snapshots, trace_of
+from tests.readme import PROJECT
+
+COMMAS = "decimal_commas"
+RUN = f"""
+import ctypes, hashlib, locale, os, resource
+from itertools import islice
+
+if "LOCPATH" in os.environ:
+    locale.setlocale(locale.LC_NUMERIC, "{COMMAS}")
+    assert locale.localeconv()["decimal_point"] == ","
+if "FILES" in os.environ:
+    resource.setrlimit(resource.RLIMIT_NOFILE, (int(os.environ["FILES"]),) * 2)
+
+from app.border.cache import border_key, load_border_data
+from app.border.config import SamplingConfig
+from app.cli.common import load_model
+from app.simulation.case import Planned
+from app.simulation.plants import default_plant
+from app.simulation.run import steps_of
+from app.simulation.scenarios import SCENARIOS
+
+model = load_model("husky_panda")
+print(border_key(model.description, SamplingConfig()))
+data = load_border_data(model)
+for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}):
+    scenario, config = SCENARIOS["guiding-front"], model.description.config
+    planned = Planned("husky_panda", scenario, config, "dbb", plant, 0)
+    digest = hashlib.sha256()
+    for _, step in islice(steps_of(planned, model, data), 150):
+        for numbers in (*step.truth[:4], step.output.u_a, step.base_command):
+            digest.update(numbers.tobytes())
+    print(plant, digest.hexdigest())
+"""
+
+
+def digests(cwd: Path, **other: str | None) -> str:
+    """What a run gives in a process of this environment."""
+    changed = {name: value for name, value in other.items() if value is not None}
+    kept = {name: value for name, value in os.environ.items() if name not in other}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN],
+        cwd=cwd,
+        env={**kept, "PYTHONPATH": str(PROJECT), **changed},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def usual() -> str:
+    return digests(PROJECT, TZ="UTC")
+
+
+@pytest.mark.slow
+def test_no_result_depends_on_folders_time_zone_or_open_files(usual: str, tmp_path: Path) -> None:
+    folders = {"HOME": "/nonexistent", "XDG_CACHE_HOME": None, "XDG_DATA_HOME": None}
+    assert digests(tmp_path, TZ="Asia/Kathmandu", FILES="64", LANG="C", **folders) == usual
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_decimal_commas_change_no_bit(usual: str, tmp_path: Path) -> None:
+    source = Path("/usr/lib/locale/C.utf8")
+    if not source.is_dir():
+        pytest.skip("needs a locale of glibc to change")
+    numbers = shutil.copytree(source, tmp_path / COMMAS) / "LC_NUMERIC"
+    numbers.write_bytes(numbers.read_bytes().replace(b".", b","))
+    assert digests(PROJECT, LOCPATH=str(tmp_path), LC_ALL=None) == usual
+
+
+def test_robots_are_found_in_every_folder_of_a_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folders = [tmp_path / "a", tmp_path / "b"]
+    for number, folder in enumerate(folders):
+        made = shutil.copytree(assets.ASSETS / "husky_panda", folder / f"mine_{number}")
+        text = (made / "robot.toml").read_text(encoding="utf-8")
+        (made / "robot.toml").write_text(
+            text.replace('name = "husky_panda"', f'name = "{made.name}"', 1), encoding="utf-8"
+        )
+    monkeypatch.setenv("DBB_ROBOTS", os.pathsep.join(map(str, [*folders, tmp_path / "none"])))
+    assert {"mine_0", "mine_1", "husky_panda"} <= set(assets.robot_names())
+    assert [assets.is_own(name) for name in ("mine_1", "husky_panda")] == [True, False]
+    assert assets.user_robots()[0] == folders[0]
+    assert load_robot("mine_1").name == "mine_1"
+    with pytest.raises(UnknownNameError, match=f"mine_2.*does not exist: {tmp_path}/none"):
+        load_robot("mine_2")
+
+
+@pytest.mark.parametrize("listed", ["", ":/elsewhere", "/elsewhere:"])
+def test_an_empty_entry_is_the_usual_folder(
+    listed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setenv("DBB_ROBOTS", listed.replace(":", os.pathsep))
+    assert any(folder.is_relative_to(tmp_path) for folder in assets.user_robots()) or (
+        sys.platform != "linux"
+    )
+
+
+def test_without_a_home_nothing_is_written_beside_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`~` stays as it is for a user whom the system does not know, as in a container."""
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    for name in ("HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME", "DBB_ROBOTS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.chdir(tmp_path)
+    folders = [assets.cache_folder(), *system.cache_folders(), *assets.user_robots()]
+    assert all(folder.is_absolute() for folder in folders)
+
+
+EDITORS = {
+    "Notepad": lambda text: codecs.BOM_UTF8 + text.replace("\n", "\r\n").encode(),
+    "Unicode text of Windows": lambda text: text.replace("\n", "\r\n").encode("utf-16"),
+    "big-endian": lambda text: codecs.BOM_UTF16_BE + text.encode("utf-16-be"),
+    "old Mac": lambda text: text.replace("\n", "\r").encode(),
+}
+
+
+@pytest.mark.parametrize("edit", EDITORS.values(), ids=EDITORS)
+def test_files_survive_editors(edit, tmp_path: Path) -> None:
+    config = 'name = "grün"\n[border]\nd_b = 0.2 # [m]\n'
+    assert decode_config(edit(config)).config.border.d_b == 0.2
+    source = assets.ASSETS / "husky_panda" / "robot.toml"
+    (tmp_path / "robot.toml").write_bytes(edit(source.read_text(encoding="utf-8")))
+    assert load_description(tmp_path / "robot.toml") == load_description(source)
+    log = tmp_path / "log.csv"
+    write_trace(log, trace_of(random_snapshots(3, 4)))
+    before = read_trace(log)
+    log.write_bytes(edit(log.read_text(encoding="utf-8")))
+    after = read_trace(log)
+    assert np.array_equal(after.table, before.table, equal_nan=True)
+
+
+def test_a_log_survives_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+    snapshots = [replace(each, pulls=(), ghosts=(), scores=()) for each in random_snapshots(3, 4)]
+    log = tmp_path / "log.csv"
+    write_trace(log, trace_of(snapshots))
+    before = read_trace(log)
+    head, *rows = log.read_text(encoding="utf-8").splitlines()
+    cells = [next(csv.reader([row])) for row in rows]
+    swapped = [
+        [x.replace(".", ",") if re.fullmatch(r"[-\d.e+]+", x) else x for x in row] for row in cells
+    ]
+    with log.open("w", encoding="utf-8-sig", newline="") as file:
+        file.write(f"{head};;;\r\n")
+        csv.writer(file, delimiter=";").writerows(swapped)
+    after = read_trace(log)
+    assert np.array_equal(after.table, before.table, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        (b"[border]\nd_b = 0,2\n", "line 2 '= 0,2' has a decimal comma"),
+        ("name = “soft”\n".encode(), "line 1 '“' is a typographic quote"),
+        ("[border]\nd_b =\u00a00.2\n".encode(), "line 2"),
+        ("[border]\nd_b = −0.2\n".encode(), "no minus sign"),
+        ('name = "grün"\n'.encode("latin-1"), "not UTF-8 in line 1; save the file as UTF-8"),
+    ],
+)
+def test_a_slip_of_an_editor_is_named(content: bytes, named: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(named)):
+        decode_config(content)
+
+
+def test_a_log_whose_first_line_a_spreadsheet_has_changed_says_so(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    write_trace(log, trace_of(random_snapshots(3, 4)))
+    text = log.read_text(encoding="utf-8")
+    log.write_text('"' + text.replace("\n", '"\n', 1), encoding="utf-8")
+    with pytest.raises(LogError, match="as spreadsheets leave it"):
+        read_trace(log)
