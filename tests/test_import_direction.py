@@ -18,6 +18,7 @@ ROOMS = (
     "system",
     "jobs",
     "compiled",
+    "structs",
     "parameters",
     "config",
     "config_file",
@@ -97,9 +98,9 @@ def test_the_rule_sees_every_way_to_break_it(room: str, source: str, culprit: st
 
 
 SCREEN = re.compile(
-    r"</?(su[bp]|b|br|i|p|div|span|t[dr])\b|[a-z]_(mps2?|radps2?|rad|nm|n)$|\bHTML\b"
+    r"</?(su[bp]|b|br|i|p|div|span|t[dr])\b|[a-z]_(mps2?|radps2?|rad|nm)$|\w[a-z]_n$|\bHTML\b"
 )
-"""Marks of a page and names of a log's columns."""
+"""Marks of a page and names of a log's columns; p_n is a point."""
 
 
 def test_the_core_has_no_markup_and_no_names_of_columns() -> None:
@@ -113,7 +114,9 @@ def test_the_core_has_no_markup_and_no_names_of_columns() -> None:
     assert found == []
 
 
-@pytest.mark.parametrize("text", ["det(J<sub>c</sub>)", "vx_mps", "aw_radps2", "Of it, as HTML."])
+@pytest.mark.parametrize(
+    "text", ["det(J<sub>c</sub>)", "vx_mps", "aw_radps2", "hand_force_n", "Of it, as HTML."]
+)
 def test_that_rule_sees_markup_and_columns(text: str) -> None:
     assert SCREEN.search(text)
 

@@ -64,9 +64,10 @@ def changed_by_proxqp(qp: OpenQP) -> Array:
 def _without_limits(qp: OpenQP) -> Array:
     k = len(qp.fixed)
     try:
-        return np.linalg.solve(qp.H[k:, k:], -(qp.c[k:] + qp.H[k:, :k] @ qp.fixed))
-    except np.linalg.LinAlgError:
+        L = np.linalg.cholesky(qp.H[k:, k:])
+    except np.linalg.LinAlgError:  # not positive definite
         return np.full(len(qp.c) - k, np.nan)
+    return np.linalg.solve(L.T, np.linalg.solve(L, -(qp.c[k:] + qp.H[k:, :k] @ qp.fixed)))
 
 
 def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:
