@@ -79,8 +79,8 @@ class RunPanel(Panel):
         self._controller = gui.add_dropdown(
             "Controller",
             CONTROLLERS,
-            hint="dbb: the base gives way, as in the paper. hqp: the hierarchy as printed, slower "
-            "than real time. repulsive: a force on the arm alone. "
+            hint="dbb: the base gives way, as in the paper. hqp: the hierarchy as printed, "
+            "with a slower step. repulsive: a force on the arm alone. "
             "barrier: each distance a hard inequality. none: no avoidance.",
         )
         self._speed = gui.add_slider(
