@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData
-from app.config import Config
+from app.border.dbb import Cloud
+from app.border.nearest import BorderSearch, border_of
+from app.config import BorderConfig, Config
+from app.control import controller as controller_module
 from app.control.controller import Controller
 from app.control.hqp import Task, cascade, inserted, solved_by_hierarchy
 from app.robot.model import RobotModel
@@ -93,12 +96,18 @@ def test_guided_far_away_the_arm_gets_gravity_compensation_and_the_base_comes_to
 
 
 def test_a_controller_chosen_after_it_searches_the_configured_border_again(
-    robot: RobotModel, border_data: BorderData
+    robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    kinds: list[str] = []
+
+    def noted(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
+        kinds.append(config.kind)
+        return border_of(model, clouds, config)
+
+    monkeypatch.setattr(controller_module, "border_of", noted)
     controller = Controller(robot, border_data, Config(), name="hqp")
-    assert controller._border.as_points
     controller.use("dbb")
-    assert not controller._border.as_points
+    assert kinds == ["points", "surface"]
 
 
 @pytest.mark.slow

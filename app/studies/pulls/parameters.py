@@ -100,7 +100,7 @@ class StudyParameters(Strict):
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists them."""
     controller: str = "dbb"
-    """dbb, hqp (the controller that the paper prints; slower than real time), one it is compared
+    """dbb, hqp (the controller that the paper prints; a slower step), one it is compared
     with (repulsive, barrier), or none: the stack without avoidance."""
     physics: str = Field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
