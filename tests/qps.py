@@ -149,13 +149,12 @@ def robot_limits(
     model: RobotModel, at: RobotState | ControlStep, limit: LimitConfig, softness: float
 ) -> Limits:
     """Torques within the arm's limits, which are hard, and its joints' bounds."""
-    n, n_m = model.n, model.n_m
-    found = Limits(np.zeros((2 * n_m, n)), *np.zeros((2, 2 * n_m)), np.repeat([0, softness], n_m))
-    C, l, u, _ = found
+    n_m = model.n_m
+    C, l, u = np.zeros((2 * n_m, model.n)), np.zeros(2 * n_m), np.zeros(2 * n_m)
     torque_rows(at.M, at.h, -model.tau_max, model.tau_max, C, l, u)
     bounds, joints = joint_bounds_of(model, at, limit), slice(n_m, None)
     joint_rows(bounds, np.zeros(n_m), model.qd_max, C[joints], l[joints], u[joints])
-    return found
+    return Limits(C, l, u, np.repeat([0.0, softness], n_m))
 
 
 def base_limits(model: RobotModel) -> Limits:

@@ -23,7 +23,7 @@ DT = 1e-3
 
 
 class Gains(NamedTuple):
-    """What the estimate takes of the gains."""
+    """The gains of the estimate, by the names of `GAINS`."""
 
     dt: float
     external_drift: float
@@ -237,7 +237,7 @@ def least_distance(
     arm, d = Pushed(robot, q_m), np.inf
     for k in range(3000):
         if not knows_who_pushes:
-            controller.last.v_last[:] = np.nan  # a gap: readings are taken as they come
+            controller.last.v_last[:] = np.nan  # a gap: the estimate begins anew at each reading
         output = controller.step(arm.measurement, base_acceleration=np.zeros(2))
         force = min(k / 500, 1.0) * np.array([0.0, 0.0, -40.0])
         arm.move(output.u_cmd, arm.torques_of(force))

@@ -42,7 +42,10 @@ def carried(state: RobotState, speed: float) -> Array:
 def base_with_hand(
     state: RobotState, wanted: Array, held: Array, weight: float, drag: Array
 ) -> Array:
-    """(n_b,) the base acceleration that does not drag the hand along, of so many base masses."""
+    """(n_b,) the base acceleration that does not drag the hand along.
+
+    `weight` is the hand's in base masses.
+    """
     mass = weight * state.model.description.base.mass_kg
     return limit_ee_drag(wanted, held, inertia_of(state), mass, drag)
 

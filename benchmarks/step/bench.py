@@ -134,9 +134,10 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
 
 def _figures(name: str, steps: Array, floors: Array) -> dict[str, float | None]:
     """Median, 99th percentile [µs] and ratio to the floor of some steps; None if there are none."""
-    known = len(steps) > 0 and len(floors) > 0
-    p50, p99 = np.percentile(steps, (50, 99)).tolist() if known else (None, None)
-    ratio = p50 / float(np.median(floors)) if known else None
+    if not (len(steps) and len(floors)):
+        return dict.fromkeys((f"{name}_p50_us", f"{name}_p99_us", f"{name}_ratio"))
+    p50, p99 = np.percentile(steps, (50, 99)).tolist()
+    ratio = p50 / float(np.median(floors))
     return {f"{name}_p50_us": p50, f"{name}_p99_us": p99, f"{name}_ratio": ratio}
 
 
