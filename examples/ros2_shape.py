@@ -33,7 +33,7 @@ class AvoidanceNode:
 
     def drive(self) -> None:
         """Send the base's command in force."""
-        self.send_velocity(Message(velocity=self.loop.admittance.command))
+        self.send_velocity(Message(velocity=self.loop.controller.last.v_cmd))
 
 
 def main(steps: int = 300) -> dict[str, Any]:

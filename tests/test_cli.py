@@ -277,13 +277,13 @@ def test_border_out_writes_the_points_that_it_counts(dbb, tmp_path):
 
 REFUSED = {
     "scenario": (["run", "nope"], ["scenario", *SCENARIOS]),
-    "controller": ([*QUICK, "--controller", "dbx"], ["did you mean 'dbb'", "dbb, none"]),
+    "controller": ([*QUICK, "--controller", "dbx"], ["did you mean 'dbb'", "dbb, hqp, none"]),
     "robot": ([*QUICK, "--robot", "husky"], ["robot 'husky'", "husky_panda"]),
     "robot of pairs": (["pairs", "--robot", "r2d2"], ["r2d2", "husky_panda"]),
     "robot of border": (["border", "--robot", "r2d2"], ["r2d2", "husky_panda"]),
     "physics": (["run", "tracking", "--physics", "real"], ["kinematic, mujoco", "planar"]),
     "border of run": ([*QUICK, "--border", "cloud"], ["'cloud'", "points, surface"]),
-    "served controller": (["serve", "--controller", "x"], ["dbb, none"]),
+    "served controller": (["serve", "--controller", "x"], ["dbb, hqp, none"]),
     "served physics": (["serve", "--physics", "x"], ["kinematic, mujoco", "planar"]),
     "d_b": ([*QUICK, "--buffer-distance", "0.5"], ["--buffer-distance", "0.06 to 0.3 m"]),
     "d_b nan": ([*QUICK, "--buffer-distance", "nan"], ["--buffer-distance", "nan"]),
@@ -470,7 +470,7 @@ def test_a_run_says_first_how_it_went_and_last_what_it_wrote(dbb, tmp_path):
     log = tmp_path / "run.csv"
     first, *others = dbb(*QUICK, "--out", str(tmp_path), "--log", str(log)).out.splitlines()
     assert re.fullmatch(
-        r"No contact; least distance \d+ mm \(\S+\); final hand error .* mm\.", first
+        r"No contact; least distance \d+ mm \([^)]+\); final hand error .* mm\.", first
     )
     written = [tmp_path / "log.csv", tmp_path / "metrics.json", log]
     assert others[-3:] == [f"wrote {path}" for path in written]

@@ -115,7 +115,14 @@ def written(made: NewRobot, **changes: object) -> RobotModel:
 def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None:
     folder = made.request.out
     files = {path.name for path in folder.iterdir()}
-    assert files == {"robot.toml", "robot.urdf", "SOURCES.md", "report.html", "package"}
+    assert files == {
+        "robot.toml",
+        "robot.urdf",
+        "SOURCES.md",
+        "report.html",
+        "bodies.html",
+        "package",
+    }
     assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
     text = (folder / "robot.toml").read_text()
     assert "wheel_radius_m = 0.1 # measured" in text

@@ -141,8 +141,8 @@ def time_stages(loop: ControlLoop, paths: Sequence[Path]) -> dict[str, float]:
 
 
 _PARTS = (
-    ("update_estimate", controller_module, "update_estimate"),
+    ("update_estimate", controller_module, "_estimate"),
     ("pinocchio", pin, "computeAllTerms"),
     ("distances", PairDistances, "update_from"),
-    ("algorithm_2", controller_module, "run_algorithm_2"),
+    ("algorithm_2", controller_module, "_law"),
 )

@@ -150,7 +150,7 @@ class Guide(Panel):
         self.state, self._shown, self._shows = state, "", shows
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
-        viewer.channel.on("card", lambda label: self._press(str(label)))
+        viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
         """Show a card, or none."""

@@ -213,6 +213,8 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh = mesh.copy()
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # loose triangles would shrink one by one
     for aggression in AGGRESSIONS:
         light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
         if len(light.faces) <= MOST_FACES:
