@@ -42,8 +42,8 @@ def kernel(x):
 print(kernel(2.0), len(kernel.signatures), len(kernel.stats.cache_misses))
 """
 NOWHERE = """
-import app.compiled
-app.compiled._folders = lambda file: []  # as where no folder can be written
+import app.kernel_store
+app.kernel_store._folders = lambda file: []  # as where no folder can be written
 """
 
 CHECKED = """

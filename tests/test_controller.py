@@ -428,7 +428,7 @@ def test_none_inserts_no_avoidance(robot: RobotModel, border_data: BorderData) -
 def test_an_unknown_controller_lists_those_that_exist(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    with pytest.raises(UnknownNameError, match="dbb, none"):
+    with pytest.raises(UnknownNameError, match="dbb, hqp, none"):
         Controller(robot, border_data, Config(), name="dbbb")
 
 

@@ -51,7 +51,7 @@ for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}
     planned = Planned("husky_panda", scenario, config, "dbb", plant, 0)
     digest = hashlib.sha256()
     for _, step in islice(steps_of(planned, model, data), 150):
-        for numbers in (*step.truth[:4], step.output.u_a, step.base_command):
+        for numbers in (*step.truth[:4], step.control.u_cmd, step.base_command):
             digest.update(numbers.tobytes())
     print(plant, digest.hexdigest())
 """

@@ -364,7 +364,7 @@ def test_the_bases_top_speeds_are_reported_when_they_are_commanded(robot, comman
 def test_only_the_method_that_moves_the_base_has_forces(robot, controllers):
     m = near(robot, "lm-lEE", 0)
     why = {name: explained(controller, m)[0] for name, controller in controllers.items()}
-    assert {name for name, each in why.items() if each.forces} == {"dbb"}
+    assert {name for name, each in why.items() if each.forces} == {"dbb", "hqp"}
     assert {name: each.controller for name, each in why.items()} == {n: n for n in CONTROLLERS}
     assert all(each.near[0][:5] == why["dbb"].near[0][:5] for each in why.values())
     assert why["repulsive"].near[0].arm_beta == why["repulsive"].near[0].beta > 0.0

@@ -14,9 +14,10 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
     "errors",
-    "strict",
     "system",
     "jobs",
+    "strict",
+    "kernel_store",
     "compiled",
     "structs",
     "parameters",

@@ -255,7 +255,7 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
     none, *one, every = [row.numbers["unseen_share"] for row in rows]
     assert none <= min(one)
     assert none < max(one) < every == 1.0
-    assert rows[-1].outcome == "warned"
+    assert rows[-1].outcome == "failed"
     assert rows[-1].numbers["missed"] == 0
 
 
@@ -588,13 +588,13 @@ def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=2000, seed=1, d_b=0.15)
     found = find_grouping(bare, meetings, d_b=0.15)
-    assert found.verdict.unwatched == ("lm-l2",)
+    assert set(found.verdict.unwatched) <= {"lm-l2", "l2-lEE"}
     assert found.verdict.missed < 0.01
     why = dict.fromkeys(found.verdict.unwatched, "test")
     model = compiled(description(request, parsed, found.bodies, unwatched=why), path)
     pairs = find_link_pairs(model, samples=2000, seed=2)
-    assert "lm-l2" not in pairs.rates
-    assert {"lm-l3", "lm-lEE", "l2-lEE"} <= {pair.name for pair in pairs.all}
+    assert not set(found.verdict.unwatched) & {pair.name for pair in pairs.all}
+    assert {"lm-l3", "lm-lEE"} <= {pair.name for pair in pairs.all}
     with pytest.raises(ValidationError, match="there is no pair lm-l9"):
         compiled(description(request, parsed, found.bodies, unwatched={"lm-l9": "test"}), path)
 

@@ -122,13 +122,12 @@ class RobotSwitch(Job):
     @property
     def entries(self) -> list[RobotEntry]:
         """All robots, as of the last search."""
-        if self._entries is None:
-            self.look()
-        return self._entries or []
+        return self.look() if (known := self._entries) is None else known
 
-    def look(self) -> None:
+    def look(self) -> list[RobotEntry]:
         """Search; this reads every robot's files."""
-        self._entries = robot_entries()
+        self._entries = found = robot_entries()
+        return found
 
     def look_again(self) -> None:
         """Search in a thread that serves nobody: there may be another robot now."""
