@@ -41,47 +41,48 @@ class View:
     """What the border of each pair of L_m is coloured by: one of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
         BORDER,
-        "Include the top",
-        "Show the border above the top of the base too; it hides the arm",
+        "Above the base too",
+        "The part of the border above the base's top, which hides the arm",
         first=False,
     )
     shell: bool = _shown(
         BORDER,
-        "Surface",
-        "A surface instead of points. Click it for det, R and S there, and for the motion of the "
-        "base if the arm were halfway inside",
+        "As a body",
+        "In the place of points; a click on it tells det, R and S there, and which way the base "
+        "would go for an arm that is halfway in",
         first=False,
     )
     slice: bool = _shown(
-        BORDER, "Slice at the hand", "Contour of the border at the height of the hand", first=True
+        BORDER, "Slice at the hand", "The border's contour at the hand's height", first=True
     )
     meshes: bool = _shown(LAYERS, "Robot", first=True)
-    bodies: bool = _shown(LAYERS, "Convex bodies", "Convex bodies used for distances", first=False)
+    bodies: bool = _shown(LAYERS, "Convex bodies", "What distances are measured to", first=False)
     distances: bool = _shown(LAYERS, "Closest points", first=True)
     """Lines between the closest points of the pairs."""
     labels: Literal["active", "all", "none"] = _shown(
-        LAYERS, "Distance labels", first="active", choices=("active", "all", "none")
+        LAYERS, "Distances of", first="active", choices=("active", "all", "none")
     )
     """Which of these lines carry their distance."""
     acting: bool = _shown(
-        LAYERS, "Acting points", "p_n, p_t, p_act and the avoidance force", first=True
+        LAYERS, "Acting points", "p_n, p_t, p_act and the force of avoidance", first=True
     )
     names: bool = _shown(
         LAYERS,
-        "Point labels",
+        "Names of points",
         "p_a and p_b of the nearest pair, p_n, p_t and p_act",
         first=False,
     )
     motion: bool = _shown(
-        LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True
+        LAYERS, "Person and base", "The person's force, and what the base is asked", first=True
     )
-    trails: bool = _shown(LAYERS, "Trails", "Past paths of base and hand", first=True)
+    trails: bool = _shown(LAYERS, "Trails", "Where base and hand have been", first=True)
     follow: bool = _shown(PAGE, "Follow the base", first=True)
-    dark: bool = _shown(PAGE, "Dark theme", first=True)
+    dark: bool = _shown(PAGE, "Dark", first=True)
     light: bool = _shown(
         PAGE,
-        "Low detail",
-        "Fewer triangles, points and pictures, no shadows; the default without a GPU",
+        "Light drawing",
+        "Fewer triangles and points, no shadows, fewer pictures: for a browser without a GPU, "
+        "which gets it by itself",
         first=False,
     )
     plots: set[str] = field(default_factory=set)

@@ -87,6 +87,7 @@ PRESETS = {
     "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
 """Views by name."""
+_OF_SCENARIOS = {"way-out": "pair"}  # views that scenarios have of their own, besides doors
 
 
 class _Look(NamedTuple):
@@ -221,7 +222,7 @@ class Camera:
 
         That is after a beginning, whoever has moved the camera, and, if it follows, once the base
         has gone on unseen, or a hand, also of a ghost, where nobody has moved the camera. A
-        scenario with a door begins with its view.
+        scenario that has a view of its own begins with it.
 
         Args:
             snapshot: What is shown.
@@ -233,7 +234,7 @@ class Camera:
             snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
         )
         self._begun = self._begun or begun
-        if begun and "door" in (first_view(snapshot), self._preset):
+        if begun and {first_view(snapshot), self._preset} & {"door", *_OF_SCENARIOS.values()}:
             self.begin(snapshot)
         if busy or self._waits():
             return
@@ -274,8 +275,9 @@ class Camera:
 
 
 def first_view(snapshot: Snapshot) -> str:
-    """Key of `PRESETS` of the first view: a door's where there is one."""
-    return "iso" if snapshot.door is None else "door"
+    """Key of `PRESETS` where one looks from at first: a door's, or the scenario's own view."""
+    own = _OF_SCENARIOS.get(snapshot.scenario, "iso")
+    return own if snapshot.door is None else "door"
 
 
 def placed(
@@ -302,7 +304,7 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
     if of == "hand":
         seen = [hand + _NEAR_HAND]
     elif of == "pair" and snapshot.pairs:
-        nearest = snapshot.nearest
+        nearest = min(snapshot.pairs, key=lambda pair: pair.d)
         seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
     elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
