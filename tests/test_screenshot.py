@@ -200,7 +200,7 @@ from pathlib import Path
 import psutil
 from app.dashboard.export.browser import chromium
 with suppress(Exception), chromium():  # playwright's, of any kind: its browser has gone
-    print(*Path(tempfile.gettempdir()).glob("dbb-*/playwright_chromium*"))
+    print(*Path(tempfile.gettempdir()).rglob("playwright_chromium*"))
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):
             if "--headless" in " ".join(process.cmdline()):
