@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
@@ -99,6 +99,10 @@ class RunningRobot(NamedTuple):
     """What the viewers should know, or an empty string."""
 
 
+def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
+    return next((each for each in entries if each.name == name), None)
+
+
 class RobotSwitch(Job):
     """At most one switch of the robot at a time; the same for all viewers.
 
@@ -141,7 +145,7 @@ class RobotSwitch(Job):
         Raises:
             ConfigError: There is no such robot, it lacks something, or a switch is under way.
         """
-        entry = next((each for each in self.entries if each.name == name), None)
+        entry = _named(name, self.entries) or _named(name, self.look())  # it may be new
         if entry is None or self._start_loop is None:
             raise ConfigError(f"there is no robot {name!r} to choose")
         if entry.problem is not None:
