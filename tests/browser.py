@@ -370,7 +370,7 @@ class DashboardTab:
 
     def click(self, name: str) -> None:
         """Press a button."""
-        self.page.get_by_role("button", name=name, exact=True).click()
+        self.page.get_by_role("button", name=name, exact=True).first.click()
 
     def close(self) -> None:
         """Close the tab, as a person does who leaves."""

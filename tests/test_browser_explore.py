@@ -95,8 +95,8 @@ def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data)
 def test_a_visitor_explores_postures_and_clicks_the_border(browser):
     with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
-        tab.page.get_by_text("Postures", exact=True).click()
-        tab.click("Stop and explore")
+        tab.page.get_by_text("Joint sliders", exact=True).click()
+        tab.click("Pause and pose the arm")
         tab.row("panda_joint4 [°]").wait_for()
         page = served.page()
         before = served.loop.latest().q_m.copy()
@@ -110,7 +110,7 @@ def test_a_visitor_explores_postures_and_clicks_the_border(browser):
         assert served.loop.pulls() in ([], [None]), "nobody has pulled"
 
         tab.open_tab("View")
-        tab.check("As a body")
+        tab.check("Surface")
         tab.wait("() => dbbPage.has('/robot/shell_lm-lEE')")
         assert not tab.is_shown("/robot/border_lm-lEE")
         place = np.array([[0.645, 0.0, 0.25]])
@@ -122,11 +122,11 @@ def test_a_visitor_explores_postures_and_clicks_the_border(browser):
         assert "det" in tab.text("/probe/text")
 
         tab.open_tab("Run")
-        tab.click("Start from here")
+        tab.click("Start from this posture")
         wait_for(lambda: Pause(False) in served.loop.commands, what="the start")
         [reset] = [c for c in served.loop.commands if isinstance(c, Reset) and c.q_m]
         assert reset.q_m[3] != pytest.approx(before[3])
-        tab.click("Stop and explore")
+        tab.click("Pause and pose the arm")
         wait_for(lambda: page.explorer_panel.posture is not None, what="a posture")
         wait_for(lambda: served.loop.latest().paused, what="a pause")
         served.loop.send(Reset())

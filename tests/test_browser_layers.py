@@ -139,12 +139,12 @@ def passed(served: Served) -> Array:
 LAYERS = (
     Layer("Robot", robot, 110, 9_000, ROOT),
     Layer("Convex bodies", robot, 110, 5000, ROOT),
-    Layer("Above the base too", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
+    Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
     Layer("Acting points", of(acting), 60, 200),
-    Layer("Names of points", of(named), 110, 80),
-    Layer("Person and base", of(pushed), 60, 100),
+    Layer("Point labels", of(named), 110, 80),
+    Layer("Forces", of(pushed), 60, 100),
     Layer("Trails", passed, 12, 40),
 )
 
@@ -200,7 +200,7 @@ def test_distances_are_written_at_the_active_pairs_at_all_or_at_none(tab, served
     assert near < everything
     for choice, wanted in (("none", set()), ("all", everything), ("active", near)):
         before = tab.picture()
-        tab.choose("Distances of", choice)
+        tab.choose("Distance labels", choice)
 
         def written() -> set[str]:
             return {name for name in everything if tab.is_shown(f"/distances/label_{name}")}
@@ -215,10 +215,10 @@ def test_distances_are_written_at_the_active_pairs_at_all_or_at_none(tab, served
 
 def test_the_page_is_dark_or_light(tab):
     dark = tab.picture()
-    tab.check("Dark", on=False)
+    tab.check("Dark theme", on=False)
     light = tab.wait_for_change(dark, 100_000)
     assert light.mean() > dark.mean() + 100
-    tab.check("Dark", on=True)
+    tab.check("Dark theme", on=True)
     tab.wait_for_picture(dark, most=3000)
 
 

@@ -79,8 +79,8 @@ def test_the_page_goes_on_with_a_server_that_comes_back_and_tells_how_the_simula
         wait_for(lambda: loop.pulls() and loop.pulls()[-1] is None, what="a pull, and its end")
 
         loop.error = RuntimeError("the plant is gone")
-        tab.page.get_by_text("The simulation has ended").wait_for(timeout=40_000)
+        tab.page.get_by_text("The simulation has stopped").wait_for(timeout=40_000)
         tab.page.reload()
-        tab.page.get_by_text("The simulation has ended").wait_for(timeout=60_000)
+        tab.page.get_by_text("The simulation has stopped").wait_for(timeout=60_000)
     refused = [text for text in tab.errors if "ERR_CONNECTION_REFUSED" not in text]
     assert refused == [], "but that nobody was there meanwhile"

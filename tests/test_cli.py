@@ -470,7 +470,7 @@ def test_a_run_says_first_how_it_went_and_last_what_it_wrote(dbb, tmp_path):
     log = tmp_path / "run.csv"
     first, *others = dbb(*QUICK, "--out", str(tmp_path), "--log", str(log)).out.splitlines()
     assert re.fullmatch(
-        r"No contact; least distance \d+ mm \(\S+\); the hand ended .* mm off\.", first
+        r"No contact; least distance \d+ mm \([^)]+\); final hand error .* mm\.", first
     )
     written = [tmp_path / "log.csv", tmp_path / "metrics.json", log]
     assert others[-3:] == [f"wrote {path}" for path in written]
@@ -491,17 +491,17 @@ FIGURES_OF_A_RUN = {
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({}, "No contact; least distance 50 mm (lm-lEE); the hand ended 12.3 mm off."),
+        ({}, "No contact; least distance 50 mm (lm-lEE); final hand error 12.3 mm."),
         (
             {"contacts": 7, "floor_contacts": 1},
             "The arm touched the base and the floor; least distance 50 mm (lm-lEE)",
         ),
         (
             {"min_distance_m": {"lm-lEE": -0.008}},
-            "No contact; bodies overlapped by 8.0 mm (lm-lEE); the hand ended 12.3 mm off. "
-            "Distances are between bodies that are fatter than the links",
+            "No contact; bodies overlapped by 8.0 mm (lm-lEE); final hand error 12.3 mm. "
+            "Distances are between convex bodies that enclose the links",
         ),
-        ({"min_distance_m": {}}, "No contact; the hand ended"),
+        ({"min_distance_m": {}}, "No contact; final hand error"),
     ],
 )
 def test_the_verdict_names_contact_distance_and_the_hand(changes, text):

@@ -32,9 +32,10 @@ from app.dashboard.drag import Grip, Hold
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
+from app.dashboard.panels.help import CARDS, CLOSE, NEXT, SHOW
 from app.dashboard.panels.plots import plot_plans
-from app.dashboard.panels.run import machine_html, pairs_html, status_html
-from app.dashboard.panels.why import why_html
+from app.dashboard.panels.run import machine_rows, pairs_html, scores_html, status_rows
+from app.dashboard.panels.why import header_html, why_html
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
 from app.dashboard.scene.canvas import (
     ANCHORS,
@@ -65,7 +66,7 @@ from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.simulation.loop.commands import Pause, Pull, Release, Reset
 from app.simulation.people import PullReading
-from app.simulation.trace.snapshot import PairReading
+from app.simulation.trace.snapshot import PairReading, Score
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
@@ -255,13 +256,13 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
 
 
 def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashboard):
-    held, job = threading.Event(), dashboard.shared.sweep_job
+    held, job = threading.Event(), dashboard.shared.robot_switch
     with RawClient(dashboard.address):
-        told = page_of(dashboard).sweep_panel.status.text
+        told = page_of(dashboard)._change.text
         job.start("map", "begins", held.wait)
         wait_for(lambda: "<b>map</b>: begins" in told.content)
         job.cancel()
-        wait_for(lambda: "<b>map</b>: is being cancelled" in told.content)
+        wait_for(lambda: "<b>map</b>: cancelling" in told.content)
         held.set()
         wait_for(lambda: not told.visible)
 
@@ -643,7 +644,7 @@ def test_legend_says_how_many_points_are_drawn():
     legend = Legend.of("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
     html = legend_html([legend])
     assert "m⁴/rad⁴" in html
-    assert "20,000 of the 50,000 points" in html
+    assert "20,000 of 50,000 points" in html
     assert "0.150 m" in html
     np.testing.assert_allclose(legend.normalised(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
 
@@ -709,34 +710,46 @@ def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(sce
 # The tour
 
 
+@pytest.fixture
+def guided(dashboard):
+    """A page, a function by which its browser speaks, and one that waits for the card's state."""
+    with RawClient(dashboard.address) as client:
+        page, number = page_of(dashboard), itertools.count()
+
+        def say(*words):
+            client.set_widget(page.channel._box, json.dumps([f"{next(number)}", *words]))
+
+        yield page, say, lambda state: wait_for(lambda: page.guide._shown == state)
+
+
 def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
     with RawClient(dashboard.address):
         page = page_of(dashboard)
         loop.pull_at_base(4.0)
-        act = page._acts()[3]
-        assert not act.done()
-        act.show()
-        assert act.done()
+        page._shows()["tour 4"]()
         assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
 
 
-def test_what_happens_before_a_visitor_touches_the_page_is_no_step_of_his_tour(dashboard, loop):
-    with RawClient(dashboard.address) as client:
-        page = page_of(dashboard)
-
-        def say(*words):
-            client.set_widget(page.channel._box, json.dumps(["1", *words]))
-
-        say("seen", "untouched")
-        say("tour")
-        wait_for(lambda: page.tour._step == 0)
-        loop.send(Pull((0.4, 0.0, 0.8)))
-        drawn = dashboard.pictures
-        wait_for(lambda: dashboard.pictures > drawn + 2 * TEXTS_EVERY)
-        assert loop.latest().pulls
-        assert page.tour._said.content == ""
-        say("seen", "")
-        wait_for(lambda: page.tour._said.content)
+def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
+    dashboard, loop, guided
+):
+    page, say, shows = guided
+    say("tour")
+    shows("welcome")
+    say("card", NEXT)  # of a card that is not shown
+    loop.send(Pull((0.4, 0.0, 0.8)))  # another viewer
+    drawn = dashboard.pictures
+    wait_for(lambda: dashboard.pictures > drawn + 2 * TEXTS_EVERY)
+    shows("welcome")
+    page.guide.go("tour 1")
+    for i in range(1, 5):
+        shows(f"tour {i}")
+        say("card", SHOW)
+        say("card", NEXT)
+    shows("tour 5")
+    assert NEXT not in CARDS["tour 5"].buttons
+    say("card", CLOSE)
+    shows("")
 
 
 # Plots and readings
@@ -775,11 +788,15 @@ def test_plots_that_are_not_shown_are_not_sent(dashboard):
         plots = page._plots._plots
         hidden = [title for title in plots if title not in page.view.plots]
         assert hidden
-        hidden.append("distance of the door [m]")  # there is none
+        hidden.append("distance to the door [m]")  # there is none
         wait_for(lambda: not any(plots[title].visible for title in hidden))
         assert all(len(plots[title].data[0]) == 1 for title in hidden)
         page.view.plots |= {hidden[0]}
         wait_for(lambda: plots[hidden[0]].visible and len(plots[hidden[0]].data[0]) > 1)
+
+
+def status_html(snapshot):
+    return "".join(status_rows(snapshot, judge(snapshot)))
 
 
 def near_by(loop, d, **fields):
@@ -798,6 +815,7 @@ def coloured(html, state):
     [
         (0.3, "dbb", "clear"),
         (0.08, "dbb", "giving way"),
+        (0.08, "dbb at rest", "near"),
         (0.08, "repulsive", "resisting"),
         (0.08, "none", "near"),
         (-0.008, "dbb", "contact"),
@@ -805,19 +823,22 @@ def coloured(html, state):
     ],
 )
 def test_sentence_rows_and_bars_have_one_verdict(loop, d, controller, state):
-    snapshot = near_by(loop, d, controller=controller)
+    moves = () if "at rest" in controller else (-0.1, 0.0)
+    snapshot = near_by(loop, d, controller=controller.split()[0])
+    snapshot = replace(snapshot, base_velocity=np.array(moves or (0.0, 0.0)))
     verdict = judge(snapshot)
     assert (verdict.state, verdict.pairs[0], verdict.colour) == (state, state, COLOURS[state])
-    status, rows = status_html(snapshot, verdict), pairs_html(snapshot, verdict)
+    status, rows = status_html(snapshot), pairs_html(snapshot, verdict)
     assert state.capitalize() in why_html(snapshot, verdict)
     assert coloured(why_html(snapshot, verdict), state)
     assert coloured(rows, state) >= 1
-    assert (f"color:{css(COLOURS[state])}" in status) == (state != "clear")
-    assert all(not coloured(status, other) for other in COLOURS if other != state)
     touches = state == "contact"
+    assert bool(coloured(status, "contact")) == touches
     full = f"width:100%;height:100%;background:{css(COLOURS['contact'])}"
-    assert ("8 mm inside" in status) == (full in rows) == touches
-    assert ("none</td>" in status) == ("enough" in status) == (not touches)
+    assert ("overlap by 8 mm" in status) == (full in rows) == touches
+    head = header_html(snapshot, verdict, {pair.name: pair.name for pair in snapshot.pairs})
+    assert state.capitalize() in head
+    assert f"{1000 * d:.0f} mm".replace("-", "−") in head or d > 0.2, "another pair is nearer then"
 
 
 @pytest.mark.parametrize("field", ["in_contact", "arm_in_contact", "floor_contact"])
@@ -825,30 +846,54 @@ def test_what_touches_is_contact_whatever_the_distances(loop, field):
     assert judge(replace(loop.latest(), **{field: True})).state == "contact"
 
 
-def test_how_the_machine_keeps_up_is_apart_and_its_title_says_what_worries(loop):
+def test_readings_that_should_worry_are_coloured(loop):
     calm = replace(loop.latest(), t=2.0, overruns=0)
-    assert machine_html(calm)[1] == ""
-    late, worry = machine_html(replace(calm, overruns=500))
-    assert ("25.0 %" in late, coloured(late, "contact"), worry) == (True, 1, "late")
-    assert machine_html(replace(calm, solver_failures=3))[1] == "solver failed"
-    assert machine_html(replace(calm, realtime_factor=0.5))[1] == "too slow"
-    assert "steps late" not in status_html(calm, judge(calm))
+
+    def worries(**fields):
+        return coloured("".join(machine_rows(replace(calm, **fields))), "contact")
+
+    assert worries() == 0
+    late = {"overruns": 500}, {"solver_failures": 3}, {"realtime_factor": 0.5}
+    assert [worries(**fields) for fields in late] == [1, 1, 1]
+
+
+OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3)}
+
+
+def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
+    """And its outcome is a word of its own, coloured as contact."""
+    scores = tuple(
+        Score(
+            name, least, 0.0 if contacts or least < 0 else 0.01, 0.02, 0.1, 0.0, 0.0, 0.0, contacts
+        )
+        for name, (least, contacts) in OUTCOMES.items()
+    )
+    html = scores_html(scores)
+    assert coloured(html, "contact") == 2
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
+    marked = [re.sub(r"<[^>]*>", "", cell) for cell in cells]
+    assert [text for text in marked if "✓" in text] == ["✓ 104", "✓ 10.0"]
+    assert [text for text in marked if text in ("no contact", "overlap", "contact")] == [
+        "no contact",
+        "overlap",
+        "contact",
+    ]
 
 
 def test_who_pulls_inside_a_buffer_is_told_what_the_arm_bears(loop):
     pull = PullReading(1, None, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
     held = replace(loop.latest(), pulls=(pull,), hand_force=pull.force)
-    assert "30.0 N</td>" in status_html(held, judge(held))
+    assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
-    assert "30.0 N, the arm bears 62 N</td>" in status_html(held, judge(held))
+    assert "30.0 N, arm can hold 62 N</td>" in status_html(held)
 
 
 def test_a_buffer_that_is_too_small_says_what_it_takes_and_worries_only_while_it_is_near(loop):
     small = loop.latest().buffer._replace(needed=0.2311, needed_max=0.5, too_small=True)
-    for d, state, text in ((0.1, "giving way", "d_b of"), (0.3, "clear", "lately: d_b of")):
+    for d, state, text in ((0.1, "near", "d_b of"), (0.3, "clear", "lately: d_b of")):
         snapshot = near_by(loop, d, buffer=small)
-        html = status_html(snapshot, judge(snapshot))
+        html = status_html(snapshot)
         assert f"{text} 0.24 m needed" in html
-        assert bool(coloured(html, "giving way")) == (state == "giving way")
+        assert bool(coloured(html, "near")) == (state == "near")
     hopeless = replace(snapshot, buffer=small._replace(needed=float("inf")))
-    assert "no d_b suffices" in status_html(hopeless, judge(hopeless))
+    assert "no d_b suffices" in status_html(hopeless)

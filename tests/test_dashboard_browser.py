@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from app.dashboard.drag import GIZMO, SCALE
-from app.dashboard.panels.help import STEPS
+from app.dashboard.page import PRODUCT
+from app.dashboard.panels.help import CARDS
 from app.dashboard.panels.plots import SIGHT
-from app.dashboard.panels.run import TITLES
+from app.dashboard.panels.run import FREE, TITLES
 from app.simulation.loop.commands import (
     Choose,
     Compare,
@@ -17,6 +18,7 @@ from app.simulation.loop.commands import (
     Play,
     Pull,
     Release,
+    Reset,
     Restart,
     Speed,
 )
@@ -58,8 +60,8 @@ def tab(opened, served):
 
 
 def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
-    assert tab.page.title().startswith(served.server.shared.model.description.title)
-    texts = "This machine", "hand – base", "d_b [m]", "score S, (10)", "Nearest", "Pause"
+    assert tab.page.title() == f"{PRODUCT} · {served.server.shared.model.description.title}"
+    texts = "out of its own arm's way", "hand – base", "score S, (10)", "Nearest", "Pause"
     for text in texts:
         tab.page.get_by_text(text).filter(visible=True).first.wait_for(timeout=10_000)
     assert tab.page.get_by_text("no explanation for this instant").first.is_visible()
@@ -73,12 +75,12 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
 
     tab.open_tab("Plots")
     assert tab.page.locator(".uplot canvas").count() == 3
-    for title in ("distance [m]", "activation β_m", "base acceleration of avoidance, β ẍ"):
+    for title in ("distance [m]", "activation β_m", "avoidance acceleration of the base, β ẍ"):
         wait_for(lambda title=title: tab.plot(title).shape[1] > 5, what=title)
     for pair, line in zip(served.loop.latest().pairs, tab.plot("distance [m]")[1:], strict=False):
         np.testing.assert_allclose(line, pair.d, atol=1e-5, err_msg=pair.name)
     tab.open_tab("Key")
-    assert tab.page.get_by_text("closest points, pair outside its buffer").is_visible()
+    assert tab.page.get_by_text("closest points of a pair outside its buffer").is_visible()
     tab.open_tab("Why")
 
 
@@ -108,6 +110,7 @@ def test_the_robot_is_framed_by_the_scene(tab, served):
 
 def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     before = tab.picture()
+    tab.open_tab("Tune")
     tab.set_slider("d_b [m]", 0.25)
     wait_for(lambda: any(isinstance(c, Configure) for c in served.loop.commands))
     assert served.loop.commands[-1].config.border.d_b == 0.25
@@ -115,6 +118,7 @@ def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     tab.wait_for_change(before, 5000)
     tab.set_slider("d_b [m]", 0.15)
     tab.page.get_by_text("= 0.150 m").wait_for(timeout=40_000)
+    tab.open_tab("Run")
 
 
 def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, served):
@@ -145,7 +149,7 @@ def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(
     assert len({(pull.link, pull.point, pull.who) for pull in pulls}) == 1, "one point of one link"
     wait_for(lambda: tab.is_shown("/pull/0"), what="the rubber band")
     [pull] = loop.latest().pulls
-    newtons = f"{np.linalg.norm(pull.force):.0f} N"
+    newtons = f"pull {np.linalg.norm(pull.force):.0f} N"
     wait_for(lambda: tab.text("/pull/label_0") == newtons, what=newtons)
     along = [tab.pixel("", tuple(pull.point + u * (pull.target - pull.point))) for u in (0.3, 0.6)]
     tab.wait_for_change(before, 40, np.array(along), radius=12)
@@ -160,10 +164,10 @@ def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(
 
 def test_buttons_pause_go_on_and_restart(tab, served):
     tab.click("Pause")
-    tab.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=40_000)
+    tab.page.get_by_role("button", name="Continue", exact=True).first.wait_for(timeout=40_000)
     tab.click("Continue")
     wait_for(lambda: Pause(False) in served.loop.commands)
-    tab.click("Restart from the free start")
+    tab.click("Restart")
     wait_for(lambda: Restart() in served.loop.commands)
     assert served.loop.commands == [Pause(True), Pause(False), Restart()]
 
@@ -171,8 +175,10 @@ def test_buttons_pause_go_on_and_restart(tab, served):
 def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(tab, served):
     tab.choose("Scenario", TITLES["guiding-front"])
     wait_for(lambda: served.loop.latest().scenario == "guiding-front")
+    tab.open_tab("Lab")
     tab.set_slider("Speed", 2.5)
     wait_for(lambda: served.loop.latest().speed == 2.5)
+    tab.open_tab("Run")
     tab.choose("Controller", "none")
     wait_for(lambda: served.loop.latest().controller == "none")
     wanted = [Play(SCENARIOS["guiding-front"]), Speed(2.5), Choose("none")]
@@ -182,7 +188,7 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
 
 
 def test_keys_do_what_the_help_says(tab, served):
-    tab.page.mouse.click(640, 60)  # the scene, so that no widget takes the key
+    tab.page.mouse.click(640, 120)  # the scene, so that no widget takes the key
     for key, command, paused in (
         ("Space", Pause(True), True),
         ("Space", Pause(False), False),
@@ -198,7 +204,7 @@ def test_keys_do_what_the_help_says(tab, served):
     tab.wait_for_change(light, 50_000)
     tab.page.keyboard.press("l")
     tab.open_tab("Help")
-    assert tab.page.get_by_text("pause or go on").filter(visible=True).count() == 1
+    assert tab.page.get_by_text("pause or continue").filter(visible=True).count() == 1
     tab.open_tab("Run")
 
 
@@ -212,16 +218,17 @@ def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, se
                 return
         pytest.fail(f"{text} is not reached")
 
-    inside = tab.page.get_by_role("button", name="Make a map", exact=True)
-    reach("Sweep")
+    tab.open_tab("Why")
+    inside = tab.page.get_by_text("Nothing acts on the robot")
+    reach("Details")
     keys.press("Enter")
     inside.wait_for()
     keys.press("Space")
     inside.wait_for(state="hidden")
-    reach("Restart from the free start")
+    reach("Restart")
     keys.press("Space")
     wait_for(lambda: served.loop.commands, what="a command")
-    reach("Stop / go")
+    reach("Pause")
     for paused in (True, False):  # the key stays where it is
         keys.press("Space")
         wait_for(lambda paused=paused: served.loop.commands[-1] == Pause(paused))
@@ -232,30 +239,34 @@ def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, se
 
 def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served):
     tab.open_tab("Compare")
-    assert tab.page.get_by_text("nothing compared").is_visible()
+    assert tab.page.get_by_text("No comparison is running.").is_visible()
     tab.choose("Second robot", "repulsive")
     wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
+    hand = served.loop.latest().p_ee
+    assert not tab.is_shown("/ghost_0"), "where it coincides it would only tint the robot"
+    served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: tab.is_shown("/ghost_0"))
-    wait_for(lambda: tab.text("/names/1") == "repulsive", what="the ghost's name")
-    tab.page.get_by_text("dbb kept").wait_for(timeout=40_000)
+    wait_for(
+        lambda: (tab.text("/names/1") or "").startswith("arm repulsion only"),
+        what="the ghost's name",
+    )
+    tab.page.get_by_text("no contact, least distance").first.wait_for(timeout=40_000)
     heads = tab.page.locator("th").filter(visible=True)
     heads.nth(1).wait_for()
     assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]
-    hand = served.loop.latest().p_ee
-    served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
     wait_for(lambda: in_scene(tab, hand), what="the ghost's hand beside the panels")
     with_ghost = tab.picture_at_rest()
     tab.choose("Third robot", "none")
     wait_for(lambda: len(served.loop.latest().ghosts) == 2)
-    tab.choose("Second robot", "nobody")
+    tab.choose("Second robot", "off")
     wait_for(lambda: served.loop.commands[-1] == Compare(("none",), "path"))
     tab.render(3)
     assert tab.row("Third robot").locator("input").first.input_value() == "none", "it stays"
     served.loop.send(Compare())
     tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
-    assert tab.page.get_by_text("nothing compared").is_visible()
+    assert tab.page.get_by_text("No comparison is running.").is_visible()
     tab.open_tab("Why")
 
 
@@ -266,31 +277,72 @@ def in_scene(tab, place):
     return near.sum() == 100**2 and mask[near].all()
 
 
-def test_the_tour_opens_at_the_first_visit_only_and_waits_until_a_step_is_done(browser, served):
+def test_a_first_visit_is_welcomed_by_one_card_that_changes_on_a_click_only(browser, served):
     served.begin_anew()
-    tab = DashboardTab(browser, served.server.address, (900, 600), first_visit=True)
+    tab = DashboardTab(browser, served.server.address, (1000, 640), first_visit=True)
+    card = tab.page.locator("#dbb-card")
 
-    def wait_for_step(i: int) -> None:
-        text = f"{i} of {len(STEPS)}: {STEPS[i - 1][0]}"
-        tab.page.get_by_text(text).wait_for(timeout=60_000)
+    def wait_for_card(state: str) -> None:
+        card.get_by_role("heading", name=CARDS[state].title, exact=True).wait_for(timeout=60_000)
 
-    wait_for_step(1)
-    assert tab.page.get_by_role("dialog").count() == 0  # nothing lies over the scene
-    tab.click("Show me")
+    wait_for_card("welcome")
+    assert "dbb" in tab.page.title()
+    place = card.bounding_box()
+    tab.click("Watch it (8 s)")
     wait_for(lambda: any(isinstance(c, Play) for c in served.loop.commands), what="it is played")
-    served.loop.send(Pull((0.5, 0.0, 0.5), who=7))
-    wait_for_step(2)
-    served.loop.place([0.4, 0.0, 0.0])
-    wait_for_step(3)
-    tab.click("Skip the tour")
-    tab.page.get_by_text(f"3 of {len(STEPS)}").wait_for(state="hidden")
+    assert Compare(("none",)) in served.loop.commands
+    wait_for_card("watch")
+    served.loop.send(Pull((0.5, 0.0, 0.5), who=7))  # another viewer
+    tab.click("Pull it yourself")
+    wait_for_card("pull")
+    tab.click("Take the tour")
+    for i in range(1, 5):
+        wait_for_card(f"tour {i}")
+        if i == 3:
+            tab.page.get_by_role("tab", name="Why", selected=True).wait_for()
+        tab.click("Next")
+    wait_for_card("tour 5")
+    tab.page.get_by_role("tab", name="Compare", selected=True).wait_for()
+    tab.page.get_by_text("Second robot").wait_for()
+    now = card.bounding_box()
+    assert now["y"] + now["height"] == pytest.approx(place["y"] + place["height"], abs=2)
+    tab.page.keyboard.press("?")
+    tab.page.get_by_role("tab", name="Help", selected=True).wait_for()
+    tab.click("Close")
+    card.wait_for(state="hidden")
     served.begin_anew()
     tab.page.reload()
     tab.wait_for_scene()
     tab.page.wait_for_timeout(1500)
-    assert not tab.page.get_by_text(f"1 of {len(STEPS)}").is_visible()
+    assert not card.is_visible()
     tab.page.keyboard.press("h")
-    wait_for_step(1)
+    wait_for_card("tour 1")
     tab.page.keyboard.press("Escape")
-    tab.page.get_by_text(f"1 of {len(STEPS)}").wait_for(state="hidden")
+    card.wait_for(state="hidden")
     assert tab.errors == []
+
+
+def test_after_a_scenario_the_free_start_can_be_chosen_in_the_list_and_by_a_button(tab, served):
+    tab.open_tab("Run")
+    served.loop.send(Play(SCENARIOS["guiding-front"]))
+    title = TITLES["guiding-front"]
+    listed = tab.row("Scenario").locator("input").first
+    wait_for(lambda: listed.input_value() == title, what="the scenario in the list")
+    served.loop.send(Pull((0.5, 0.0, 0.5), who=7))
+    wait_for(lambda: not served.loop.latest().scenario, what="its end")
+    tab.render(3)
+    assert listed.input_value() == title, "it stays, so that the free start is another choice"
+    for way in (lambda: tab.choose("Scenario", FREE), lambda: tab.click("Back to the free start")):
+        del served.loop.commands[:]
+        way()
+        wait_for(lambda: any(isinstance(c, Reset) for c in served.loop.commands), what="a reset")
+
+
+def test_the_camera_stays_above_the_floor(tab, served):
+    box = tab.canvas_box()
+    middle = np.array([(box[0] + box[2]) / 2, box[1] + 0.2 * (box[3] - box[1])])
+    for _ in range(3):
+        tab.drag(middle, middle - np.array([0.0, 300.0]), steps=6)
+        tab.render(2)
+    assert tab.camera()[2] > 0.0
+    tab.page.keyboard.press("1")

@@ -146,12 +146,12 @@ def test_a_body_is_dragged_resized_saved_and_checked_in_the_page(
     assert isinstance(before, Capsule)
     tab.drag_gizmo(gizmo, 2, 0.08, 0.22)
     tab.drag_gizmo(f"{gizmo}/{SIZE}", 2, 0.05, 0.09)
-    tab.page.get_by_text("Pairs that are watched").click()
+    tab.page.get_by_text("Monitored pairs").click()
     tab.check("hand – upper arm", on=False)
-    tab.click("Ready pose from here")
+    tab.click("Use this posture as ready pose")
     wait_for(lambda: panel.edit.changes.ready and panel.edit.changes.unwatched, what="changes")
     shared = served.server.shared
-    tab.click("Save and show")
+    tab.click("Save and use")
     wait_for(lambda: served.server.shared is not shared, what="the saved robot")
     saved = load_description(tmp_path / "husky_panda_by_hand" / "robot.toml")
     after = saved.body("lEE").shapes[0]
@@ -163,9 +163,9 @@ def test_a_body_is_dragged_resized_saved_and_checked_in_the_page(
     assert after.length_m == pytest.approx(before.length_m + 0.1, abs=0.02)
     assert saved.unwatched == {"l2-lEE": BY_HAND}
     # The page of the robot before stands until that of the saved one is whole.
-    tab.page.get_by_role("button", name="Save and show").wait_for(state="hidden")
+    tab.page.get_by_role("button", name="Save and use").wait_for(state="hidden")
     tab.wait_for_scene()
     tab.open_tab("Robot")
     tab.page.get_by_text("Edit this robot").click()
-    tab.click("Check as saved")
+    tab.click("Check the saved robot")
     tab.page.get_by_text("of husky_panda_by_hand, weak").wait_for()

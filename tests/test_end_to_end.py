@@ -72,7 +72,7 @@ def served():
 
 
 def reading(tab: DashboardTab, label: str) -> str:
-    """What the table of the tab "Run" says beside a label."""
+    """What the table of the tab "Lab" says beside a label."""
     text = re.compile(rf"^{re.escape(label)}$")
     row = tab.page.locator("tr").filter(has=tab.page.locator("td").filter(has_text=text))
     return row.locator("td").last.inner_text()
@@ -87,7 +87,7 @@ def pull_towards_base(tab: DashboardTab) -> None:
     """Drag the hand at the base, hold it there until the base has gone, and let go."""
     before = tab.position("/robot")
     tab.drag_gizmo(GIZMO, axis=0, metres=TOWARDS_BASE, scale=SCALE, steps=12, drop=False)
-    assert reading(tab, "person pulls").endswith(" N")
+    assert reading(tab, "pull").endswith(" N")
 
     def base_has_moved() -> bool:
         return float(np.linalg.norm(tab.position("/robot") - before)) > 0.05
@@ -98,9 +98,10 @@ def pull_towards_base(tab: DashboardTab) -> None:
 
 def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, served):
     tab = DashboardTab(browser, served.address, draws=True)
+    tab.open_tab("Lab")
     tab.open_tab("Plots")
     tab.wait("() => dbbTest.plot('activation β_m') !== null")
-    assert reading(tab, "person pulls") == "no"
+    assert reading(tab, "pull") == "none"
     assert greatest_activation(tab) == 0.0
     start = tab.position(GIZMO)
     np.testing.assert_allclose(tab.position("/robot"), 0.0, atol=2e-3)
@@ -109,7 +110,7 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
 
     wait_for(lambda: greatest_activation(tab) > 0.2, PATIENCE, "the plot comes after the scene")
     assert tab.position("/robot")[0] < -0.05, "it backs off, away from the hand"
-    wait_for(lambda: reading(tab, "person pulls") == "no", PATIENCE, "nobody pulls any more")
+    wait_for(lambda: reading(tab, "pull") == "none", PATIENCE, "nobody pulls any more")
     wait_for(
         lambda: tab.position(GIZMO)[0] < start[0] - 0.1, PATIENCE, "the hand is nearer than it was"
     )

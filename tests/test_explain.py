@@ -91,7 +91,7 @@ def explanation(near: tuple[NearPair, ...] = (), **fields: object) -> Explanatio
 
 
 def why_html(snapshot: Snapshot) -> str:
-    return why_panel.why_html(snapshot, judge(snapshot))
+    return why_panel.why_html(snapshot, judge(snapshot)) + why_panel.details_html(snapshot)
 
 
 def said(blank: Snapshot, why: Explanation, **fields: object) -> str:
@@ -136,13 +136,16 @@ def test_the_top_is_the_top():
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.booleans())
 def test_what_the_base_does_has_the_signs_of_its_velocity(v, w, ahead):
-    for text in (words.motion(v, w, ahead=ahead), words.intention(v, w, ahead=ahead)):
-        assert (text is None) == (abs(v) < words.AT_REST[0] and abs(w) < words.AT_REST[1])
+    for text, least in (
+        (words.motion(v, w, ahead=ahead), words.AT_REST),
+        (words.intention(v, w, ahead=ahead), words.SLIGHT),
+    ):
+        assert (text is None) == (abs(v) < least[0] and abs(w) < least[1])
         told = text or ""
-        assert ("back" in told) == (v <= -words.AT_REST[0])
-        assert ("forward" in told) == (v >= words.AT_REST[0])
-        assert ("left" in told) == (w >= words.AT_REST[1])
-        assert ("right" in told) == (w <= -words.AT_REST[1])
+        assert ("back" in told) == (v <= -least[0])
+        assert ("forward" in told) == (v >= least[0])
+        assert ("left" in told) == (w >= least[1])
+        assert ("right" in told) == (w <= -least[1])
 
 
 @given(st.floats(-1e3, 1e3))
@@ -199,14 +202,14 @@ def test_there_is_one_short_answer_for_every_state(blank, controller):
             assert len(text) <= LONGEST, text
             assert re.fullmatch(r"[A-Z].*\.", text), text
             assert not re.search(r"None|nan|\(\)|  |lm|lEE|l1", text), text
-            assert any(contact) == ("touch!" in text)
+            assert any(contact) == text.startswith("Contact ")
 
 
 def test_the_base_that_gives_way_is_said_with_distance_buffer_place_and_motion(blank):
     why = explanation(NEAR["base"], mode="tracking")
     assert said(blank, why, base_velocity=(-0.21, 0.3)) == (
-        "The hand came within 8 cm of the base's front (its buffer is 15 cm), so the base backs "
-        "away at 0.21 m/s and turns left; the hand's own task is not disturbed."
+        "The hand is 8 cm from the base's front (buffer 15 cm), so the base backs away at "
+        "0.21 m/s and turns left; the end-effector's task is not affected."
     )
 
 
@@ -216,7 +219,7 @@ def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
         blank, why, base_velocity=(0.0, 0.0)
     )
     idle = explanation(NEAR["base"])
-    assert "too little yet to move the base" in said(blank, idle, base_velocity=(0.0, 0.0))
+    assert "the base does not need to move yet" in said(blank, idle, base_velocity=(0.0, 0.0))
 
 
 @pytest.mark.parametrize("held", [False, True])
@@ -224,33 +227,33 @@ def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
 def test_the_arm_is_said_to_keep_its_distance_exactly_where_its_barrier_holds(blank, near, held):
     (pair,) = NEAR[near]
     text = said(blank, explanation((pair._replace(held=held),)))
-    assert ("the arm itself keeps its distance" in text) == held
+    assert ("the arm itself holds this distance" in text) == held
 
 
 @pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])
 def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, disturbed):
     why = explanation(NEAR["base"], mode="tracking", levels=(Level("hand", slack, 0.0),))
-    assert ("has to give way" in said(blank, why)) == disturbed
-    assert ("not disturbed" in said(blank, why)) != disturbed
+    assert ("task is reduced" in said(blank, why)) == disturbed
+    assert ("not affected" in said(blank, why)) != disturbed
 
 
 @pytest.mark.parametrize(
     ("near", "controller", "part"),
     [
-        ("nothing", "dbb", "Nothing is near: the hand is 23 cm from the base (buffer 15 cm)"),
+        ("nothing", "dbb", "Nothing is near: the "),
         ("nothing", "none", "Avoidance is off."),
         ("base", "none", "avoidance is off: nothing gives way"),
-        ("above", "dbb", "base's top (its buffer is 15 cm), where no motion of the base helps"),
-        ("high above", "dbb", "the arm itself will stay 3 cm away"),
+        ("above", "dbb", "base's top (buffer 15 cm), where base motion cannot help"),
+        ("high above", "dbb", "the arm itself will stop at 3 cm"),
         ("high above", "hqp", "the printed controller has nothing else that holds the arm"),
-        ("last", "dbb", "and the arm itself keeps its distance."),
-        ("inside", "dbb", "The hand is 4 mm inside the outline of the base's front"),
-        ("edge", "dbb", "The hand is at the edge of the 15 cm buffer around the base's front"),
-        ("links", "dbb", "within 9 cm of the shoulder (its buffer is 15 cm), so the arm pushes"),
-        ("both", "dbb", "Hand and shoulder are pushed apart as well."),
-        ("base", "repulsive", "pushes the arm away and does not ask the base"),
-        ("held", "barrier", "held back by the hard limit of 3 cm"),
-        ("base", "barrier", "only nearer than 3 cm is forbidden, so nothing gives way yet"),
+        ("last", "dbb", "and the arm itself holds this distance."),
+        ("inside", "dbb", "The hand overlaps the base's front by 4 mm"),
+        ("edge", "dbb", "The hand is 15 cm from the base's front (buffer 15 cm)"),
+        ("links", "dbb", "is 9 cm from the shoulder (buffer 15 cm), so the arm pushes"),
+        ("both", "dbb", "Hand and shoulder are also pushed apart."),
+        ("base", "repulsive", "pushes the arm away and does not move the base"),
+        ("held", "barrier", "at the minimum distance of 3 cm"),
+        ("base", "barrier", "this method acts at its minimum distance of 3 cm only"),
     ],
 )
 def test_each_state_has_its_reason(blank, near, controller, part):
@@ -259,17 +262,17 @@ def test_each_state_has_its_reason(blank, near, controller, part):
 
 def test_a_failed_solver_is_said_before_all_else(blank):
     text = said(blank, explanation(NEAR["base"], solved=False))
-    assert text.startswith("The solver found no motion that keeps all limits")
+    assert text.startswith("The solver found no feasible motion")
 
 
 def test_of_several_pairs_it_speaks_of_the_one_that_is_inside(blank):
     deep = LINKS._replace(d=-0.003, beta=1.0)
-    assert "3 mm inside the outline" in said(blank, explanation((BASE, deep)))
+    assert "overlaps the shoulder by 3 mm" in said(blank, explanation((BASE, deep)))
 
 
 def test_the_buffer_is_that_of_the_configuration(blank):
     config = Config().replace("border.d_b", 0.22)
-    assert "its buffer is 22 cm" in said(blank, explanation(NEAR["base"]), config=config)
+    assert "buffer 22 cm" in said(blank, explanation(NEAR["base"]), config=config)
 
 
 def test_as_fast_as_it_may_is_said_at_the_top_speed_only(blank):
@@ -277,22 +280,40 @@ def test_as_fast_as_it_may_is_said_at_the_top_speed_only(blank):
         said(blank, explanation(NEAR["base"], bounds=bounds), base_velocity=(-0.5, 0.0))
         for bounds in ((), (Bound("base", "speed", upper=False),))
     )
-    assert ("as fast as it may" in slow, "as fast as it may" in fast) == (False, True)
+    assert ("at its speed limit" in slow, "at its speed limit" in fast) == (False, True)
 
 
 # The panel
 
 
-def test_the_panel_has_the_same_rows_whatever_it_says(blank):
+def test_details_are_for_what_is_near_and_have_the_same_rows_then(blank):
     rows = {
-        why_html(replace(blank, explanation=explanation(near, bounds=bounds, levels=levels))).count(
-            "<tr"
-        )
-        for near in NEAR.values()
-        for bounds in BOUNDS
-        for levels in (LEVELS, LEVELS[3:], ())
+        near: {
+            why_panel.details_html(
+                replace(blank, explanation=explanation(NEAR[near], bounds=bounds, levels=levels))
+            ).count("<tr")
+            for bounds in BOUNDS
+            for levels in (LEVELS, LEVELS[3:], ())
+        }
+        for near in NEAR
     }
-    assert len(rows) == 1
+    assert rows.pop("nothing") == {0}
+    assert len(set.union(*rows.values())) == 1
+
+
+def test_nothing_near_speaks_of_the_least_distance_of_all_pairs(blank):
+    """Also of links of the arm, though the explanation has the pairs with the base."""
+    for k, pair in enumerate(blank.pairs):
+        pairs = [each._replace(d=0.2 if i == k else 0.4) for i, each in enumerate(blank.pairs)]
+        snapshot = replace(blank, pairs=tuple(pairs))
+        assert snapshot.nearest.name == pair.name
+        text = said(snapshot, explanation())
+        a, b = (words.body(name, CHAIN) for name in pair.name.split("-"))
+        assert f"the {b} is 20 cm from the {a}" in text
+        spoken = {each.name: words.spoken(each.name, CHAIN) for each in pairs}
+        assert f"{spoken[pair.name]} <b>200 mm" in why_panel.header_html(
+            replace(snapshot, explanation=explanation()), judge(snapshot), spoken
+        )
 
 
 def test_the_panel_shows_the_numbers_of_the_explanation(blank):
@@ -313,25 +334,27 @@ def test_the_panel_shows_the_numbers_of_the_explanation(blank):
         "92.90 m/s²",
         "4.20 rad/s²",
         "panda_joint4: torque limit",
-        "80 of 150 mm",
+        "80 mm (buffer 150 mm)",
         "0.70",
     ):
         assert part in text, part
-    assert re.search(r"moving away\s+80\s+−0.40\s+\+0.00", text)
-    assert re.search(r"to the better score\s+60\s+\+0.00\s+−0.20", text)
-    assert re.search(r"together, times β\s+100\s+−0.40\s+−0.20", text)
+    assert re.search(r"away from the arm\s+80\s+−0.40\s+\+0.00", text)
+    assert re.search(r"towards higher score\s+60\s+\+0.00\s+−0.20", text)
+    assert re.search(r"sum × β\s+100\s+−0.40\s+−0.20", text)
 
 
 @pytest.mark.parametrize("kind", ["differential", "holonomic", "car-like", "of one's own"])
 def test_the_panel_names_the_measure_of_the_base(blank, kind):
     why = explanation(NEAR["base"], base_kind=kind)
     html, paper = why_html(replace(blank, explanation=why)), kind == "differential"
-    assert ("far from singular, det" in html) == ("sign · det · R" in html) == paper
+    assert ("det(J Jᵀ)" in html) == ("sign · det · R" in html) == paper
     assert ("measure of the base" in html) == ("(10): measure · R" in html) == (not paper)
 
 
 def test_the_text_inherits_its_colour_from_the_theme(blank):
-    html = why_html(replace(blank, explanation=explanation(NEAR["base"], levels=LEVELS)))
+    html = why_panel.details_html(
+        replace(blank, explanation=explanation(NEAR["base"], levels=LEVELS))
+    )
     assert not re.search(r'[;"]\s*color\s*:', html)
 
 

@@ -147,10 +147,11 @@ def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
 
 
 def test_the_caption_says_time_distance_and_ghost(run: list[Snapshot], robot: RobotModel) -> None:
+    how = robot.body_names, Look()
     plain = Image.new("RGB", (640, 360), (20, 20, 20))
-    one = np.array(captioned(plain.copy(), run[0], dark=True))
-    other = np.array(captioned(plain.copy(), run[-1], dark=True))
-    alone = np.array(captioned(plain.copy(), replace(run[0], ghosts=()), dark=True))
+    one = np.array(captioned(plain.copy(), run[0], *how))
+    other = np.array(captioned(plain.copy(), run[-1], *how))
+    alone = np.array(captioned(plain.copy(), replace(run[0], ghosts=()), *how))
     assert (alone != 20).any()
     assert (one != other).any()
     assert (one != alone).any(axis=-1).sum() > 100  # the ghost's line

@@ -10,7 +10,7 @@ from PIL import Image
 from viser import _messages, _viser
 
 from app.dashboard.page import Page
-from app.dashboard.panels.save import FilePanel, png
+from app.dashboard.panels.save import png
 from app.simulation.loop.commands import Configure, Pause, Speed, StepOnce
 from tests.browser import wait_for
 from tests.dashboards import served_dashboard
@@ -116,7 +116,7 @@ def test_a_page_that_answers_with_another_picture_than_it_was_asked_for_is_told_
             return bool(told)
 
         wait_for(answer, what="a word on the picture")
-    assert told == ["the browser gave another picture than it was asked for"]
+    assert told == ["the browser delivered a picture of another size"]
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
 
 
@@ -129,22 +129,9 @@ def test_who_cancels_a_picture_that_does_not_come_has_not_to_wait_for_it(served)
         wait_for(lambda: files.progress is None, seconds=5.0, what="its end")
 
 
-def test_the_card_of_a_challenge_that_nobody_has_tried_is_refused(served, monkeypatch, caplog):
-    """Its button is not shown then, and pressed all the same."""
-    told = []
-    with visitor(served) as (client, page):
-        monkeypatch.setattr(page._notifier, "warn", lambda _, text: told.append(text))
-        monkeypatch.setattr(FilePanel, "scene", lambda self, *size: Image.new("RGB", size))
-        button = labelled(page, "Card (PNG)")
-        client.set_widget(button, True)
-        wait_for(lambda: told or caplog.records, what="a word on the card")
-    assert told == ["nobody has tried yet"]
-    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
-
-
 def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(served):
     with visitor(served) as (client, page):
-        slider = page.main_panel.widgets["border.d_b"].handles[0]
+        slider = page.tuning_panel.widgets["border.d_b"].handles[0]
         served.loop.send(Pause(False))
         begin, before = time.monotonic(), served.loop.latest().t
         for i in range(FLOOD):

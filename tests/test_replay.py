@@ -86,5 +86,5 @@ def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
     assert told["size_bytes"] == page.stat().st_size
     assert 0.5e6 < page.stat().st_size < 10e6
     text = page.read_text(encoding="utf-8")
-    assert "<title>guiding-front, dbb</title>" in text
+    assert "<title>husky_panda: guiding-front, " in text
     assert "darkMode:false" in text

@@ -8,6 +8,7 @@ import pytest
 from app.dashboard import page
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.page import SHOWN
+from app.dashboard.panels.help import CARDS
 from app.dashboard.scene.borders import LIGHT_POINTS
 from app.dashboard.scene.robot import LIGHT_FACES, Visual
 from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset
@@ -43,11 +44,11 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
     light = drawn(tab)
     assert light["points"] <= LIGHT_POINTS
     tab.open_tab("View")
-    tab.check("Light drawing", on=False)
+    tab.check("Low detail", on=False)
     wait_for(lambda: drawn(tab)["triangles"] > 8 * light["triangles"], what="the fine drawing")
     assert drawn(tab)["calls"] > 1.5 * light["calls"]
     assert not tab.page.get_by_text("Software WebGL rendering").count(), "it is said once"
-    tab.check("Light drawing", on=True)
+    tab.check("Low detail", on=True)
     wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")
     assert tab.errors == []
 
@@ -72,7 +73,7 @@ def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels
     browser, served
 ):
     tab = DashboardTab(browser, served.server.address, PHONE, touch=True)
-    strip = tab.page.locator("[data-strip]")
+    strip = tab.page.locator("#dbb-head")
     strip.wait_for(state="visible")
     tab.page.locator("[data-drawer=closed]").wait_for()
     pull_by_finger(tab, served)
@@ -93,6 +94,9 @@ def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels
     chosen = tab.page.get_by_text("Second robot", exact=True).bounding_box()
     assert opened < chosen["y"] < bar["y"], "it opens in sight"
     assert strip.is_visible()
+    assert tab.page.get_by_role("button", name="Pause", exact=True).first.is_visible()
+    tab.page.evaluate("() => dbbPanels.open('Why')")
+    tab.page.get_by_role("tab", name="Why", selected=True).wait_for()
     assert tab.errors == []
 
 
@@ -132,10 +136,12 @@ def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, m
     played = next(c for c in commands if isinstance(c, Play))
     assert played.scenario.name == SHOWN
     assert Compare(("none",)) in commands
+    tab.page.get_by_role("heading", name=CARDS["demo"].title).wait_for()
     del commands[:]
     tab.page.mouse.click(640, 40)
     wait_for(lambda: any(isinstance(c, Reset) for c in commands), what="its end")
     assert Compare() in commands
+    tab.page.locator("#dbb-card").wait_for(state="hidden")
     del commands[:]
     tab.page.wait_for_timeout(2500)
     assert not any(isinstance(c, Play) for c in commands)

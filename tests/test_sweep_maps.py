@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.patches import Rectangle
-from PIL import Image
 
-from app.errors import StudyError
 from app.robot.model import RobotModel
 from app.studies.style import styled
 from app.studies.sweep.maps import above_map, polar_map, quantities
 from app.studies.sweep.plan import AXIS_OFFSETS
-from app.studies.sweep.sweep import newest_map, read_map, write_sweep
+from app.studies.sweep.sweep import write_sweep
 
 ROW: dict[str, Any] = {
     "speed_mps": 0.025,
@@ -162,40 +158,3 @@ def test_files_hold_every_path_and_every_start_that_failed(tmp_path: Path) -> No
         **shown,
         "files": names,
     }
-
-
-def test_the_newest_map_of_a_folder_is_found_and_read(tmp_path: Path) -> None:
-    assert newest_map(tmp_path / "nowhere") is None
-    assert newest_map(tmp_path) is None
-    write_sweep(result(("dbb",)), tmp_path)
-    first = tmp_path / "sweep_h0.3_v0.025.png"
-    assert newest_map(tmp_path) == (first, first.stat().st_mtime_ns)
-    second = tmp_path / "sweep_h0.2_v0.01.png"
-    second.write_bytes(first.read_bytes())
-    later = first.stat().st_mtime_ns + 10**9
-    os.utime(second, ns=(later, later))
-    (tmp_path / "sweep_h9_v9.png").symlink_to(tmp_path / "gone")
-    assert newest_map(tmp_path) == (second, later)
-    pixels = read_map(second)
-    assert (pixels.ndim, pixels.shape[2], pixels.dtype) == (3, 3, np.uint8)
-    assert pixels.std() > 10
-
-
-@pytest.mark.parametrize("kind", ["text", "cut", "grey", "folder", "large"])
-def test_a_map_that_is_none_is_refused_in_a_line_and_a_grey_one_is_a_picture(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, content = tmp_path / "sweep_h0_v0.png", BytesIO()
-    Image.effect_noise((64, 64), 50.0).save(content, "PNG")
-    if kind == "folder":
-        path.mkdir()
-    else:
-        cut = {"cut": len(content.getvalue()) // 2}.get(kind)
-        path.write_bytes(b"no picture" if kind == "text" else content.getvalue()[:cut])
-    monkeypatch.setattr("app.studies.sweep.sweep._MOST_PIXELS", 100 if kind == "large" else 10_000)
-    if kind == "grey":
-        assert read_map(path).shape == (64, 64, 3)
-        return
-    with pytest.raises(StudyError) as refused:
-        read_map(path)
-    assert len(str(refused.value).splitlines()) == 1

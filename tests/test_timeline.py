@@ -9,7 +9,7 @@ import pytest
 from app.dashboard.panels.timeline import FRAME, MOST_MARKED, Timeline
 from app.dashboard.record import BIN, Strip
 from app.dashboard.scene.scene import SceneData
-from app.errors import LogError
+from app.errors import ConfigError, LogError
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -144,7 +144,7 @@ def test_a_single_instant_is_refused_by_name():
     timeline.unmark()
     timeline.go_to(0.0)
     timeline.mark_end()
-    with pytest.raises(LogError, match="single instant"):
+    with pytest.raises(LogError, match="no duration"):
         timeline.interval()
 
 
@@ -156,3 +156,32 @@ def test_an_end_before_the_begin_takes_the_begin_away():
     timeline.mark_end()
     assert timeline.begin == pytest.approx(0.0)
     assert timeline.end == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("speed", [0.25, 1.0, 4.0])
+def test_the_past_plays_at_its_speed_up_to_now_and_stops_on_request(speed, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr("app.dashboard.panels.timeline.monotonic", lambda: clock[0])
+    timeline = line_of(Past(12.0))
+    timeline.play(speed)
+    assert timeline.plays
+    assert timeline.shown().t == pytest.approx(2.0, abs=FRAME), "from now it plays the last 10 s"
+    clock[0] += 1.0
+    assert timeline.shown().t == pytest.approx(2.0 + speed, abs=FRAME)
+    timeline.play(speed)
+    clock[0] += 1.0
+    assert not timeline.plays
+    assert timeline.shown().t == pytest.approx(2.0 + speed, abs=FRAME), "it stands where it stopped"
+    timeline.play(speed)
+    clock[0] += 100.0
+    timeline.shown()
+    assert timeline.live
+    assert not timeline.plays
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 99.0, float("nan")])
+def test_a_speed_beyond_its_range_is_refused(speed):
+    timeline = line_of(Past(2.0))
+    with pytest.raises(ConfigError, match="replay speed"):
+        timeline.play(speed)
+    assert timeline.live

@@ -6,15 +6,17 @@ import ast
 import asyncio
 import logging
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import viser
+from viser import _messages
 
 from app.dashboard.server import is_loopback
-from app.dashboard.viser_compat import Channel, close_server, open_server
+from app.dashboard.viser_compat import Channel, _Buffer, close_server, open_server
 
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
@@ -117,3 +119,19 @@ def test_what_strangers_can_cause_is_written_once_a_minute(caplog, monkeypatch) 
 )
 def test_an_address_is_of_this_machine_alone_or_not(host, alone) -> None:
     assert is_loopback(host) is alone
+
+
+@pytest.mark.parametrize("persistent", [False, True])
+def test_a_viewer_gets_the_removal_of_a_node_that_is_created_again(persistent: bool) -> None:
+    """Else the page would keep the pose of the node before, as viser sends no default pose.
+
+    What later viewers get from the beginning needs no removal.
+    """
+    loop = asyncio.new_event_loop()
+    queue = _Buffer(loop, persistent_messages=persistent)
+    frame = _messages.FrameMessage("/robot", SimpleNamespace())
+    for message in (frame, _messages.RemoveSceneNodeMessage("/robot"), replace(frame)):
+        queue.push(message)
+    kinds = [type(message).__name__ for message in queue.message_from_id.values()]
+    assert kinds == ["RemoveSceneNodeMessage"] * (not persistent) + ["FrameMessage"]
+    loop.close()

@@ -8,13 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from app.errors import printable
+from app.simulation.trace.words import number_text
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
     from app.studies.page import Part
-
-_NOTHING = 1e-6  # [any unit] less is what the computer's rounding leaves
 
 
 def load_model(robot: str) -> RobotModel:
@@ -60,28 +59,13 @@ def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
             show(f"{indent}{key}")
             _print_lines(value, indent + "  ")
         else:
-            text = f"{value:.4g}" if isinstance(value, float) else rounded_text(value)
+            text = f"{value:.4g}" if isinstance(value, float) else number_text(value)
             show(f"{indent}{key:28} {text}".rstrip())
 
 
 def as_json(result: object) -> str:
     """The text of one JSON object, with a line's end."""
     return json.dumps(result, indent=2, allow_nan=False) + "\n"
-
-
-def rounded_text(value: object) -> str:
-    """A figure for people: three digits, and 0 for what is rounding."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {rounded_text(each)}" for name, each in value.items())
-    if isinstance(value, list):
-        return ", ".join(map(rounded_text, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, float):
-        few = float(f"{value:.3g}") if abs(value) < 100 else round(value)
-        text = f"{few:.6f}" if abs(few) >= _NOTHING else "0.0"
-        return text.rstrip("0").rstrip(".")
-    return "–" if value is None else str(value)
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import print_json, print_table, rounded_text, say, show
+from app.cli.common import print_json, print_table, say, show
 from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
 from app.onboarding import helpers
 from app.onboarding.request import Request, check_request
+from app.simulation.trace.words import number_text
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -164,7 +165,7 @@ def _print_made(made: dict[str, Any]) -> None:
 
     name, folder = made["robot"], made["folder"]
     show(f"{name}: {folder}/robot.toml and {folder}/report.html, in {made['elapsed_s']:.0f} s")
-    geometry = (f"{key} {rounded_text(made[key])}" for key in _GEOMETRY if key in made)
+    geometry = (f"{key} {number_text(made[key])}" for key in _GEOMETRY if key in made)
     base = ", ".join([f"{made['base']}, {made['mass_kg']:.4g} kg", *geometry])
     bodies = (f"{body} ({', '.join(each['links'])})" for body, each in made["bodies"].items())
     rates = made["collision_rate"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import as_json, load_robot_and_border, print_json, rounded_text, say
+from app.cli.common import as_json, load_robot_and_border, print_json, say
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, of_case, planned, read, result_of
 from app.errors import ConfigError, check_name
@@ -153,6 +153,7 @@ def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict
+    from app.simulation.trace.words import missing, number_text
 
     model, data = load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
@@ -163,9 +164,9 @@ def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
     if json:
         print_json(result.figures)
     else:
-        print(verdict(result.figures))
+        print(verdict(result.figures, model.body_names))
         for key, value in result.figures.items():
-            print(f"  {key:34} {rounded_text(value)}")
+            print(f"  {key:34} {number_text(value, missing(key))}")
     for path in written:
         print(f"wrote {path}", file=sys.stderr if json else None)
     return result.figures

@@ -44,8 +44,6 @@ class Serving:
     case: Path | None = None
     """File of a case, the page's or one of `failures` of a study: the robot, its start and its
     disturbances are the case's, and a button plays the pull."""
-    sweep: Path = Path("out/sweep")
-    """Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be served, before anything is loaded."""
@@ -155,7 +153,6 @@ def _serve(first: _First) -> None:
             port=asked.port,
             allowed=asked.allow_host,
             case=first.case.scenario() if first.case else None,
-            sweeps=asked.sweep,
             parts=parts,
             start_loop=first.begin_loop,
         )

@@ -1,5 +1,5 @@
-// What a page shows and says beside viser's own widgets, begun by `Channel`: the time line along the
-// lower edge of any page, number boxes that take a number once it is typed to its end, and Escape.
+// What a page shows and says beside viser's own widgets, begun by `Channel`: the strip above any page,
+// the card of the guide, the time line below, number boxes that take a number once it is complete, keys.
 // `box` is the widget that brings the page's words to the server, `ranges` are those of the boxes.
 window.dbbControls = (box, ranges) => {
   const HEIGHT = 100; // [px] of the bar
@@ -24,31 +24,14 @@ window.dbbControls = (box, ranges) => {
     element.textContent = text;
     return element;
   };
-  const style = make("style", document.head, "", `
-    :root { --dbb-bar: ${HEIGHT}px; }
-    #root { height: calc(100% - var(--dbb-bar)); }
-    #dbb-bar { position: fixed; left: 0; right: 0; bottom: 0; height: ${HEIGHT}px; z-index: 60;
-      background: var(--mantine-color-body); color: var(--mantine-color-text); font-size: 12px;
-      border-top: 1px solid var(--mantine-color-default-border); user-select: none; }
-    #dbb-row { display: flex; gap: 4px; height: 30px; align-items: center; padding: 0 8px;
-      overflow-x: auto; scrollbar-width: none; white-space: nowrap; }
-    #dbb-row button, #dbb-past button { font: inherit; color: inherit; background: transparent; cursor: pointer;
-      border: 1px solid var(--mantine-color-default-border); border-radius: 4px; padding: 2px 7px; }
-    #dbb-row button:hover { background: rgba(128, 138, 150, .25); }
-    #dbb-row span:first-child { min-width: 13.5em; }
-    #dbb-row span { font-variant-numeric: tabular-nums; padding: 0 6px; }
-    #dbb-strip { display: block; width: 100%; height: ${HEIGHT - 31}px; touch-action: none; cursor: crosshair; }
-    #dbb-strip:focus-visible { outline: 2px solid #2684d6; outline-offset: -2px; }
-    #dbb-hint { position: fixed; bottom: ${HEIGHT + 4}px; z-index: 61; pointer-events: none; padding: 2px 8px;
-      border-radius: 4px; background: rgba(30, 34, 40, .92); color: white; font-size: 12px; white-space: nowrap; }
-    #dbb-edge { position: fixed; inset: 0 0 ${HEIGHT}px 0; z-index: 59; pointer-events: none;
-      box-shadow: inset 0 0 0 4px ${PAST}; }
-    #dbb-past { position: fixed; top: 8px; left: 50%; transform: translateX(-50%); z-index: 60; max-width: 92vw;
-      background: ${PAST}; color: white; font-size: 13px; border-radius: 6px; padding: 5px 10px;
-      font-variant-numeric: tabular-nums; text-align: center; }
-    #dbb-past button { border-color: white; margin-left: 8px; font-weight: 600; }
-    [hidden] { display: none !important; }`);
-  const bar = make("div", document.body, "dbb-bar");
+  const head = make("header", document.body, "dbb-head");
+  const name = make("div", head, "dbb-name");
+  make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
+  make("p", name, "", "Drives a mobile robot's base out of its own arm's way");
+  const live_ = make("div", head, "dbb-live");
+  const card = make("section", document.body, "dbb-card");
+  card.setAttribute("aria-label", "Guide");
+  const bar = make("footer", document.body, "dbb-bar");
   const edge = make("div", document.body, "dbb-edge");
   const past = make("div", document.body, "dbb-past");
   const hint = make("div", document.body, "dbb-hint");
@@ -62,31 +45,35 @@ window.dbbControls = (box, ranges) => {
     return element;
   };
   button(past, "Back to now", "Escape or N", () => ask("now"));
+  const pause = button(row, "Pause", "Space", () => ask("pause"));
   const where = make("b", make("span", row));
   button(row, "−1 s", "B", () => ask("step", -1));
-  button(row, "−20 ms", "One picture back", () => ask("step", -0.02));
-  button(row, "Stop / go", "Space", () => ask("pause"));
-  button(row, "+20 ms", "One picture on; at now one is simulated", () => ask("step", 0.02));
+  button(row, "−20 ms", "One snapshot back", () => ask("step", -0.02));
+  button(row, "+20 ms", "One snapshot forward; at the newest one a step is simulated", () => ask("step", 0.02));
   button(row, "+1 s", "F", () => ask("step", 1));
-  button(row, "Now", "N", () => ask("now"));
-  button(row, "Nearest", "Where the least distance was", () => ask("nearest"));
-  button(row, "Hardest pull", "Where a person pulled hardest", () => ask("pull"));
-  button(row, "◂ Event", "The mark before", () => beside(-1));
-  button(row, "Event ▸", "The mark after", () => beside(1));
-  button(row, "Mark begin", "Of the interval that is saved, here", () => ask("begin"));
-  button(row, "Mark end", "Of the interval that is saved, here", () => ask("end"));
-  button(row, "No marks", "All of the last minute is saved", () => ask("unmark"));
-  button(row, "−", "Show more time (wheel, or two fingers)", () => zoom(2, middle()));
-  button(row, "+", "Show less time (wheel, or two fingers)", () => zoom(0.5, middle()));
+  const play = button(row, "▶ Replay", "Play the past from here", () => ask("play", Number(rate.value)));
+  const rate = make("select", row);
+  rate.setAttribute("aria-label", "Replay speed");
+  for (const x of [0.1, 0.25, 0.5, 1, 2, 4]) Object.assign(make("option", rate, "", `${x} ×`), { value: x, selected: x === 1 });
+  button(row, "Back to now", "N", () => ask("now"));
+  button(row, "Nearest", "Go to the least distance", () => ask("nearest"));
+  button(row, "Largest pull", "Go to the largest pull", () => ask("pull"));
+  button(row, "◂ Event", "Previous event", () => beside(-1));
+  button(row, "Event ▸", "Next event", () => beside(1));
+  button(row, "Mark start", "Start of the interval to save", () => ask("begin"));
+  button(row, "Mark end", "End of the interval to save", () => ask("end"));
+  button(row, "Clear marks", "Save all of the last minute", () => ask("unmark"));
+  button(row, "−", "Zoom out: more time (mouse wheel, or two fingers)", () => zoom(2, middle())).setAttribute("aria-label", "Zoom out");
+  button(row, "+", "Zoom in: less time (mouse wheel, or two fingers)", () => zoom(0.5, middle())).setAttribute("aria-label", "Zoom in");
   const marked = make("span", row);
   strip.tabIndex = 0;
   strip.setAttribute("role", "slider");
   strip.setAttribute("aria-label", "Time line");
-  edge.hidden = past.hidden = hint.hidden = true;
+  edge.hidden = past.hidden = hint.hidden = card.hidden = true;
 
   // ---- what it shows
   let kept = 600, bin = 0.1, rows = [], events = new Map();
-  let now = 0, at = 0, begin = null, end = null, live = true, paused = false, d_b = 0.15;
+  let now = 0, at = 0, begin = null, end = null, live = true, paused = false, d_b = 0.15, playing = false;
   let span = 30, right = null; // [s] shown, and its end; null goes with now
   const until = () => right ?? Math.max(now, span);
   const from = () => until() - span;
@@ -192,7 +179,9 @@ window.dbbControls = (box, ranges) => {
   const say = () => {
     const ago = `${(now - at).toFixed(2)} s ago`;
     where.textContent = `t = ${at.toFixed(2)} s, ${live ? (paused ? "now, paused" : "now") : ago}`;
-    said.textContent = `This is the past: t = ${at.toFixed(2)} s, ${ago}`;
+    said.textContent = `Viewing the past: t = ${at.toFixed(2)} s, ${ago}`;
+    pause.textContent = paused ? "Continue" : "Pause";
+    play.textContent = playing ? "■ Stop" : "▶ Replay";
     edge.hidden = past.hidden = live;
     const mark = (t) => (t === null ? "…" : t.toFixed(2));
     marked.textContent = begin === null ? "" : `marked ${mark(begin)} to ${mark(end)} s`;
@@ -230,7 +219,7 @@ window.dbbControls = (box, ranges) => {
     const mark = nearest(e), t = time(local(e));
     const there = rows.findLast?.((r) => r[0] <= t);
     hint.textContent = mark ? `${mark[1].toFixed(1)} s: ${mark[3]}`
-      : there ? `${t.toFixed(1)} s: least distance ${Math.round(1000 * there[1])} mm, β ${there[2].toFixed(2)}` : "";
+      : there ? `${t.toFixed(1)} s: least distance ${Math.round(1000 * there[1])} mm, activation β ${there[2].toFixed(2)}` : "";
     hint.hidden = !hint.textContent;
     hint.style.left = `${Math.min(Math.max(e.clientX - hint.offsetWidth / 2, 4), innerWidth - hint.offsetWidth - 4)}px`;
     if (!fingers.has(e.pointerId)) return;
@@ -287,7 +276,7 @@ window.dbbControls = (box, ranges) => {
     if (fits) return;
     const range = low === null && high === null ? "" : low === null ? ` up to ${high}` : high === null ? ` from ${low}` : ` from ${low} to ${high}`;
     const name = label?.textContent.replace("•", "").trim() || "this box";
-    ask("refused", `${name} takes a number${range}, not ${text ? `“${text.slice(0, 40)}”` : "an empty box"}; it stays at ${before}.`);
+    ask("refused", `${name} takes a number${range}, not ${text ? `“${text.slice(0, 40)}”` : "nothing"}; it stays at ${before}.`);
   };
   const number = (e) => e.target instanceof HTMLInputElement && e.target.closest(".mantine-NumberInput-root");
   listen(window, "focusin", (e) => {
@@ -306,9 +295,11 @@ window.dbbControls = (box, ranges) => {
       pass(e.target, typed.get(e.target));
       typed.delete(e.target);
       e.stopImmediatePropagation();
+    } else if (e.key === "?" && !e.target.closest("input, textarea")) {
+      window.dbbPanels.open("Help");
     } else if (e.key === "Escape") {
       const open = (kinds) => [...document.querySelectorAll(kinds)].some((each) => each.offsetHeight);
-      const over = live || open(".mantine-Modal-content, .mantine-Notification-root");
+      const over = live || !card.hidden || open(".mantine-Modal-content, .mantine-Notification-root");
       if (!open("[role=listbox]")) ask(over ? "escape" : "now");
     }
   }, { capture: true });
@@ -328,7 +319,22 @@ window.dbbControls = (box, ranges) => {
     if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
   });
 
-  // ---- who comes for the first time is led around
+  // ---- the hand is pulled by keys as long as Shift is held
+  const PULLS = { ArrowUp: [1, 0, 0], ArrowDown: [-1, 0, 0], ArrowLeft: [0, 1, 0], ArrowRight: [0, -1, 0],
+    PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
+  const elsewhere = (e) => e.target.closest?.("input, textarea, [role=slider], [role=tab]");
+  listen(window, "keydown", (e) => {
+    if (!e.shiftKey || !(e.key in PULLS) || elsewhere(e)) return;
+    ask("nudge", ...PULLS[e.key]);
+    e.preventDefault();
+    e.stopImmediatePropagation();
+  }, { capture: true });
+  listen(window, "keyup blur", (e) => (e.key === "Shift" || e.type === "blur") && ask("drop"));
+
+  // ---- a double click resets the view
+  listen(window, "dblclick", (e) => e.target.tagName === "CANVAS" && e.target !== strip && ask("look"));
+
+  // ---- a first visit begins with a welcome
   try {
     if (!localStorage.getItem("dbb-tour-seen")) ask("tour");
     localStorage.setItem("dbb-tour-seen", "yes");
@@ -338,6 +344,14 @@ window.dbbControls = (box, ranges) => {
   return {
     ...window.dbbPanels,
     hints: (some) => (hints = some),
+    head: (html) => (live_.innerHTML = html),
+    card: (title, text, ...labels) => {
+      card.replaceChildren();
+      card.hidden = !title;
+      make("h2", card, "", title);
+      make("p", card, "", text);
+      for (const label of labels) button(card, label, "", () => ask("card", label));
+    },
     tell: (word, ...values) => {
       if (told.get(word) === String(values)) return;
       told.set(word, String(values));
@@ -361,7 +375,7 @@ window.dbbControls = (box, ranges) => {
       draw();
     },
     state: (...told) => {
-      [now, at, begin, end, live, paused, d_b] = told;
+      [now, at, begin, end, live, paused, d_b, playing] = told;
       say();
     },
     // For tests: where a time is on the page, what is shown, and what happened.
@@ -369,7 +383,7 @@ window.dbbControls = (box, ranges) => {
     seen: () => ({ from: from(), until: until(), now, at, rows, events: [...events.values()] }),
     end: () => {
       ending.abort();
-      for (const element of [style, bar, edge, past, hint]) element.remove();
+      for (const element of [head, card, bar, edge, past, hint]) element.remove();
     },
   };
 };

@@ -16,6 +16,8 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 GIZMO = "/hand"  # scene node of the gizmo
+NUDGE = 0.02  # [m] of one key press
+MOST_NUDGED = 0.15  # [m] from the hand to where keys pull it
 SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
@@ -37,6 +39,7 @@ class Grip:
         self._hold: Hold | None = None
         self._warned = False
         self._moved = 0.0  # [s] when it was pulled last
+        self._target, self._by_keys = np.zeros(3), False  # [m] of a pull by keys
         self.reach: Callable[[Array], None] | None = None
         """Instead of a pull: moves the end-effector to a place (3,) [m]."""
 
@@ -55,6 +58,7 @@ class Grip:
         if self._hold is not None:
             self.release()
         self._hold, self._warned, self._moved = hold, False, monotonic()
+        self._by_keys = False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
         """Pull what is held to a place (3,) [m] in the world, or to the floor below it."""
@@ -68,8 +72,24 @@ class Grip:
         x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._warned:
             self._warned = True  # once a drag, not twenty times a second
-            self._notifier.warn(client, "The floor is at z = 0: the hand stays above it.")
+            self._notifier.warn(client, "The floor is at z = 0; the hand stays above it.")
         self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
+
+    def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
+        """Pull the end-effector a step along a direction (3,) of the base's frame, as keys do."""
+        if not self.holds_hand:
+            self.take(Hold())
+            self._target, self._by_keys = np.array(snapshot.p_ee), True
+        step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
+        reach = self._target + step - snapshot.p_ee
+        most = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
+        self._target = snapshot.p_ee + most * reach
+        self.pull(self._target, client)
+
+    def release_keys(self) -> None:
+        """Let go of what keys pull; a gizmo that is dragged stays in the hand."""
+        if self._by_keys:
+            self.release()
 
     def release(self) -> None:
         """Let go."""
@@ -82,7 +102,7 @@ class Grip:
         if self._hold is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
-                client, "Let go: your browser has not answered. Take the robot again."
+                client, "Released, because your browser did not respond. Pull the robot again."
             )
 
 

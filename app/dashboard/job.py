@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import gc
 import logging
-import math
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
-from app.control import CONTROLLERS
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
 from app.jobs.bounded import Budget
@@ -33,31 +30,15 @@ from app.system import (
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.dashboard.export import Look, Side
-    from app.dashboard.record import Course
     from app.onboarding.check import Row
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
-    from app.simulation.case import RunCase
-    from app.simulation.run import RunResult
-    from app.simulation.session import Session, Step
-    from app.simulation.trace.trace import Trace
-    from app.studies.sweep.plan import SweepPlan
 
 logger = logging.getLogger(__name__)
 _CORES = max(1, usable_cores() - 1)  # of a job: one core is the simulation's
 FILM_RATE = 25.0  # [1/s] pictures of a film
 _PATIENCE = 10.0  # [s] for a thread to end
-FIGURES = (
-    "min_clearance_m",
-    "arm_min_clearance_m",
-    "contacts",
-    "arm_contacts",
-    "hand_force_max_n",
-    "hand_speed_max_mps",
-    "base_path_m",
-)
-"""Those of a run that a challenge's case keeps, to be compared to the bit."""
 
 
 def give_back() -> None:
@@ -166,71 +147,6 @@ class Job:
             self.progress = None
 
 
-class Tried(NamedTuple):
-    """What a controller made of the pulls of a challenge."""
-
-    controller: str
-    least: float
-    """[m] the least distance of all pairs, at any control step."""
-    met: bool
-    """Whether parts of the robot met, or were inside of one another."""
-    pull: float
-    """[N] the hardest pull of one person."""
-    speed: float
-    """[m/s] of the fastest hand."""
-    figures: dict[str, float]
-    """Those of `FIGURES`."""
-
-
-class Challenge(Job):
-    """The last challenge of all viewers: their pulls, played again step by step by each one."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.case: RunCase | None = None
-        """What was pulled, once it has ended; with its figures once it was played again."""
-        self.tried: tuple[Tried, ...] = ()
-        """What controllers made of it so far, the one that was challenged first: at once as it was
-        seen, then as it was at each step."""
-        self.shares: dict[str, float] = {}
-        """How far each of those is, or was, that play it again, 0 to 1."""
-        self._taken: RunCase | None = None
-
-    def take(self, case: RunCase | None, course: Course) -> None:
-        """Look at one that has ended, and at what was seen of it, unless it is the same one."""
-        if case is None or case == self._taken:
-            return
-        if self.progress is not None:
-            self.cancel()  # of the challenge before; this one begins when that has ended
-            return
-        self._taken, self.case, self.tried, self.shares = case, case, (), {}
-        if case.options["pulls"]:
-            met = course.touched or course.inside
-            seen = Tried(case.controller, course.least, met, course.pull, course.speed, {})
-            self.tried = (seen,)
-            self.start("Make it collide", "is played again", lambda: self._try_all(case))
-
-    def _try_all(self, case: RunCase) -> None:
-        """Each in a process of its own, so that viewers see each as soon as it is there."""
-
-        def again(name: str) -> Tried:
-            return self.run(try_again, case.text(), name)
-
-        # What lets the arm collide says most; the one that was challenged is known but for details.
-        names = dict.fromkeys(("none", case.controller, *CONTROLLERS))
-        with ThreadPoolExecutor(_CORES) as pool:
-            for name, found in zip(names, pool.map(again, names), strict=True):
-                if name == case.controller:
-                    self.case = case.model_copy(update={"figures": found.figures})
-                    self.tried = (found, *self.tried[1:])
-                else:
-                    self.tried = (*self.tried, found)
-
-    def report(self, text: str, share: float = -1.0) -> None:
-        """Note how far the controller with the name `text` is."""
-        self.shares = {**self.shares, text: share}
-
-
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
     """A robot by its name, and its border; how that is sampled where it is not cached."""
     from app.border.cache import load_border_data
@@ -243,7 +159,7 @@ def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
 
 def sample_border(report: Report, robot: str) -> BorderData:
     """Pairs and clouds of a robot, sampled if they are not cached."""
-    text = "sampling its border, once"
+    text = "sampling its border (once)"
     report(text, 0.0)
     return _loaded(robot, processes=_CORES, on_progress=lambda share: report(text, share))[1]
 
@@ -287,14 +203,6 @@ def check_rows(report: Report, robot: str) -> list[Row]:
     return list(found)
 
 
-def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
-    """A sweep, and its files in a folder."""
-    from app.studies.sweep.sweep import sweep, write_sweep
-
-    result = sweep(plan, processes=1, on_progress=lambda share: report("sweep under way", share))
-    write_sweep(result, folder)
-
-
 def write_report(report: Report, log: Path, page: Path) -> None:
     """The report of a log as a page."""
     from app.simulation.trace.log_file import read_trace
@@ -307,17 +215,20 @@ def write_report(report: Report, log: Path, page: Path) -> None:
 
 def write_replay(report: Report, log: Path, page: Path) -> None:
     """The replay of a log as a page."""
+    from app.dashboard.export import Look
+    from app.dashboard.export.offscreen import replay_html
+    from app.dashboard.scene.camera import first_view
     from app.simulation.trace.log_file import read_trace
 
-    read = read_trace(log)
-    _write_replay(report, read, *_loaded(read.meta.robot, progress=False), page)
+    trace = read_trace(log)
+    model, data = _loaded(trace.meta.robot, progress=False)
+    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
 
+    def on_progress(t: float) -> None:
+        report("drawing the pictures", min(t / duration, 1.0))
 
-def write_case_replay(report: Report, text: str, page: Path) -> None:
-    """The replay of a case as a page."""
-    case, model, data = _read_case(text)
-    trace = _play(report, case, case.controller, model, data, drawn=True).trace
-    _write_replay(report, trace, model, data, page)
+    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
+    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))
 
 
 def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
@@ -342,71 +253,3 @@ def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
         with closing(pictures):
             codec = next(iter(CODECS[film.suffix]))
             write_film(film, pictures, FILM_RATE, codec, on_progress)
-
-
-def try_again(report: Report, text: str, controller: str) -> Tried:
-    """What a controller makes of the pulls of a case."""
-    from app.studies.pulls.case import met_base, met_itself
-
-    hardest = 0.0
-
-    def on_step(_: Session, step: Step) -> None:
-        nonlocal hardest
-        for force in (step.person.hand, *(push.force for push in step.person.pushes)):
-            hardest = max(hardest, math.hypot(*force.tolist()))
-
-    case, model, data = _read_case(text)
-    figures = _play(
-        lambda _, share: report(controller, share), case, controller, model, data, on_step=on_step
-    ).figures
-    distances = [figures[name] for name in FIGURES[:2] if figures[name] is not None]
-    return Tried(
-        controller,
-        min(distances),
-        met_base(figures) or met_itself(figures),
-        hardest,
-        figures["hand_speed_max_mps"],
-        {name: figures[name] for name in FIGURES if figures[name] is not None},
-    )
-
-
-def _read_case(text: str) -> tuple[RunCase, RobotModel, BorderData]:
-    """A challenge's case, its robot, and the robot's border."""
-    from app.simulation.case import RunCase
-
-    case = RunCase.read(text, "the challenge")
-    return case, *_loaded(case.robot, progress=False)
-
-
-def _play(
-    report: Report,
-    case: RunCase,
-    controller: str,
-    model: RobotModel,
-    data: BorderData,
-    **more: Any,
-) -> RunResult:
-    from app.simulation.run import run_planned
-
-    run = case.planned()._replace(controller=controller)
-
-    def on_progress(t: float) -> None:
-        report(f"{controller} plays it again", t / run.scenario.duration)
-
-    return run_planned(run, model, data, on_progress=on_progress, **more)
-
-
-def _write_replay(
-    report: Report, trace: Trace, model: RobotModel, data: BorderData, page: Path
-) -> None:
-    from app.dashboard.export import Look
-    from app.dashboard.export.offscreen import replay_html
-    from app.dashboard.scene.camera import first_view
-
-    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
-
-    def on_progress(t: float) -> None:
-        report("drawing the pictures", min(t / duration, 1.0))
-
-    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
-    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))

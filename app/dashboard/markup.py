@@ -6,9 +6,9 @@ from html import escape
 from app.errors import DbbError
 
 RIGHT = "text-align:right"
-FAINT = "opacity:.65"
+FAINT = "opacity:.8"
 ONE_LINE = "white-space:nowrap"
-BAD_COLOUR = "#e03131"
+BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
 DEFECT = "A defect of the program; its log, where it was started, says which."
@@ -72,9 +72,9 @@ def readings(values: Mapping[str, str], *styles: str) -> str:
     return table((reading(*each) for each in values.items()), *styles)
 
 
-def reading(name: str, value: str, colour: str = "") -> str:
-    """A row of what is read; loud in a colour."""
-    return row(cell(name, FAINT), cell(value, RIGHT, colour and f"color:{colour};font-weight:600"))
+def reading(name: str, value: str) -> str:
+    """A row of a reading: its name and value."""
+    return row(cell(name, FAINT), cell(value, RIGHT))
 
 
 def spread(*texts: str) -> str:
@@ -99,6 +99,12 @@ def bar(share: float, colour: str = "currentColor", stroke: float | None = None)
         html += _tag("div", "", place, "width:1px;height:.85em;background:currentColor;opacity:.7")
     ground = "position:relative;height:.55em;background:rgba(128,138,150,.22);border-radius:2px"
     return _tag("div", html, ground)
+
+
+def chip(text: str, ground: str, ink: str) -> str:
+    """A short text on a ground of a colour."""
+    look = f"background:{ground};color:{ink};border-radius:4px;padding:.1em .5em"
+    return _tag("b", text, look, ONE_LINE)
 
 
 def mark(sign: str, colour: str) -> str:

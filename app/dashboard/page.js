@@ -50,6 +50,21 @@
       head.setAttribute("role", "button");
     }
   };
+  // Names for screen readers: of icons by their picture, of sliders and boxes by the label beside them.
+  const ICONS = { "list-search": "All commands", adjustments: "Display settings", x: "Close" };
+  const makeNames = () => {
+    document.getElementById("root")?.setAttribute("role", "main");
+    for (const each of document.querySelectorAll("button:not([aria-label])")) {
+      const icon = each.innerText.trim() ? null : each.querySelector("svg");
+      const kind = icon && [...icon.classList].find((name) => name.startsWith("tabler-icon-"))?.slice(12);
+      if (icon) each.setAttribute("aria-label", ICONS[kind] ?? kind?.replaceAll("-", " ") ?? "Close");
+    }
+    for (const each of document.querySelectorAll("[role=slider][aria-label=''], .mantine-Input-input:not([aria-label])")) {
+      let label = each.labels?.[0];
+      for (let at = each.parentElement; at && !label; at = at.parentElement) label = at.querySelector("label");
+      if (label) each.setAttribute("aria-label", label.textContent.replace("•", "").trim());
+    }
+  };
   const press = (event) => { // on its way to the page's own keys
     byKeys ||= event.key === "Tab";
     const [at, space] = [event.target, event.key === " "];
@@ -59,6 +74,21 @@
     if (!head) return;
     event.preventDefault();
     if (!event.repeat) at.click();
+  };
+
+  // The camera stays above the floor, wherever it looks to.
+  let guarded = null;
+  const stayAbove = () => {
+    const control = window.__viserMutable?.cameraControl;
+    if (!control || control === guarded) return;
+    guarded = control;
+    const hold = () => {
+      const most = Math.acos(Math.min(Math.max((0.05 - control.getTarget(control._target.clone()).y) / control.distance, -1), 1));
+      control.maxPolarAngle = most;
+      if (control.polarAngle > most + 1e-6) control.rotatePolarTo(most, false);
+    };
+    control.addEventListener("update", hold);
+    hold();
   };
 
   // A light drawing has fewer pixels, unless the address says how many.
@@ -81,16 +111,15 @@
     window.dbb?.tell("scene", ...scene());
   };
 
-  // [px] height of the scene, and how much of it the strip and the drawer of a narrow page lie over;
-  // the strip grows and shrinks with what it says, under which the scene must not move.
-  let tallest = 0;
+  const CARD = 150; // [px] of any card: the scene must not move with its text
+  // [px] height of the scene, and how much of it the guide's card and the drawer of a narrow page cover.
   const scene = () => {
     const rect = (element) => element?.getBoundingClientRect() ?? { height: 0 };
-    const box = rect(window.__viserMutable?.canvas);
-    const [strip, drawer] = ["[data-strip]", "[data-drawer]"].map((kind) => rect(document.querySelector(kind)));
-    tallest = matches(NARROW).matches ? Math.max(tallest, strip.height) : 0;
-    const below = drawer.height && box.bottom - drawer.top;
-    return [box.height, tallest, below].map((px) => Math.round(Math.max(px, 0)));
+    const [box, drawer] = [window.__viserMutable?.canvas, document.querySelector("[data-drawer]")].map(rect);
+    const guided = document.getElementById("dbb-card")?.hidden === false ? CARD : 0;
+    const [above, card] = matches(NARROW).matches ? [guided, 0] : [0, guided];
+    const below = Math.max(card, drawer.height && box.bottom - drawer.top);
+    return [box.height, above, below].map((px) => Math.round(Math.max(px, 0)));
   };
 
   // What the page's address asks for is told once; the client may connect again and again.
@@ -110,12 +139,21 @@
     open: (name) => (place = name),
     title: (text) => (document.title = text),
   };
+  // Tabs of a dock answer to the pointer and to keys only, those of a panel to clicks only.
+  const openTab = (tab) => {
+    tab?.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+    tab?.click();
+  };
   const openPlace = () => {
     const drawer = document.querySelector("[data-drawer]");
     if (place === null || (!drawer && matches(NARROW).matches)) return;
     if (drawer) drawer.dataset.drawer = "open";
-    const named = (tab) => tab.innerText.trim() === place;
-    if (place) [...document.querySelectorAll("[role=tab]")].find(named)?.click();
+    const tab = [...document.querySelectorAll("[role=tab]")].find((each) => each.innerText.trim() === place);
+    // A drawer shows the names of a closed group of tabs in one line, which opens it.
+    const line = (each) => each.innerText.trim().split(" · ").includes(place);
+    const group = drawer && place && !tab && [...drawer.querySelectorAll("div, span, p")].filter(line).pop();
+    if (group) return group.click();
+    openTab(tab);
     place = null;
   };
 
@@ -134,9 +172,11 @@
       window.addEventListener("pointerdown", () => (byKeys = false), true);
       timer = setInterval(() => {
         makeHeads();
+        makeNames();
         openPlace();
         makeDrawer();
         thinOut();
+        stayAbove();
         look();
       }, 300);
     },

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import TypeVar
 
@@ -13,19 +13,18 @@ from app.dashboard.drag import DragHandles, Grip
 from app.dashboard.job import Job
 from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
-from app.dashboard.panels.challenge import ChallengePanel
+from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.explorer import ExplorerPanel
-from app.dashboard.panels.help import Act, Shortcut, Tour, add_help, add_shortcuts
+from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
-from app.dashboard.panels.run import FREE, ComparePanel, RunPanel
-from app.dashboard.panels.save import SavePanel, SweepPanel
+from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
+from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.share import Link, SharePanel
 from app.dashboard.panels.timeline import Timeline, TimelinePanel
-from app.dashboard.panels.tuning import MAIN, TuningPanel
+from app.dashboard.panels.tuning import TuningPanel
 from app.dashboard.panels.view import ViewPanel
-from app.dashboard.panels.why import strip_html, why_html
+from app.dashboard.panels.why import WhyPanel
 from app.dashboard.scene.camera import PRESETS, Camera
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.legend import key_html, legend_html
@@ -39,19 +38,21 @@ from app.robot.description import RobotDescription
 from app.simulation.loop.commands import Compare, Play, Reset, Restart
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios import SCENARIOS, scenario_of
+from app.simulation.scenarios.line import LineScenario
 from app.simulation.trace.snapshot import Snapshot
 
 PanelType = TypeVar("PanelType", bound=Panel)
 
-_WENT = 0.03  # [m] of the base, which everybody sees
-PANEL_WIDTH = 330  # [px] of each of the two columns
+PRODUCT = "dbb self-collision avoidance"
+PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
 LIGHT = (
-    "Your browser draws without a GPU, so it gets a light drawing: fewer triangles and points, no "
-    "shadows. The tab View has the other one."
+    "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
+    "shadows. Change it in the tab View."
 )
 PATIENCE = 1.0  # [s] without a sign of life of the simulation or of the viewer's browser
 SHOWN = "guiding-lateral"
 """The scenario that shows what the base does: it is pulled at along its wheels' axis."""
+FARTHER = 1.5  # [-] of its path: so the arm runs into a base that does not give way
 UNTOUCHED = 20.0  # [s] for which nobody touches a page before it shows something of itself
 REST = 3.0  # [s] between two times
 
@@ -83,6 +84,8 @@ class Page:
         self.view, self.timeline = view, Timeline(shared.loop, shared.strip)
         self.channel = Channel(client, notifier)
         self.channel.on("escape", self._escape)
+        self.channel.on("nudge", self._nudge)
+        self.channel.on("drop", lambda: self.grip.release_keys())
         self.grip = Grip(shared.loop, notifier, client.client_id)
         self._camera = before.viewer.camera if before else Camera(client)
         self._camera.fit(shared.parts.extent)
@@ -101,10 +104,11 @@ class Page:
             self._build_left()
             self._build_right()
             self._add(TimelinePanel(self.viewer))
-        self.tour = self._add(before.tour if before else Tour(self.viewer))
-        self.tour.lead(self.channel, self._acts(), self._places)
+        self.guide = self._add(
+            Guide(self.viewer, self._shows(), before.guide.state if before else "")
+        )
         self.channel.begin()
-        self.channel.tell("title", shared.parts.title)
+        self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
@@ -127,7 +131,7 @@ class Page:
         shown = self.explorer_panel.shown(newest, shown)
         if self._scene.select_border(shown):
             spoken = self._shared.spoken
-            self._legend.content = legend_html(
+            self._why.legend.content = legend_html(
                 [each._replace(pair=spoken[each.pair]) for each in self._scene.legends]
             )
         with self._client.atomic():
@@ -148,14 +152,11 @@ class Page:
 
     def _renew(self, moment: Moment) -> None:
         """Renew what is read of the instant, which comes with its picture."""
-        newest, shown, verdict = moment
         for panel in self._panels:
             if panel.of_instant:
                 panel.update(moment)
-        self._why.content = why_html(shown, verdict)
-        self._strip.content = strip_html(shown, verdict)
-        self._key.content = key_html(newest.config.border.d_b)
-        self._show_refusal(newest)
+        self._key.content = key_html(moment.shown.config.border.d_b)
+        self._show_refusal(moment.newest)
 
     def _renew_beside(self, moment: Moment) -> None:
         """Renew the rest, which may take a while."""
@@ -205,40 +206,34 @@ class Page:
     def _build_left(self) -> None:
         gui = self._client.gui
         panel = gui.add_panel()
-        why = panel.add_tab("Why", viser.Icon.BULB)
-        with why:
-            self._why = gui.add_html("")
-            self._legend = gui.add_html(legend_html([]))
+        with panel.add_tab("Why", viser.Icon.BULB):
+            self._why = self._add(WhyPanel(self.viewer))
         with panel.add_tab("Plots", viser.Icon.CHART_LINE):
             self._plots = self._add(Plots(self.viewer))
-        compare = panel.add_tab("Compare", viser.Icon.USERS)
-        with compare:
+        with panel.add_tab("Compare", viser.Icon.USERS):
             self._add(ComparePanel(self.viewer))
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key = gui.add_html("")
-        self._places = {"Why": why, "Compare": compare}
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
 
     def _build_right(self) -> None:
         gui, viewer = self._client.gui, self.viewer
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(PANEL_WIDTH)
+        gui.main_panel.set_width(MAIN_WIDTH)
         self._banner = gui.add_html("", visible=False)
         self._change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
-        self._strip = gui.add_html("")  # a narrow page shows it over the scene
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
             self._run = self._add(RunPanel(viewer))
-            self._add(ChallengePanel(viewer))
-            self.main_panel = self._add(TuningPanel(viewer, MAIN))
-            self.sweep_panel = self._add(SweepPanel(viewer))
+        with tabs.add_tab("Lab"):
+            self._add(LabPanel(viewer))
             self.explorer_panel = self._add(ExplorerPanel(viewer))
         with tabs.add_tab("View"):
             ViewPanel(viewer)
         with tabs.add_tab("Tune"):
-            self._add(TuningPanel(viewer))
+            self.tuning_panel = self._add(TuningPanel(viewer))
         self.robot_panel: RobotPanel | None = None
         if self._shared.robot_switch.possible:
             with tabs.add_tab("Robot"):
@@ -249,27 +244,22 @@ class Page:
         with tabs.add_tab("Help"):
             add_help(gui, self._shortcuts())
 
-    def _acts(self) -> list[Act]:
-        """What the tour's steps are about, in their order."""
-        loop, start = self._shared.loop, np.array(self._shared.loop.latest().base_pose[:2])
+    def _shows(self) -> dict[str, Callable[[], None]]:
+        """The guide's demonstrations, by its state."""
+        loop = self._shared.loop
 
-        def play() -> None:
-            self._run.play(SHOWN)
-
-        def went() -> bool:
-            return bool(np.linalg.norm(loop.latest().base_pose[:2] - start) > _WENT)
-
-        def compare() -> None:
+        def watch() -> None:
+            play = shown_play(self._shared.model.description)
             loop.send(Compare(("none",)))
-            self._run.play(SHOWN)
+            loop.send(play)
 
-        return [
-            Act("", play, lambda: bool(loop.latest().pulls)),
-            Act("", play, went),
-            Act("Why", play, lambda: judge(loop.latest()).state != "clear"),
-            Act("", lambda: self.timeline.step(-3.0), lambda: not self.timeline.live),
-            Act("Compare", compare, lambda: bool(loop.latest().ghosts)),
-        ]
+        return {
+            "watch": watch,
+            "tour 1": lambda: self._run.play(SHOWN),
+            "tour 2": lambda: self._run.play(SHOWN),
+            "tour 3": lambda: self._run.play(SHOWN),
+            "tour 4": lambda: self.timeline.step(-3.0),
+        }
 
     def _shortcuts(self) -> list[Shortcut]:
         scenarios = [
@@ -277,26 +267,32 @@ class Page:
             for name in SCENARIOS
         ]
         looks = [
-            Shortcut(f"Look: {name}", str(i), lambda name=name: self.viewer.look(name))
+            Shortcut(f"Camera: {name}", str(i), lambda name=name: self.viewer.look(name))
             for i, name in enumerate(PRESETS, 1)
         ]
         return [
-            Shortcut("Pause or go on", "space", self.viewer.toggle_pause),
-            Shortcut("Restart", "R", lambda: self._shared.loop.send(Restart())),
+            Shortcut(f"{PAUSE} or {CONTINUE.lower()}", "space", self.viewer.toggle_pause),
+            Shortcut(RESTART, "R", lambda: self._shared.loop.send(Restart())),
             Shortcut("Back 1 s", "B", lambda: self.viewer.step(-1.0)),
             Shortcut("Forward 1 s", "F", lambda: self.viewer.step(1.0)),
-            Shortcut("Now", "N", self.timeline.go_live),
-            Shortcut("Dark or light", "L", self._toggle_dark),
+            Shortcut("Back to now", "N", self.timeline.go_live),
+            Shortcut("Dark or light theme", "L", self._toggle_dark),
             *looks,
-            Shortcut("Drag the hand freely", None, lambda: self._run.play(FREE)),
+            Shortcut(BACK, None, lambda: self._run.play(FREE)),
             *scenarios,
-            Shortcut("Show the tour", "H", lambda: self.tour.begin()),
+            Shortcut("Tour", "H", lambda: self.guide.go("tour 1")),
         ]
 
     def _escape(self) -> None:
         """Close what lies over the page."""
-        self.tour.end()
+        self.guide.go("")
         self._notifier.clear(self._client)
+
+    def _nudge(self, *ahead: float) -> None:
+        """A key pulls the hand, (3,) along the base's axes."""
+        direction = np.clip(np.array([*ahead, 0.0, 0.0, 0.0][:3], dtype=float), -1.0, 1.0)
+        if np.isfinite(direction).all():
+            self.grip.nudge(direction, self._shared.loop.latest(), self._client)
 
     def _toggle_dark(self) -> None:
         self.view.dark = not self.view.dark
@@ -306,6 +302,19 @@ class Page:
         if newest.refusal is not None and newest.refusal != self._refusal:
             self._notifier.warn(self._client, newest.refusal.message)
         self._refusal = newest.refusal
+
+
+def shown_play(robot: RobotDescription) -> Play:
+    """The command that plays the demonstration of a robot.
+
+    Raises:
+        UnreachableError: The robot has no line for it.
+    """
+    scenario = scenario_of(robot, SHOWN)
+    if isinstance(scenario, LineScenario):
+        x, y, z = (FARTHER * part for part in scenario.move)
+        scenario = scenario.changed(move=(x, y, z))
+    return Play(scenario)
 
 
 class Demonstration:
@@ -324,6 +333,9 @@ class Demonstration:
         alone = len(pages) == 1 and pages[0].untouched and newest.controller == "dbb"
         if self._plays and not alone:
             self._plays, self._due = False, None
+            for page in pages:
+                if page.guide.state == "demo":
+                    page.guide.go("")
             loop.send(Compare())
             if not any(page.grip.holds_anything for page in pages):
                 loop.send(Reset())
@@ -337,9 +349,10 @@ class Demonstration:
         elif monotonic() > self._due:
             self._due, self._plays = None, True
             try:
-                play = Play(scenario_of(robot, SHOWN))
+                play = shown_play(robot)
                 loop.send(Compare(("none",)))
                 loop.send(play)
+                pages[0].guide.go("demo")
             except DbbError:  # a robot that cannot play it
                 self._plays = False
                 loop.send(Compare())
@@ -349,8 +362,8 @@ def hung_html(silence: float) -> str:
     """That the simulation hangs, if it has been silent [s] for long."""
     if silence < PATIENCE:
         return ""
-    text = f"No sign of life for {silence:.0f} s. What is done here waits until it goes on."
-    return banner("error", "The simulation hangs", text)
+    text = f"No response for {silence:.0f} s. Commands wait until it continues."
+    return banner("error", "The simulation does not respond", text)
 
 
 def _show(handle: viser.GuiHtmlHandle, html: str) -> None:

@@ -12,6 +12,7 @@ from app.dashboard.panels import phrases as words
 from app.dashboard.verdict import judge
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.words import Outcome, outcome
 from app.strict import Array
 
 KEPT = 600.0  # [s] how far back a viewer can look
@@ -114,11 +115,12 @@ class Course:
         name: Of the scenario; empty at the free start.
         running: Whether it leads the hand.
         duration: [s] at which it ends.
-        until: [s] time of the newest snapshot in which it led.
+        until: [s] how long it led, as far as snapshots say; one may be missing.
+        stopped: Whether it ended before its time.
         least: [m] the least distance of all pairs.
-        pull: [N] the hardest pull.
-        speed: [m/s] of the fastest hand.
-        path: [m] the way of the base.
+        pull: [N] the largest pull.
+        speed: [m/s] peak speed of the hand.
+        path: [m] travel of the base.
         touched: Whether anything has come to touch, or into something else.
         inside: Whether something did so at the beginning, and has not stopped since.
         left: Whether something did so at the beginning, and has stopped.
@@ -134,11 +136,15 @@ class Course:
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
         self.least, self.touched, self.inside, self.left = np.inf, False, False, False
+        self.contact = False  # reported by the plant
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
         """Take it in."""
+        ended = self.running and not snapshot.scenario
         self.running, self.case = bool(snapshot.scenario), snapshot.case or self.case
+        if ended and snapshot.t >= self.duration:
+            self.until = self.duration
         if not self.running:
             return
         place, touches = np.array(snapshot.base_pose[:2]), judge(snapshot).state == "contact"
@@ -148,12 +154,23 @@ class Course:
             self.path += float(np.linalg.norm(place - self._place))
         self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
         self.duration = snapshot.scenario_ends or snapshot.t
-        self.least = min(self.least, least(snapshot))
+        exact = [score.clearance for score in snapshot.scores[:1]]  # of each control step
+        self.least = min(self.least, snapshot.nearest.d, *exact)
         self.pull = max(self.pull, pulled(snapshot))
         self.speed = max(self.speed, snapshot.hand_speed)
         self.left = self.left or (self.inside and not touches)
         self.inside = self.inside and touches
         self.touched = self.touched or (touches and not self.inside)
+        self.contact = self.contact or snapshot.touches
+
+    @property
+    def stopped(self) -> bool:
+        return not self.running and self.until < self.duration
+
+    @property
+    def outcome(self) -> Outcome:
+        """In a word; contact counts where the plant reports it."""
+        return outcome(self.least, touched=self.contact)
 
 
 class Event(NamedTuple):
@@ -198,7 +215,7 @@ class Strip:
         if self._bin and int(snapshot.t / BIN + 1e-6) != int(self._bin[0].t / BIN + 1e-6):
             self._close()
         self._bin.append(snapshot)
-        if self.nearest is None or least(snapshot) < least(self.nearest):
+        if self.nearest is None or snapshot.nearest.d < self.nearest.nearest.d:
             self.nearest = snapshot
         if pulled(snapshot) > (0.0 if self.hardest is None else pulled(self.hardest)):
             self.hardest = snapshot
@@ -207,10 +224,10 @@ class Strip:
         self._before = snapshot
 
     def _close(self) -> None:
-        nearest = min(self._bin, key=least)
-        self.rows.append((self._bin[0].t, least(nearest), max(s.beta_m for s in self._bin)))
+        nearest = min(self._bin, key=lambda snapshot: snapshot.nearest.d)
+        self.rows.append((self._bin[0].t, nearest.nearest.d, max(s.beta_m for s in self._bin)))
         self.closed += 1
-        if self.closed % 2 or least(nearest) < least(self.past[-1]):
+        if self.closed % 2 or nearest.nearest.d < self.past[-1].nearest.d:
             if self.closed % 2 == 0:
                 self.past.pop()
             self.past.append(nearest)
@@ -229,11 +246,6 @@ class Strip:
         self._seen[kind, subject] = number, t
 
 
-def least(snapshot: Snapshot) -> float:
-    """[m] the least distance of all pairs."""
-    return min(pair.d for pair in snapshot.pairs)
-
-
 def pulled(snapshot: Snapshot) -> float:
     """[N] of the hardest pull at any point of the robot."""
     forces = [np.linalg.norm(pull.force) for pull in snapshot.pulls]
@@ -245,10 +257,10 @@ def happenings(
 ) -> list[tuple[str, str, str]]:
     """What has begun between two snapshots: kind, subject and text of each event."""
     if before is None:
-        return [("scenario", "", f"{now.scenario} begins")] if now.scenario else []
+        return [("scenario", "", f"{now.scenario} starts")] if now.scenario else []
     found = []
     if now.scenario != before.scenario:
-        said = f"{now.scenario} begins" if now.scenario else f"{before.scenario} ends"
+        said = f"{now.scenario} starts" if now.scenario else f"{before.scenario} ends"
         found.append(("scenario", "", said))
     if now.controller != before.controller:
         found.append(("parameter", "controller", f"controller: {now.controller}"))
@@ -258,8 +270,8 @@ def happenings(
             found.append(("parameter", path, f"{tunable(path).title}: {text}"))
     held, holds = ({pull.who for pull in s.pulls if pull.who >= 0} for s in (before, now))
     if held != holds:
-        text = "takes hold" if holds - held else "lets go"
-        found.append(("person", text, f"a person {text}"))
+        text = "pulls" if holds - held else "releases"
+        found.append(("person", text, f"a person {text} the robot"))
     for old, pair in zip(before.pairs, now.pairs, strict=True):
         if pair.beta > 0.0 and old.beta == 0.0:
             text = f"{words.spoken(pair.name, chain)} inside the buffer"

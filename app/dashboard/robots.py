@@ -160,7 +160,7 @@ class RobotSwitch(Job):
             finally:
                 replaced = None  # else it would be kept until after memory was given back
 
-        self.start(entry.title, "reading its description", work)
+        self.start(entry.title, "reading the description", work)
 
     def take(self) -> RunningRobot | None:
         """The robot to be shown from now on, if one has become ready; once."""
@@ -188,15 +188,15 @@ class RobotSwitch(Job):
 
     def _prepare(self, entry: RobotEntry, changes: Changes, controller: str) -> RunningRobot:
         model = RobotModel(load_robot(entry.name))
-        self.report("looking for its border")
+        self.report("looking for the border")
         data = kept_border_data(model)
         if data is None:
             data = self.run(sample_border, entry.name)
         self.check()
-        self.report("reading its meshes")
+        self.report("reading the meshes")
         parts = RobotParts(model)
         self.check()
-        self.report("starting its simulation")
+        self.report("starting the simulation")
         loop, config, note = self._start_suited(model, data, changes, controller)
         try:
             self.check()
@@ -216,7 +216,7 @@ class RobotSwitch(Job):
         except DbbError as error:
             if config == usual:
                 raise
-            note = f"the changed parameters do not suit it, so all are at their defaults ({error})"
+            note = f"all parameters are at their defaults, as it cannot start with yours ({error})"
         return self._started(model, data, usual, controller), usual, note
 
     def _started(
@@ -253,7 +253,7 @@ class RobotCheck(Job):
             self.name, self.rows = name, []
             self.rows = self.run(check_rows, name)
 
-        self.start(name, "is checked", work)
+        self.start(name, "checking", work)
 
 
 class Package(NamedTuple):
@@ -285,7 +285,7 @@ class RobotBuild(Job):
             ConfigError: It is too large, or something is under way.
         """
         if len(content) > LARGEST_ARCHIVE:
-            raise ConfigError(f"a zip may have {LARGEST_ARCHIVE / 1e6:.0f} MB")
+            raise ConfigError(f"a zip may have at most {LARGEST_ARCHIVE / 1e6:.0f} MB")
 
         def work() -> None:
             self.built = ""
@@ -294,7 +294,7 @@ class RobotBuild(Job):
             archive.write_bytes(content)
             self.package = Package(archive, self.run(look_into_package, archive))
 
-        self.start(_file_name(name), "is being read", work)
+        self.start(_file_name(name), "reading", work)
 
     def build(self, request: Request) -> None:
         """Build the robot in a process of its own.

@@ -7,7 +7,6 @@ import socket
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import viser
 
@@ -15,7 +14,6 @@ from app.border.dbb import Cloud
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
-from app.dashboard.panels.save import SWEEPS
 from app.dashboard.panels.share import read_link
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
@@ -30,7 +28,7 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
 logger = logging.getLogger(__name__)
-_PAGE_ENDED = "This page has ended; reload it. The simulation and other pages go on"
+_PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
 FRAME = 1 / 30  # [s] between two pictures
 TEXTS_EVERY = 6  # pictures between two renewals of panels, plots and labels: 5 Hz
@@ -113,7 +111,7 @@ class DashboardServer:
         except Exception as error:  # nobody joins this thread: it says itself what went wrong
             self.error = error
             logger.exception("drawing ended")
-            self._fail("Drawing has ended", error)
+            self._fail("Drawing has stopped", error)
             self._show_to_late_viewers()
 
     def _draw_frames(self) -> None:
@@ -141,7 +139,7 @@ class DashboardServer:
         error = self.shared.loop.error
         if error is not None and self._failure is None:
             logger.error("the simulation ended", exc_info=error)
-            self._fail("The simulation has ended", error)
+            self._fail("The simulation has stopped", error)
 
     def _draw_pages(self, *, texts: bool) -> None:
         for page in self.pages.values():
@@ -183,8 +181,8 @@ class DashboardServer:
             self._show(robot)
         finally:
             switch.shown()  # even if drawing ends here: its thread waits for this
-        note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
-        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is here{note}.")
+        note = robot.note or "your parameters are kept"
+        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use; {note}.")
 
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)
@@ -215,7 +213,6 @@ def serve_dashboard(
     port: int = 8080,
     allowed: Sequence[str] = (),
     case: Scenario | None = None,
-    sweeps: Path = SWEEPS,
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
@@ -230,7 +227,6 @@ def serve_dashboard(
         port: Port to listen at; 0 takes a free one.
         allowed: Further names by which browsers may reach the server.
         case: A scenario that begins where the loop does, for a button that plays it.
-        sweeps: Folder of the maps of sweeps, where new ones are written too.
         parts: The robot's meshes if they have been read already.
         start_loop: Begins the simulation of another robot; without, it cannot be changed.
 
@@ -241,7 +237,7 @@ def serve_dashboard(
     check_address(host, port)
     switch = RobotSwitch(start_loop)
     switch.look()  # before anybody waits for a picture
-    shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
+    shared = SharedState(loop, model, clouds, parts, case=case, robot_switch=switch)
     server = open_server(host, port, LARGEST_ARCHIVE, read_link, allowed)
     try:
         if port not in (0, server.get_port()):

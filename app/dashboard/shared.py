@@ -6,11 +6,9 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
 
 from app.border.dbb import Cloud
 from app.config import Config
-from app.dashboard.job import Challenge, Job
 from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
 from app.dashboard.record import Course, Record, Strip
@@ -110,7 +108,7 @@ class Tuning:
         Raises:
             ConfigError: There is none, or something was changed since.
         """
-        self._go(1, "nothing to do again")
+        self._go(1, "nothing to redo")
 
     def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
         """Go on with another robot's simulation, which has a configuration already.
@@ -148,7 +146,6 @@ class SharedState(SceneData):
         parts: RobotParts | None = None,
         *,
         case: Scenario | None = None,
-        sweeps: Path,
         robot_switch: RobotSwitch | None = None,
         before: SharedState | None = None,
     ) -> None:
@@ -158,9 +155,8 @@ class SharedState(SceneData):
         the jobs for new robots.
         """
         super().__init__(loop, model, clouds, parts)
-        self.case, self.sweeps = case, sweeps
-        """A scenario that begins where the loop does, for a button that plays it, or None; the
-        folder of the maps of sweeps."""
+        self.case = case
+        """A scenario that begins where the loop does, for a button that plays it, or None."""
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
@@ -174,8 +170,6 @@ class SharedState(SceneData):
         self.strip = Strip(model.body_names)
         """What happened when, in the last ten minutes."""
         self.keepers += [self.record, self.course, self.strip]
-        self.sweep_job = Job()
-        self.challenge = Challenge()
         self._watched = True
         self._explorer: Explorer | None = None
 
@@ -186,12 +180,8 @@ class SharedState(SceneData):
         return self._explorer
 
     def followed_by(self, robot: RunningRobot) -> SharedState:
-        """The same with another robot; what was started for this one ends."""
-        self.sweep_job.close()
-        self.challenge.close()
-        after = SharedState(
-            robot.loop, robot.model, robot.clouds, robot.parts, sweeps=self.sweeps, before=self
-        )
+        """The same with another robot."""
+        after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
         self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
         return after
 
@@ -204,5 +194,5 @@ class SharedState(SceneData):
     def close(self) -> None:
         """End the background jobs."""
         robots = (self.robot_build, self.robot_check, self.robot_switch)
-        for job in (self.sweep_job, self.challenge, *robots):
+        for job in robots:
             job.close()

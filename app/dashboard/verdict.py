@@ -4,8 +4,10 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 from app.control.explanation import NearPair
+from app.dashboard.panels.phrases import AT_REST, SLIGHT
 from app.dashboard.scene.colours import CLEAR, CONTACT, NEAR, RESISTS, YIELDS, Rgb
 from app.simulation.trace.snapshot import PairReading, Snapshot
+from app.simulation.trace.words import millimetres
 
 State = Literal["clear", "near", "giving way", "resisting", "contact"]
 
@@ -16,7 +18,7 @@ COLOURS: dict[State, Rgb] = {
     "resisting": RESISTS,
     "contact": CONTACT,
 }
-"""By state, from the calmest to the worst; "near" is inside a buffer while nothing acts on it."""
+"""By state, from the calmest to the worst; "near" is inside a buffer while the base rests."""
 _NO_BASE_HELPS = 0.9  # [-] of the force that falls away: at 6° off vertical hardly any motion helps
 
 
@@ -28,7 +30,7 @@ class Verdict(NamedTuple):
     pairs: tuple[State, ...]
     """The state of each link pair, in the order of the snapshot."""
     touching: str
-    """What touches, or how deep which pair is inside the other; empty without contact."""
+    """What touches, or which pair overlaps by how much; empty without contact."""
 
     @property
     def colour(self) -> Rgb:
@@ -40,8 +42,10 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     """The verdict on a snapshot, the only one that the page has; `spoken` has words for pairs."""
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
+    moves = base_gives_way(snapshot)
     pairs: tuple[State, ...] = tuple(
-        _state(pair, known.get(pair.name), snapshot.controller) for pair in snapshot.pairs
+        _state(pair, known.get(pair.name), snapshot.controller, moves=moves)
+        for pair in snapshot.pairs
     )
     touching = _touching(snapshot, spoken or {})
     states: list[State] = ["clear", *pairs]
@@ -50,12 +54,21 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
 
 
+def base_gives_way(snapshot: Snapshot) -> bool:
+    """Whether the base moves, or its commanded acceleration is about to move it."""
+    rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
+    return any(
+        max(map(abs, linear)) >= least[0] or abs(turn) >= least[1]
+        for (*linear, turn), least in rates
+    )
+
+
 def base_cannot_help(pair: NearPair) -> bool:
     """Whether a pair meets so much from above that the arm alone can keep its distance."""
     return pair.above >= _NO_BASE_HELPS
 
 
-def _state(pair: PairReading, near: NearPair | None, controller: str) -> State:
+def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
     """Of one pair; `near` is what the explanation has of it."""
     if pair.d < 0.0:
         return "contact"
@@ -65,18 +78,20 @@ def _state(pair: PairReading, near: NearPair | None, controller: str) -> State:
         return "clear"
     if controller in ("none", "barrier") or (near is not None and base_cannot_help(near)):
         return "near"
-    return "giving way" if pair.mobile and controller == "dbb" else "resisting"
+    if not pair.mobile or controller != "dbb":
+        return "resisting"
+    return "giving way" if moves else "near"
 
 
 def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
     touches = {
-        "arm on base": snapshot.in_contact,
-        "within arm": snapshot.arm_in_contact,
-        "arm on floor": snapshot.floor_contact,
-        "door on base": snapshot.door is not None and snapshot.door.contact,
+        "arm and base": snapshot.in_contact,
+        "links of the arm": snapshot.arm_in_contact,
+        "arm and floor": snapshot.floor_contact,
+        "door and base": snapshot.door is not None and snapshot.door.contact,
     }
     texts = [text for text, touch in touches.items() if touch]
-    deepest = min(snapshot.pairs, key=lambda pair: pair.d)
-    if deepest.d < 0.0:
-        texts.append(f"{spoken.get(deepest.name, deepest.name)} {-1000 * deepest.d:.0f} mm inside")
+    name, _, d, *_ = snapshot.nearest
+    if d < 0.0:
+        texts.append(f"{spoken.get(name, name)} overlap by {millimetres(-d)}")
     return ", ".join(texts)

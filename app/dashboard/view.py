@@ -41,48 +41,47 @@ class View:
     """What the border of each pair of L_m is coloured by: one of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
         BORDER,
-        "Above the base too",
-        "The part of the border above the base's top, which hides the arm",
+        "Include the top",
+        "Show the border above the top of the base too; it hides the arm",
         first=False,
     )
     shell: bool = _shown(
         BORDER,
-        "As a body",
-        "In the place of points; a click on it tells det, R and S there, and which way the base "
-        "would go for an arm that is halfway in",
+        "Surface",
+        "A surface instead of points. Click it for det, R and S there, and for the motion of the "
+        "base if the arm were halfway inside",
         first=False,
     )
     slice: bool = _shown(
-        BORDER, "Slice at the hand", "The border's contour at the hand's height", first=True
+        BORDER, "Slice at the hand", "Contour of the border at the height of the hand", first=True
     )
     meshes: bool = _shown(LAYERS, "Robot", first=True)
-    bodies: bool = _shown(LAYERS, "Convex bodies", "What distances are measured to", first=False)
+    bodies: bool = _shown(LAYERS, "Convex bodies", "Convex bodies used for distances", first=False)
     distances: bool = _shown(LAYERS, "Closest points", first=True)
     """Lines between the closest points of the pairs."""
     labels: Literal["active", "all", "none"] = _shown(
-        LAYERS, "Distances of", first="active", choices=("active", "all", "none")
+        LAYERS, "Distance labels", first="active", choices=("active", "all", "none")
     )
     """Which of these lines carry their distance."""
     acting: bool = _shown(
-        LAYERS, "Acting points", "p_n, p_t, p_act and the force of avoidance", first=True
+        LAYERS, "Acting points", "p_n, p_t, p_act and the avoidance force", first=True
     )
     names: bool = _shown(
         LAYERS,
-        "Names of points",
+        "Point labels",
         "p_a and p_b of the nearest pair, p_n, p_t and p_act",
         first=False,
     )
     motion: bool = _shown(
-        LAYERS, "Person and base", "The person's force, and what the base is asked", first=True
+        LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True
     )
-    trails: bool = _shown(LAYERS, "Trails", "Where base and hand have been", first=True)
+    trails: bool = _shown(LAYERS, "Trails", "Past paths of base and hand", first=True)
     follow: bool = _shown(PAGE, "Follow the base", first=True)
-    dark: bool = _shown(PAGE, "Dark", first=True)
+    dark: bool = _shown(PAGE, "Dark theme", first=True)
     light: bool = _shown(
         PAGE,
-        "Light drawing",
-        "Fewer triangles and points, no shadows, fewer pictures: for a browser without a GPU, "
-        "which gets it by itself",
+        "Low detail",
+        "Fewer triangles, points and pictures, no shadows; the default without a GPU",
         first=False,
     )
     plots: set[str] = field(default_factory=set)

@@ -379,6 +379,21 @@ class _WakingEvent(asyncio.Event):
 
 
 class _Buffer(AsyncMessageBuffer):
+    """A queue whose waiters always wake, and which delivers each removal to a viewer.
+
+    viser drops the removal of a node that is created again before it was sent. The page then keeps
+    pose and callbacks of the old node, since viser sends no pose that equals its default.
+    """
+
     def __init__(self, *args: Any, **more: Any) -> None:
         super().__init__(*args, **more)
         self.message_event = _WakingEvent()
+
+    def push(self, message: Any) -> None:
+        if message.lifecycle_phase == "create" and not self.persistent_messages:
+            key = message.redundancy_key()
+            with self.buffer_lock:
+                before = self.message_from_id.get(self.id_from_redundancy_key.get(key, -1))
+                if before is not None and before.lifecycle_phase == "remove":
+                    del self.id_from_redundancy_key[key]
+        super().push(message)

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 
 from jinja2 import Environment, StrictUndefined, Template
 
+from app.simulation.trace.words import missing, number_text
+
 _UNITS = {
     "_m4prad4": "m⁴/rad⁴",
     "_radps2": "rad/s²",
@@ -91,10 +93,17 @@ def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
     cases = {k: _flat(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)
     grids = [
-        Grid((), [(label(key), _text(value)) for key, value in plain.items()], numbers=True),
+        Grid(
+            (),
+            [(label(key), number_text(value, missing(key))) for key, value in plain.items()],
+            numbers=True,
+        ),
         Grid(
             ("", *cases),
-            [(label(key), *(_text(case.get(key)) for case in cases.values())) for key in keys],
+            [
+                (label(key), *(number_text(case.get(key), missing(key)) for case in cases.values()))
+                for key in keys
+            ],
             numbers=True,
         ),
     ]
@@ -117,13 +126,3 @@ def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
         else:
             flat[key] = value
     return flat
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "never"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_text, value))
-    return f"{value:,}" if isinstance(value, int) else str(value)

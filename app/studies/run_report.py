@@ -9,15 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from app.config import Config, parameter, tunables
-from app.errors import ConfigError
+from app.errors import ConfigError, DbbError
+from app.robot.description import load_robot
+from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
+from app.simulation.trace.words import spoken
 from app.strict import Array
 from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.runs import flattened
 
-_BETWEEN = ". The figures are those of the rows: what happens between two of them is not seen"
+_BETWEEN = "; values between two rows are not recorded"
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
 """Colours of what has none of its own, such as joints and further pairs."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
@@ -29,9 +32,12 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     `on_progress` is called with the share of the figures that are drawn.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
-    title = f"{run.meta.scenario or 'A person leads the hand'}, {controllers}"
-    numbers = key_numbers(run)
-    parts = [Part(text=[verdict(numbers)])]
+    title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
+    numbers, chain = key_numbers(run), _chain(run.meta)
+    parts = [Part(text=[verdict(numbers, chain)])]
+    if chain:
+        named = numbers["min_distance_m"].items()
+        numbers["min_distance_m"] = {spoken(pair, chain): d for pair, d in named}
     parts.append(Part("Key numbers", "numbers", tables=measured_grids(flattened(numbers))))
     with style.styled():
         for k, each in enumerate(_FIGURES.values()):
@@ -48,6 +54,14 @@ def _about(run: Trace) -> str:
         f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
         f"{len(run)} rows{', one a control step' if run.each_step else _BETWEEN}."
     )
+
+
+def _chain(meta: TraceMeta) -> tuple[str, ...]:
+    """The bodies of the run's robot, the base first; empty where it is not described here."""
+    try:
+        return tuple(body.name for body in load_robot(meta.robot).bodies)
+    except DbbError:
+        return ()
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
@@ -68,7 +82,7 @@ def _changes(run: Trace) -> Part:
     changes = config_changes([s.config for s in run.snapshots])
     rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
     if not rows:
-        return Part("Parameters", "parameters", text=["All were the defaults."])
+        return Part("Parameters", "parameters", text=["All parameters were at their defaults."])
     head = ("changed", "unit", "default", "here")
     return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
 
@@ -106,12 +120,13 @@ def distances_figure(run: Trace) -> Figure:
     """Distances of all pairs over their activations."""
     figure = style.new_figure(6.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    chain = _chain(run.meta)
     others = iter(_OTHERS * (1 + len(run.meta.pairs)))
     for k, pair in enumerate(run.meta.pairs):
         mobile = pair in run.meta.mobile_pairs
         colour = style.PAIR_COLOURS.get(pair) or next(others)
         line = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
-        above.plot(run.t, run.distances[:, k], label=pair, **line)
+        above.plot(run.t, run.distances[:, k], label=spoken(pair, chain) if chain else pair, **line)
         below.plot(run.t, run.betas[:, k], **line)
     d_b = [s.config.border.d_b for s in run.snapshots]
     if len(set(d_b)) == 1:
@@ -130,7 +145,7 @@ def distances_figure(run: Trace) -> Figure:
 
 @style.picture("base", "Accelerations and velocities of the base")
 def base_figure(run: Trace) -> Figure:
-    """What is asked of the base, and what it does."""
+    """Commanded acceleration and velocity of the base, and the measured velocity."""
     figure = style.new_figure(6.4)
     linear = run.of("base_acceleration").shape[1] - 1  # the last axis turns
     grid = figure.subplots(2, linear + 1, sharex=True)
@@ -141,7 +156,7 @@ def base_figure(run: Trace) -> Figure:
     commanded, measured = run.of("base_velocity_command"), run.of("base_velocity")
     for k, ((rate, rate_unit), (speed, speed_unit)) in enumerate(zip(rates, speeds, strict=True)):
         above, below = grid[:, k]
-        above.plot(run.t, asked[:, k], color=style.PATH, label="asked by the QP")
+        above.plot(run.t, asked[:, k], color=style.PATH, label="commanded by the QP")
         above.plot(run.t, inserted[:, k], color=style.ACTING, label=r"avoidance, $\beta\,\ddot x$")
         above.set_ylabel(f"${rate}$ [{rate_unit}]")
         below.step(run.t, commanded[:, k], where="post", color=style.SOFT, label="commanded")
@@ -155,11 +170,11 @@ def base_figure(run: Trace) -> Figure:
 
 @style.picture("hand", "The hand")
 def hand_figure(run: Trace) -> Figure:
-    """How far the hand is off, and with what force it is pulled."""
+    """Distance of the hand from its target, and the force on it."""
     figure = style.new_figure(4.6)
     error, force = figure.subplots(2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.HAND)
-    error.set_ylabel("hand off its target [mm]")
+    error.set_ylabel("hand error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
     force.set_ylabel("force on the hand [N]")
     for ax in (error, force):
@@ -183,7 +198,7 @@ def torques_figure(run: Trace) -> Figure:
 
 @style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
-    """Where the base and the hand went, from above; a square where they began."""
+    """Paths of base and hand from above; squares mark the start."""
     figure = style.new_figure(5.0)
     ax = figure.subplots()
     for points, colour, text in (
@@ -208,7 +223,12 @@ def plan_figure(run: Trace) -> Figure:
     targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
     if len(targets):
         ax.plot(
-            targets[:, 0], targets[:, 1], ":", color=style.TARGET, linewidth=1.4, label="pulled to"
+            targets[:, 0],
+            targets[:, 1],
+            ":",
+            color=style.TARGET,
+            linewidth=1.4,
+            label="pull target",
         )
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("x [m]")

@@ -15,7 +15,6 @@ import signal
 import tempfile
 import time
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -29,7 +28,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import trimesh
-from PIL import Image
 
 from app.border.cache import BorderData, DamagedFileError, pack, read, unpack, write
 from app.border.dbb import make_cloud
@@ -49,7 +47,6 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.study import Journal
 from app.studies.run_report import key_numbers
-from app.studies.sweep.sweep import read_map
 from app.system import peak_memory
 from benchmarks.fuzz import Length
 from benchmarks.fuzz.expand import expanded
@@ -142,25 +139,6 @@ def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
 @lru_cache(maxsize=1)
 def _table(right: bytes) -> pa.Table:
     return pq.read_table(io.BytesIO(right))
-
-
-def _mutate_picture(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """Its bytes, or the data of a chunk under a checksum that holds."""
-    if rng.random() < 0.3:
-        _mutate_bytes(path, right, rng)
-        return
-    chunks, at = [], 8
-    while at < len(right):
-        size = int.from_bytes(right[at : at + 4], "big")
-        chunks.append((right[at + 4 : at + 8], right[at + 8 : at + 8 + size]))
-        at += 12 + size
-    k = int(rng.integers(len(chunks)))
-    chunks[k] = chunks[k][0], mutated_bytes(chunks[k][1], rng)
-    packed = (
-        len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
-        for name, data in chunks
-    )
-    path.write_bytes(right[:8] + b"".join(packed))
 
 
 def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
@@ -279,11 +257,6 @@ def _mine(path: Path) -> None:
     planar_urdf(description)
 
 
-def _picture(path: Path) -> None:
-    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(path, "PNG")
-
-
 def _mesh(path: Path) -> None:
     trimesh.creation.box((1.0, 1.0, 1.0)).export(path)
 
@@ -320,7 +293,6 @@ KINDS = {
         _mine,
         _mutate_bytes,
     ),
-    "map": Kind("sweep_h0_v0.png", _picture, read_map, _mutate_picture),
     "mesh": Kind("a.stl", _mesh, _shape, _mutate_bytes),
     "log csv": Kind("a.csv", _log, _figures, _mutate_csv),
     "log parquet": Kind("a.parquet", _log, _figures, _mutate_parquet),

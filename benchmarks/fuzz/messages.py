@@ -71,7 +71,7 @@ def fuzz_messages(
         loop.begin()
         try:
             loop.start()
-            server = serve_dashboard(loop, model, data.clouds, port=0, sweeps=Path("sweeps"))
+            server = serve_dashboard(loop, model, data.clouds, port=0)
             try:
                 return _Fuzz(server, loop, seed).run(length, on_progress)
             finally:
@@ -257,7 +257,7 @@ class _Fuzz:
     def _jobs(self) -> list[Job]:
         """The work that buttons begin: each takes a core, and that it begins is enough."""
         shared = self._server.shared
-        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
+        jobs = [shared.robot_switch, shared.robot_build]
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:

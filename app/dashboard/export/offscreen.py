@@ -33,8 +33,10 @@ from app.dashboard.viser_compat import close_server, open_server
 from app.errors import OutputError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
+from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Trace
+from app.simulation.trace.words import METHODS, millimetres, spoken
 from app.system import whole_file
 
 if TYPE_CHECKING:
@@ -190,13 +192,30 @@ def replay_html(
                 on_progress(k / RATE)
         recording.insert_sleep(1.0 / RATE)
         page = recording.as_html(dark_mode=look.dark)
-    return _titled(page, f"{log.meta.scenario or 'replay'}, {log.snapshots[0].controller}")
+    return _titled(page, *_caption(log, model.body_names))
 
 
-def _titled(page: str, title: str) -> str:
-    """The page with a title of its own in the browser's tab."""
+def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
+    """Title of a replay, and its verdict with the legend of the scene."""
+    controller = log.snapshots[0].controller
+    title = f"{log.meta.scenario or 'Guiding by hand'}, {METHODS.get(controller, controller)}"
+    legend = (
+        "Coloured points: border around the base; yellow: the base gives way well, purple: it "
+        "cannot. Lines: closest points, with distances inside the buffer. Pink: force on the base."
+    )
+    return f"{log.meta.robot}: {title}", f"{verdict(metrics(log), chain)} {legend}"
+
+
+def _titled(page: str, title: str, text: str) -> str:
+    """The page with a title in the browser's tab, and with title and text over the scene."""
     head, begin, rest = page.partition("<title>")
     _, end, tail = rest.partition("</title>")
+    box = (
+        '<div style="position:fixed;left:12px;top:12px;max-width:34em;padding:8px 12px;z-index:99;'
+        "border-radius:6px;background:rgba(20,22,26,.82);color:white;font:13px/1.4 sans-serif;"
+        f'pointer-events:none"><b>{escape(title)}</b><br>{escape(text)}</div></body>'
+    )
+    tail = box.join(tail.rsplit("</body>", 1))
     return f"{head}{begin}{escape(title)}{end}{tail}" if end else page
 
 
@@ -264,19 +283,26 @@ def film_pictures(
             told = [BARRIER, k, at.tolist(), target.tolist(), ground]
             jpeg = base64.b64decode(page.evaluate("told => dbbPage.still(told)", told))
             picture = Image.open(io.BytesIO(jpeg)).convert("RGB")
-            yield captioned(picture, loop.go_to(t), dark=look.dark)
+            yield captioned(picture, loop.go_to(t), model.body_names, look)
 
 
-def captioned(picture: Image.Image, snapshot: Snapshot, *, dark: bool) -> Image.Image:
-    """The picture with time, and each robot's least distance d to its base, with β, on it."""
+def captioned(
+    picture: Image.Image, snapshot: Snapshot, chain: Sequence[str], look: Look
+) -> Image.Image:
+    """The picture with scenario and time, and each robot's least distance to its base, in words."""
     near = min((p for p in snapshot.pairs if p.mobile), key=lambda p: p.d, default=None)
-    lines: list[str | tuple[str, Rgb]] = [f"t = {snapshot.t:.2f} s"]
+    title = f"{snapshot.scenario}, " if snapshot.scenario else ""
+    lines: list[str | tuple[str, Rgb]] = [f"{title}t = {snapshot.t:.2f} s"]
     if near is not None:
-        text = f"{snapshot.controller}:  d = {_distance(near.d)},  beta = {near.beta:.2f}"
-        lines.append(text)
+        lines.append(_line(snapshot.controller, near.d, spoken(near.name, chain)))
     for ghost, colour in zip(snapshot.ghosts, itertools.cycle(GHOSTS)):
-        lines.append((f"{ghost.controller}:  d = {_distance(ghost.clearance)}", colour))
-    return label(picture, lines, dark=dark)
+        lines.append((_line(ghost.controller, ghost.clearance, "arm – base"), colour))
+    return label(picture, lines, dark=look.dark)
+
+
+def _line(controller: str, d: float, pair: str) -> str:
+    distance = millimetres(d) if d >= 0.0 else f"overlap of {millimetres(-d)}"
+    return f"{METHODS.get(controller, controller)}: {pair} {distance}"
 
 
 def write_film(
@@ -332,7 +358,9 @@ def write_film(
                 process.stdin.close()
             if process.wait():
                 said.seek(0)
-                why = said.read().decode(errors="replace").strip().splitlines() or ["no reason"]
+                why = said.read().decode(errors="replace").strip().splitlines() or [
+                    "no reason given"
+                ]
                 raise OutputError(f"cannot write {path}: {why[-1]}")
         finally:
             process.kill()
@@ -343,10 +371,6 @@ def write_film(
 def _ghost(s: Snapshot) -> GhostReading:
     near = min((pair.d for pair in s.pairs if pair.mobile), default=math.inf)
     return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, near)
-
-
-def _distance(d: float) -> str:
-    return f"{1000 * d:.0f} mm" + (", contact" if d < 0 else "")
 
 
 def label(

@@ -18,7 +18,6 @@ from app.dashboard.export.offscreen import OffscreenScene, RecordedLoop
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import SEEN
-from app.dashboard.panels.save import SWEEPS
 from app.dashboard.scene.scene import SceneData
 from app.dashboard.shared import SharedState
 from app.dashboard.view import Viewpoint
@@ -55,7 +54,7 @@ def take_pictures(
     loop = RecordedLoop(snapshots)
     with offscreen.own_page(browser, look) as (server, page):
         if look.page:
-            shared = SharedState(loop, model, clouds, sweeps=SWEEPS)
+            shared = SharedState(loop, model, clouds)
             try:
                 return _of_page(page, server, loop, shared, times, look, viewpoint)
             finally:
@@ -144,7 +143,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
     deadline = time.monotonic() + offscreen.TIMEOUT
     while not (clients := server.get_clients()):
         if time.monotonic() > deadline:
-            raise BrowserError("the browser's page does not connect")
+            raise BrowserError("the browser's page did not connect")
         time.sleep(0.02)
     return next(iter(clients.values()))
 

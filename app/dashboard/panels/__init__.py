@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from app.simulation.trace.snapshot import Snapshot
 
 
+PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
+"""Names of actions, the same on every button and in the list of commands."""
+
+
 @dataclass
 class Viewer:
     """Who looks at the page of one robot: what the panels are built for."""
@@ -148,7 +152,7 @@ class JobStatus(Panel):
         if progress is not None:
             seconds = time.monotonic() - progress.began
             share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
-            far = "is being cancelled" if self._job.cancelled else f"{progress.text}{share}"
+            far = "cancelling" if self._job.cancelled else f"{progress.text}{share}"
             idle = f"<b>{escape(progress.title)}</b>: {escape(far)}, {seconds:.0f} s"
             self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
         self.text.content = small(idle) if idle else ""

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.dashboard.markup import cell, problem, row, small, table
+from app.dashboard.markup import BAD_COLOUR, cell, problem, row, small, table
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.phrases import spoken
 from app.dashboard.robots import RobotCheck
@@ -57,9 +57,9 @@ class EditPanel(Panel):
             self._body = gui.add_dropdown(
                 "Body",
                 (_NONE, *self._keys),
-                hint="Its large gizmo moves and turns it, the small one at its corner resizes it.",
+                hint="The large gizmo moves and rotates it, the small one resizes it.",
             )
-            with gui.add_folder("Pairs that are watched", expand_by_default=False):
+            with gui.add_folder("Monitored pairs", expand_by_default=False):
                 self._watched = {
                     pair: gui.add_checkbox(spoken(pair, tuple(names)), False)
                     for pair in sorted(self._pairs)
@@ -67,16 +67,20 @@ class EditPanel(Panel):
                 for box in self._watched.values():
                     self.on_update(box, lambda _: self._switch_pairs())
             self.button(
-                "Ready pose from here",
+                "Use this posture as ready pose",
                 lambda _: self._take_pose(),
                 viser.Icon.STRETCHING,
-                hint="Of the arm as it is shown: drag it there, or use “Postures”.",
+                hint="The arm as shown: pull it there, or use “Joint sliders” in Lab.",
             )
-            self._name = gui.add_text("Save as", own_name(self._robot.name), hint="Letters, digits")
-            self.button("Save and show", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
-            self.button("Drop changes", lambda _: self._drop(), viser.Icon.X, color="gray")
+            self._name = gui.add_text(
+                "Save as", own_name(self._robot.name), hint="A letter, then letters, digits and _"
+            )
+            self.button("Save and use", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
+            self.button("Discard", lambda _: self._drop(), viser.Icon.X, color="gray")
             self.button(
-                "Check as saved", lambda _: self._check.begin(self._robot.name), viser.Icon.CHECKS
+                "Check the saved robot",
+                lambda _: self._check.begin(self._robot.name),
+                viser.Icon.CHECKS,
             )
             self.status = JobStatus(viewer, self._check)
         self._drop()
@@ -113,7 +117,7 @@ class EditPanel(Panel):
     def _save(self) -> None:
         name, own = self._name.value, self._robot.name
         if not NAME.fullmatch(name):  # before it becomes a part of a path
-            raise ConfigError("a name is a letter, then letters, digits and _ only")
+            raise ConfigError("a name starts with a letter and has only letters, digits and _")
         if name in robot_names() and not (name == own and is_own(own)):
             raise ConfigError(f"there is a robot {name!r} already; give another name")
         there = robot_folder(own)
@@ -254,12 +258,16 @@ def changes_html(changes: HandMade) -> str:
     said = [f"{name}: {shape.type}" for (name, _), shape in changes.shapes.items()]
     said += [f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}"] if changes.ready else []
     return (f"Not saved: <b>{escape('; '.join(said))}</b>. " if said else "") + (
-        "What is saved stands in <code>robot.toml</code> as “set by hand”; its border is sampled "
-        "anew where bodies or pairs have changed."
+        "Saved changes are in <code>robot.toml</code>, marked “set by hand”. If bodies or pairs "
+        "change, the border is sampled again."
     )
 
 
-_COLOURS = {"passed": "#2f9e44", "warned": "#e8590c", "failed": "#e03131"}
+_COLOURS = {
+    "passed": "light-dark(#1e7b34, #51cf66)",
+    "warned": "light-dark(#a83f05, #ffa94d)",
+    "failed": BAD_COLOUR,
+}
 
 
 def rows_html(check: RobotCheck) -> str:
@@ -269,10 +277,10 @@ def rows_html(check: RobotCheck) -> str:
     rows = [
         row(
             cell(escape(each.name), "white-space:nowrap;vertical-align:top"),
-            cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, '#868e96')}"),
+            cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, 'inherit')}"),
             hint=each.text,
         )
-        + row(cell(escape(each.text), "opacity:.65", span=2))
+        + row(cell(escape(each.text), "opacity:.8", span=2))
         for each in check.rows
     ]
     return f"<b>{escape(check.name)}</b>{table(rows)}" if rows else ""

@@ -1,4 +1,4 @@
-"""Folder "Postures": what the law would do where the robot does not stand, while time does."""
+"""Folder "Joint sliders": the controller's answer for a posture, while the simulation pauses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -122,9 +122,9 @@ class ExplorerPanel(Panel):
         model = viewer.shared.model
         kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
         self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
-        with self._gui.add_folder("Postures", expand_by_default=False):
+        with self._gui.add_folder("Joint sliders", expand_by_default=False):
             self._text = self._gui.add_html("")
-            self._begin = self.button("Stop and explore", self._enter, viser.Icon.STRETCHING)
+            self._begin = self.button("Pause and pose the arm", self._enter, viser.Icon.STRETCHING)
             self._sliders = [
                 self._slider(f"base {axis}", -most, most, 0.01 if unit == "m" else 0.5, unit)
                 for axis, most, unit in (
@@ -139,8 +139,8 @@ class ExplorerPanel(Panel):
                 step = 0.001 if unit == "m" else 0.1
                 low, high = np.ceil(low / step) * step, np.floor(high / step) * step
                 self._sliders.append(self._slider(name, float(low), float(high), step, unit))
-            self._start = self.button("Start from here", self._go, viser.Icon.PLAYER_PLAY)
-            self._leave = self.button("Leave", lambda _: self._end(), color="gray")
+            self._start = self.button("Start from this posture", self._go, viser.Icon.PLAYER_PLAY)
+            self._leave = self.button("Discard the posture", lambda _: self._end(), color="gray")
         self._show(on=False)
 
     def shown(self, newest: Snapshot, shown: Snapshot) -> Snapshot:
@@ -170,7 +170,10 @@ class ExplorerPanel(Panel):
                 shown, planar(axes, shown.base_acceleration), self._off, self._shared.spoken
             )
             if self.posture is not None
-            else small("Time stands still; joints, base and hand are moved, and the law answers.")
+            else small(
+                "The simulation pauses. Move joints, base and hand: the readings are the "
+                "controller's answer."
+            )
         )
 
     def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
@@ -183,7 +186,9 @@ class ExplorerPanel(Panel):
         del event
         newest = self._shared.loop.latest()
         if newest.door is not None:
-            raise TargetError("the hand holds a door here: choose another scenario first")
+            raise TargetError(
+                "the hand holds a door in this scenario; choose another scenario first"
+            )
         self._shared.loop.send(Pause(True))
         self._stopped, self._since = False, newest  # as long as that is on its way
         self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))

@@ -1,86 +1,120 @@
-"""Help: the tab with the method on a page, the keys and commands, and the tour of a first visit."""
+"""Help: the tab with method and keys, and the card of welcome, demonstration and tour."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
-from time import monotonic
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.viser_compat import Channel
 
 TEXT = """
-**Drag the hand** by the arrows at the gripper, or any link of the arm by itself: a person's spring
-pulls it there. The stack lets the arm follow, and the base gets out of its way.
+**What it is.** A controller that drives the base of a mobile robot out of its own arm's way. It
+implements *Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator*;
+numbers such as (7) are that paper's equations.
 
-**How.** Around the base lies its *distance buffer border* (DBB): all points at the distance d_b
-from it that the arm can reach. Each point has a *score* S: how well a force on the base there
-moves it (the determinant of (7): zero on the wheel axis, where a differential drive cannot go
-sideways) and how well the arm reaches it (R of (9)). When the arm comes nearer than d_b:
+**Pull the robot** by the arrows at its hand, or by any link of the arm: a virtual spring pulls it
+to the mouse. The arm follows, and the base gives way before they touch.
 
-1. p_n is the border's point nearest to the hand, p_t lies from it along the border towards the
-   better score, p_act between hand and p_t is where the force acts.
-2. The force pushes there, the stronger the nearer the arm is. It moves the base away and turns
-   it to where it can move.
-3. A QP puts this before the hand's own task, faded in by β from 0 at d_b to 1 at
-   d_full, so nothing jumps. Torques go to the arm at 1 kHz, velocities to the base at 10 Hz.
+**How it works.** The *distance buffer border* (DBB) surrounds the base: all points at the buffer
+distance d_b that the arm can reach. Each point has a *score* S: how well a force there moves the
+base, by the determinant of (7), and how easily the arm reaches it, by R of (9). A differential
+base cannot move sideways, so the determinant is zero on its wheel axis. When the arm is closer
+than d_b:
 
-**Tabs.** *Why* says in words what happens now. *Plots* shows the last 20 s. *View* has layers and
-cameras, *Compare* other controllers on the same input, *Tune* all parameters, *Robot* other
-robots and yours, *Save* pictures, logs and replays.
+1. p_n is the point of the border nearest to the arm. p_t is p_n moved along the border towards
+   higher scores. The acting point p_act is between the arm and p_t.
+2. A virtual force acts on the base at p_act, larger as the distance gets smaller. It pushes the
+   base away and turns it to where it can move better.
+3. A quadratic program gives avoidance priority over the end-effector's task. The activation β
+   goes from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz, the
+   base velocities at 10 Hz.
 
-**Keys** (outside of text fields): {keys}. `Ctrl K` opens the list of commands.
+**Tabs.** *Why* explains the current motion. *Plots* shows the last 20 s. *Compare* runs other
+controllers on the same pull. *Key* explains colours and arrows. *Run* has scenarios, *Lab* speed,
+readings and joint sliders, *View* layers and cameras, *Tune* all parameters, *Robot* other robots
+and your own, *Save* pictures, logs, replays and films.
 
-Several people may look at once: each has a view and a place in time of his own; the simulation
-is one, and whoever pulls adds a force.
+**Keys** (outside text fields): {keys}. `?` opens this page, `Ctrl K` lists all commands. `Shift`
+with the arrow keys, `Page Up` and `Page Down` pulls the hand until `Shift` is released. Double
+click the scene to reset the view.
+
+Several people can use the page at once. Each has their own view and place in time; the simulation
+is shared, and the forces of all who pull add up.
 """
-_PAUSE = 2.5  # [s] between what was done and the next step
+WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
+TOUR = "Take the tour"
 
 
-class Act(NamedTuple):
-    """What a step of the tour is about, on one viewer's page."""
+class Card(NamedTuple):
+    """Text and buttons of the card over the scene."""
 
-    place: str
-    """The tab that the step stands in; empty for what is above all tabs."""
-    show: Callable[[], None]
-    """Does it for the visitor."""
-    done: Callable[[], bool]
-    """Whether it is done, by whomever."""
+    title: str
+    text: str
+    buttons: tuple[str, ...]
+    place: str = ""
+    """Tab that the card is about, which opens with it."""
 
 
-STEPS = (
-    (
-        "Drag the hand",
-        "Pull one of the arrows at the gripper towards the base, by mouse or finger: a person's "
-        "spring pulls the hand along. Any link of the arm can be pulled by itself.",
+_STEP = (SHOW, NEXT, CLOSE)
+CARDS = {
+    "welcome": Card(
+        "This robot keeps its base out of its own arm's way",
+        "Somebody guides the arm towards the base: the base drives away before they touch.",
+        (WATCH, PULL),
     ),
-    (
-        "Watch the base",
-        "The coloured shell is the border around the base. Once the arm is inside, "
-        "the base moves away: yellow is where it moves well, blue is where it cannot go.",
+    "watch": Card(
+        "The same pull on two robots",
+        "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays "
+        "and the arm runs into it.",
+        (PULL, CLOSE),
     ),
-    (
-        "Read why",
-        "Here stands in words and numbers what moves the base. **Key** says what each colour and "
-        "arrow means.",
+    "demo": Card(
+        "Demonstration",
+        "It repeats until you click or press a key. Solid: with avoidance, the base gives way. "
+        "Violet: the same pull without avoidance.",
+        (PULL, CLOSE),
     ),
-    (
-        "Go back in time",
-        "The time line below the scene shows what was, with all readings and plots. Go back a few "
-        "seconds; **Now** returns.",
+    "pull": Card(
+        "Pull the robot",
+        "Drag an arrow at the hand towards the base, or drag any link of the arm.",
+        (TOUR, CLOSE),
     ),
-    (
+    "tour 1": Card(
+        "1 of 5: Pull the hand",
+        "Drag one of the arrows at the hand towards the base: a virtual spring pulls the hand. "
+        "Every link of the arm can be dragged as well.",
+        _STEP,
+    ),
+    "tour 2": Card(
+        "2 of 5: Watch the base",
+        "The coloured border surrounds the base. Once the arm is inside, the base moves away. "
+        "Yellow: the base can give way well here; purple: it cannot.",
+        _STEP,
+    ),
+    "tour 3": Card(
+        "3 of 5: Read why",
+        "The panel Why explains why the base moves. Key explains each colour and arrow.",
+        _STEP,
+        "Why",
+    ),
+    "tour 4": Card(
+        "4 of 5: Go back in time",
+        "The time line below replays the last ten minutes, with all readings and plots. “Back to "
+        "now” returns.",
+        _STEP,
+    ),
+    "tour 5": Card(
+        "5 of 5: Compare",
+        "Run other controllers on the same pull, as ghosts. Scenario plays the paper's "
+        "experiments, Tune has every parameter.",
+        (SHOW, CLOSE),
         "Compare",
-        "Here other controllers run beside the real one, on the same pull. **Scenario** plays the "
-        "paper's experiments, **Tune** has every parameter.",
     ),
-)
-"""Title and text of each step."""
+}
+"""By the guide's state."""
 SEEN = "dbb-tour-seen"
-"""Key in the browser's own storage, where the page notes that it has asked for the tour."""
+"""Key in the browser's own storage, where the page notes that it has shown the welcome."""
 
 
 class Shortcut(NamedTuple):
@@ -104,65 +138,43 @@ def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
     gui.add_markdown(TEXT.format(keys=keys))
 
 
-class Tour(Panel):
-    """Opens by itself at a first visit, and whenever `begin` is called.
+class Guide(Panel):
+    """The one card over the scene: welcome, demonstration, or a step of the tour.
 
-    Each step stands in the panel that it speaks of, and waits until it is done: by the visitor, or
-    for him. What happens before he has touched the page, as in a demonstration, is no step of his.
+    It changes on a click only; the state is a key of `CARDS`, or empty without a card.
     """
 
-    def __init__(self, viewer: Viewer) -> None:
+    def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
+        """Begin in a state; `shows` are the demonstrations by state, "watch" for those without."""
         super().__init__(viewer)
-        self._card: viser.GuiFolderHandle | None = None
-        self._step = self._wanted = -1  # that is shown, and that is to be
-        self._next_at = math.inf
+        self.state, self._shown, self._shows = state, "", shows
+        self._channel = viewer.channel
+        viewer.channel.on("tour", lambda: self.go("welcome"))
+        viewer.channel.on("card", self._press, str)
 
-    def lead(self, channel: Channel, acts: Sequence[Act], places: Mapping[str, Any]) -> None:
-        """Go on, on a new page, whose acts are those of `STEPS` and whose tabs have these names."""
-        self._channel, self._acts, self._places = channel, tuple(acts), places
-        self._card, self._step = None, -1
-        channel.on("tour", self.begin)
-
-    def begin(self) -> None:
-        """Show the first step."""
-        self._wanted = 0
-
-    def end(self) -> None:
-        """Close it."""
-        self._wanted = -1
+    def go(self, state: str) -> None:
+        """Show a card, or none."""
+        self.state = state
 
     def update(self, moment: Moment) -> None:
-        if self._step != self._wanted:
-            self._show(self._wanted)
-        elif self._step >= 0 and self._next_at == math.inf:
-            if "untouched" not in self._channel.seen and self._acts[self._step].done():
-                self._next_at = monotonic() + _PAUSE
-                self._said.content = "**Done.**"
-        elif monotonic() > self._next_at:
-            self._go_on()
-
-    def _go_on(self) -> None:
-        self._wanted = self._step + 1 if self._step + 1 < len(STEPS) else -1
-
-    def _show(self, step: int) -> None:
-        self._step, self._next_at = step, math.inf
-        if self._card is not None:
-            self._card.remove()
-            self._card = None
-        if step < 0:
+        if self.state == self._shown:
             return
-        (title, text), act = STEPS[step], self._acts[step]
-        # On a narrow page all steps stand above the tabs.
-        name = "" if "narrow" in self._channel.seen else act.place
-        self._channel.tell("open", name)
-        with self._places.get(name, nullcontext()):
-            card = self._gui.add_folder(f"{step + 1} of {len(STEPS)}: {title}", order=-1.0)
-        with card:
-            self._gui.add_markdown(text)
-            self._said = self._gui.add_markdown("")
-            self.button("Show me", lambda _: act.show(), color="blue")
-            last = step + 1 == len(STEPS)
-            self.button("Done" if last else "Next", lambda _: self._go_on(), color="gray")
-            if not last:
-                self.button("Skip the tour", lambda _: self.end(), color="gray")
-        self._card = card
+        self._shown = self.state
+        title, text, buttons, place = CARDS.get(self.state, Card("", "", ()))
+        self._channel.tell("card", title, text, *buttons)
+        if place:
+            self._channel.tell("open", place)
+
+    def _press(self, label: str) -> None:
+        """A button of the card that is shown; a late click on another one has no effect."""
+        card = CARDS.get(self.state)
+        if card is None or label not in card.buttons:
+            return
+        if label in (WATCH, SHOW):
+            self._shows.get(self.state, self._shows["watch"])()
+        if label == WATCH:
+            self.go("watch")
+        elif label == NEXT:
+            self.go(f"tour {int(self.state[-1]) + 1}")
+        elif label != SHOW:
+            self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))

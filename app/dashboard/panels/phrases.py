@@ -4,8 +4,13 @@ import math
 from collections.abc import Sequence
 
 from app.control.active_bounds import Bound, BoundKind
+from app.simulation.trace.words import body as body
+from app.simulation.trace.words import pair as pair
+from app.simulation.trace.words import spoken as spoken
+from app.strict import Array
 
 AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below which the base stands still
+SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] below which a commanded acceleration moves nothing yet
 
 _SECTORS = (
     ("forward", "front"),
@@ -18,19 +23,18 @@ _SECTORS = (
     ("forward right", "front right corner"),
 )
 """Direction and place on the base of the eighths of a turn, from forward to the left."""
-_FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
 _TOP = 0.8  # [-] height of a normal from which on it points out of the top
 
 _BOUNDS: dict[BoundKind, str] = {
     "torque": "torque limit",
-    "position": "end of its range",
+    "position": "joint limit",
     "velocity": "velocity limit",
-    "barrier": "hard limit of its distance",
-    "torque rate": "torque cannot change faster",
-    "acceleration": "largest acceleration",
-    "angular acceleration": "largest turning acceleration",
-    "speed": "top speed",
-    "turning speed": "top turning speed",
+    "barrier": "minimum distance reached",
+    "torque rate": "torque rate limit",
+    "acceleration": "acceleration limit",
+    "angular acceleration": "turning acceleration limit",
+    "speed": "speed limit",
+    "turning speed": "turning speed limit",
 }
 
 
@@ -54,34 +58,6 @@ def place(n: Sequence[float]) -> str:
     return _sector(n[0], n[1])[1]
 
 
-def body(name: str, chain: Sequence[str]) -> str:
-    """A body by its place in the chain: base, shoulder, upper arm, forearm, hand.
-
-    Args:
-        name: As in `lEE`.
-        chain: Names of all bodies, the mobile robot first, then outwards; a door that the hand
-            holds is called `door`.
-    """
-    if name == chain[0]:
-        return "base"
-    if name == "door":
-        return "door"
-    arm = [link for link in chain[1:] if link != "door"]
-    outwards = len(arm) - 1 - arm.index(name)
-    return _FROM_OUTSIDE[outwards] if outwards < len(_FROM_OUTSIDE) else f"link {name}"
-
-
-def pair(a: str, b: str, chain: Sequence[str]) -> str:
-    """A link pair, as in "hand – base"."""
-    return f"{body(b, chain)} – {body(a, chain)}"
-
-
-def spoken(name: str, chain: Sequence[str]) -> str:
-    """A link pair by its name, such as `lm-lEE`."""
-    a, _, b = name.partition("-")
-    return pair(a, b, chain)
-
-
 def bound(reading: Bound, chain: Sequence[str]) -> str:
     """A limit that was met, as in "panda_joint4: torque limit"."""
     where = reading.where
@@ -96,11 +72,11 @@ def length(d: float) -> str:
 
 
 def borne(bound: float) -> str:
-    """What follows a person's force, as in ", the arm bears 62 N"; nothing while no bound is known.
+    """What follows a person's force, as in ", arm can hold 62 N"; nothing while no bound is known.
 
     The bound [N] is that of `Snapshot.force_bound`.
     """
-    return "" if math.isnan(bound) else f", the arm bears {bound:.0f} N"
+    return "" if math.isnan(bound) else f", arm can hold {bound:.0f} N"
 
 
 def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
@@ -114,7 +90,7 @@ def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """
     speed = f" at {math.hypot(v, left):.2f} m/s"
     turning = f" at {math.degrees(abs(w)):.0f}°/s"
-    return _moves(v, w, ahead, left, "s", speed, turning)
+    return _moves((v, left, w), ahead, AT_REST, ("s", speed, turning))
 
 
 def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
@@ -123,24 +99,39 @@ def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> 
     Its arguments are the accelerations [m/s²], [rad/s²] that are asked for, in the place of the
     velocities of `motion`.
     """
-    return _moves(v_dot, w_dot, ahead, left, "", "", "")
+    return _moves((v_dot, left, w_dot), ahead, SLIGHT, ("", "", ""))
 
 
 def _moves(
-    v: float, w: float, ahead: bool, left: float, s: str, speed: str, turning: str
+    along: tuple[float, float, float],
+    ahead: bool,
+    least: tuple[float, float],
+    verb: tuple[str, str, str],
 ) -> str | None:
-    """The parts along and about, the verbs with the ending `s`; the first part has its speed."""
+    """The parts forward, left and about that are at `least` so large; the first has its speed.
+
+    The verbs have an ending, then come the texts of the speeds along and about.
+    """
+    (v, left, w), (s, speed, turning) = along, verb
     parts = []
-    if abs(left) >= AT_REST[0]:
+    if abs(left) >= least[0]:
         parts.append(f"drive{s} {direction(v, left)}{speed}")
-    elif v <= -AT_REST[0]:
+    elif v <= -least[0]:
         parts.append((f"back{s} away" if ahead else f"drive{s} backward") + speed)
-    elif v >= AT_REST[0]:
+    elif v >= least[0]:
         parts.append(f"drive{s} forward{speed}")
-    if abs(w) >= AT_REST[1]:
+    if abs(w) >= least[1]:
         side = "left" if w > 0 else "right"
         parts.append(f"turn{s} {side}" + ("" if parts else turning))
     return " and ".join(parts) or None
+
+
+def speeds(velocity: Array) -> str:
+    """A base's velocity, as in "0.09 m/s, 5°/s left"; its last axis turns."""
+    *linear, w = velocity
+    turn = math.degrees(abs(w))
+    side = "" if turn < 0.5 else " left" if w > 0 else " right"
+    return f"{math.hypot(*linear):.2f} m/s, {turn:.0f}°/s{side}"
 
 
 def signed(value: float, digits: int = 2) -> str:

@@ -13,7 +13,7 @@ from app.config import tunable
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Curve
-from app.dashboard.scene.colours import ACTING, PERSON, SERIES, css
+from app.dashboard.scene.colours import ACTING, BETA, PERSON, SERIES, css
 from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
@@ -24,9 +24,8 @@ SPACING = 0.08  # [s] of drawn values, as many as there are pixels
 PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] between two pictures of what goes on
 RESTING, STILL = 12, 2e-3  # [-] values, and how far they differ in the units of the plots, at rest
 LINE = 1.6  # [px]
-_BETA = "#8e6bd8"
-_MOVES = "β_m ẍ_m: what avoidance alone asks of this axis of the base, (16) to (18), 0 outside"
-_ACTIVATION = "activation β_m of the pairs with the base, 0 at d_b to 1 at d_full, Figure 10, (28)"
+_MOVES = "β_m ẍ_m: base acceleration commanded by avoidance along this axis, (16) to (18)"
+_ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _THRESHOLD = "#98a0ab"
 _CURSOR = "#ff7a00"
 SIGHT = "plots"  # whether a person sees them
@@ -66,15 +65,15 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     avoidance = [_avoidance(i, axis) for i, axis in enumerate(axes)]
     of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
     error = Curve("error", lambda s: 1000.0 * s.ee_error)
-    step = Curve("mean of 1 s", lambda s: s.step_time_us)
+    step = Curve("mean over 1 s", lambda s: s.step_time_us)
     return [
         _distances("distance [m]", model, names, 160),
-        _distances("distance of the door [m]", model, [door], 100),
+        _distances("distance to the door [m]", model, [door], 100),
         PlotPlan(
-            "activation β_m", [beta], (_BETA,), (-0.02, 1.05), 100, fill=True, hints=(_ACTIVATION,)
+            "activation β_m", [beta], (BETA,), (-0.02, 1.05), 100, fill=True, hints=(_ACTIVATION,)
         ),
         PlotPlan(
-            "base acceleration of avoidance, β ẍ",
+            "avoidance acceleration of the base, β ẍ",
             avoidance,
             of_axes,
             _soft(-1.0, 1.0),
@@ -82,7 +81,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
             hints=(_MOVES,) * len(axes),
         ),
         PlotPlan(
-            "torque of joint / its limit",
+            "joint torque / limit",
             torques,
             _series(len(torques)),
             (-1.05, 1.05),
@@ -90,27 +89,27 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
             hints=_about_torques(model),
         ),
         PlotPlan(
-            "hand off its target [mm]",
+            "hand error [mm]",
             [error],
-            (_BETA,),
+            (BETA,),
             _soft(0.0, 5.0),
             100,
-            hints=("distance [mm] of the end-effector from where it is led, from 0",),
+            hints=("distance [mm] of the end-effector from its target",),
         ),
         PlotPlan(
-            "control step [µs]",
+            "control step time [µs]",
             [step],
             (css(PERSON),),
             _soft(0.0, 1000.0),
             100,
-            hints=("time [µs] of Algorithm 2 in a step, which may take 1000",),
+            hints=("time [µs] of Algorithm 2 in a control step; the period is 1000",),
         ),
     ]
 
 
 def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
     """Distances of some pairs beside d_b, so many pixels high."""
-    apart = "signed distance d [m] of its bodies, below 0 inside; β begins at d_b, Figure 10"
+    apart = "signed distance d [m] of the convex bodies, negative where they overlap"
     d_b = tunable("border.d_b")
     curves = [
         Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
@@ -125,7 +124,7 @@ def _distances(title: str, model: RobotModel, names: list[str], height: int) -> 
         dashed=1,
         hints=(
             *(f"{name}: {apart}" for name in names),
-            f"d_b, {d_b.help[:-1]}: {d_b.allowed}, (3)",
+            f"buffer distance d_b, (3), {d_b.allowed}",
         ),
     )
 
@@ -164,7 +163,7 @@ class Plots(Panel):
             plan.title: dict(zip([c.label for c in plan.curves], plan.hints, strict=True))
             for plan in self._viewer.shared.plans
         }
-        cursor = {"looking at": "the instant that the page shows, where that is past"}
+        cursor = {"cursor": "the instant shown in the past"}
         return {title: {**hints, **cursor} for title, hints in named.items()}
 
     def update(self, moment: Moment) -> None:
@@ -217,7 +216,7 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
         if i >= len(plan.curves) - plan.dashed:
             more["dash"] = [6, 4]
         lines.append(_line(curve.label, colour, **more))
-    lines.append(_line("looking at", _CURSOR, scale="cursor"))
+    lines.append(_line("cursor", _CURSOR, scale="cursor"))
     return gui.add_uplot(
         data=tuple(np.zeros(1) for _ in range(len(lines) + 1)),
         series=(uplot.Series(label="t [s]"), *lines),

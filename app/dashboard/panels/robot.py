@@ -18,30 +18,30 @@ from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 from app.strict import file_text
 
-FIND = "(find them)"  # choice of no wheels: they are looked for
-_WHEEL = "Joint of a driven wheel; of a car-like base, of a rear one"
+FIND = "(detect)"  # choice of no wheels: they are looked for
+_WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
 _QUESTIONS = {
-    "file": ("URDF", "Which of the zip's URDFs"),
-    "out": ("Name", "Letters, digits and _"),
-    "base": ("Base link", "Moves with the base, z up"),
-    "tip": ("Tip link", "Carries the end-effector"),
-    "kind": ("Base", "How the base drives"),
+    "file": ("URDF", "One of the URDF files in the zip"),
+    "out": ("Name", "A letter, then letters, digits and _"),
+    "base": ("Base link", "Root link of the base, z up"),
+    "tip": ("Tip link", "Link of the end-effector"),
+    "kind": ("Base", "Kind of drive"),
     "left": ("Left wheel", _WHEEL),
     "right": ("Right wheel", _WHEEL),
-    "half_track": ("Half track [m]", "Effective; 0 measures it between the wheels"),
+    "half_track": ("Half track [m]", "Effective half track; 0: measured between the wheels"),
     "wheel_radius": (
         "Wheel radius [m]",
-        "Only for a base whose URDF has no wheels, with its half track; else 0",
+        "Only for a base without wheels in its URDF, together with the half track; otherwise 0",
     ),
-    "wheelbase": ("Wheelbase [m]", "0 measures it to the steered wheels"),
-    "steering_limit": ("Steering limit [rad]", "To either side; 0 takes the URDF's"),
+    "wheelbase": ("Wheelbase [m]", "0: measured to the steered wheels"),
+    "steering_limit": ("Steering limit [rad]", "To either side; 0: from the URDF"),
     "assume_inertia": (
         "Assume masses",
-        "From volumes, where the arm's URDF states none at all",
+        "Estimate masses from volumes if the URDF has none for the arm",
     ),
 }
 """Label and hint by the field of `Request`; `wheels` is asked for as two."""
-_GOES_ON = "It is made ready while the one that is shown goes on"
+_GOES_ON = "It is prepared in the background"
 _WHEELS = "“Left wheel” and “Right wheel”"
 _CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
 """Of the questions that have them before there is a zip."""
@@ -63,7 +63,7 @@ class RobotPanel(Panel):
         self._list = gui.add_dropdown(
             "Robot",
             ("",),
-            hint="Those in robot_assets and in your own folder; what one viewer chooses, all see.",
+            hint="Delivered robots and your own. The choice is for all viewers.",
         )
         self.about = gui.add_html("")
         """What is said of the one that is chosen, and why the last choice came to nothing."""
@@ -112,7 +112,7 @@ class RobotPanel(Panel):
         modal = client.gui.add_modal(f"How {name} was made")
         with modal:
             self.button(
-                "Keep as a file",
+                "Save as a file",
                 lambda _: client.send_file_download(
                     f"{name}-report.html", page.encode(), save_immediately=True
                 ),
@@ -154,7 +154,10 @@ class NewRobotPanel(Panel):
             self.status = JobStatus(viewer, build)
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
             self._make = self.button(
-                "Make it", lambda _: build.build(self.request()), viser.Icon.HAMMER, visible=False
+                "Create robot",
+                lambda _: build.build(self.request()),
+                viser.Icon.HAMMER,
+                visible=False,
             )
 
     def update(self, moment: Moment) -> None:
@@ -180,16 +183,16 @@ class NewRobotPanel(Panel):
         """
         package = self._package
         if package is None:
-            raise ConfigError("upload a zip first")
+            raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
         if not NAME.fullmatch(value["out"]):  # before it becomes a part of a path
-            raise ConfigError("a name is a letter, then letters, digits and _ only")
+            raise ConfigError("a name starts with a letter and has only letters, digits and _")
         left, right = (
             value[name] if self._suits(name) and value[name] != FIND else ""
             for name in ("left", "right")
         )
         if bool(left) != bool(right):
-            raise ConfigError("choose both wheels, or let both be found")
+            raise ConfigError("choose both wheels, or detect both")
         numbers: dict[str, Any] = {
             name: float(value[name])
             for name in _QUESTIONS
@@ -250,9 +253,9 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
     """A robot in two lines, and why it cannot be chosen."""
     lines = [f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}"]
     if here:
-        lines.append("This one is shown.")
+        lines.append("In use.")
     if entry.own:
-        lines.append("One of your own.")
+        lines.append("Your own robot.")
     if entry.problem is not None:
         lines.append(problem(entry.problem))
     return small("<br>".join(lines))
@@ -266,10 +269,10 @@ def report_html(page: str) -> str:
 def upload_html() -> str:
     """What may be uploaded, and where the robot will be."""
     return small(
-        f"A zip with a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
-        f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB expanded. Nothing in it is executed; "
-        "a xacro has to be expanded first. What is made of it, a description, its border and a "
-        f"report, is kept in<br><code>{escape(str(user_robots()[0]))}</code>"
+        f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, {MOST_FILES} "
+        f"files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; nothing is executed. "
+        "Description, border and report are saved in<br>"
+        f"<code>{escape(str(user_robots()[0]))}</code>"
     )
 
 
@@ -279,13 +282,13 @@ def outcome_html(build: RobotBuild) -> str:
         return problem(in_words(build.problem))
     if build.built:
         return (
-            f"<b>{escape(build.built)}</b> is made: it is in the list above, with its report. "
-            "“Use this robot” shows it."
+            f"<b>{escape(build.built)}</b> is ready: choose it in the list above, then “Use this "
+            "robot”."
         )
     if build.package is not None:
         count = len(build.package.urdfs)
         what = "a URDF" if count == 1 else f"{count} URDFs"
-        return f"<b>{escape(build.package.archive.name)}</b> holds {what}. Which links?"
+        return f"<b>{escape(build.package.archive.name)}</b> contains {what}. Choose its links."
     return ""
 
 

@@ -1,10 +1,9 @@
-"""Tab "Save" and folder "Sweep": files that are made beside the simulation."""
+"""Tab "Save": files that are made beside the simulation."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
-from html import escape
 from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
@@ -16,31 +15,23 @@ from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS
 from app.dashboard.job import (
     FILM_RATE,
-    Job,
-    sweep_to_files,
     write_film_of,
     write_replay,
     write_report,
 )
-from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.view import Viewpoint
 from app.dashboard.viser_compat import scene_picture
-from app.errors import BrowserError, OutputError, StudyError
+from app.errors import BrowserError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
-from app.studies.sweep.plan import SweepPlan
-from app.studies.sweep.sweep import newest_map, read_map
 from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
-STEP = 15.0  # [deg] between two directions of a map that is made here
-SWEEPS = Path("out/sweep")  # where `dbb sweep` writes by default
-_LOOK_EVERY = 20  # updates between two looks into the folder of maps
 _CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
 _PATIENCE = 30.0  # [s] for a browser to draw a picture
 
@@ -77,7 +68,7 @@ class FilePanel(Panel):
                 client.send_file_download(told, data, save_immediately=True)
 
         def pressed(_: Any) -> None:
-            self._job.start(label, "is being made", lambda: self._notifier.attempt(client, send))
+            self._job.start(label, "in progress", lambda: self._notifier.attempt(client, send))
 
         return self.button(label, pressed, icon, **look)
 
@@ -96,9 +87,9 @@ class FilePanel(Panel):
         try:
             pixels = asked.result()
         except (RuntimeError, TimeoutError) as error:
-            raise BrowserError(f"the browser gave no picture: {error}") from None
+            raise BrowserError(f"the browser did not deliver a picture: {error}") from None
         if pixels.shape != (height, width, 4):
-            raise BrowserError("the browser gave another picture than it was asked for")
+            raise BrowserError("the browser delivered a picture of another size")
         picture = Image.fromarray(pixels, "RGBA")  # transparent where nothing is drawn
         whole = Image.new("RGBA", picture.size, (*BACKGROUND[self._viewer.view.dark], 255))
         whole.alpha_composite(picture)
@@ -119,25 +110,28 @@ class SavePanel(FilePanel):
             self.file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._scene)
             if viewer.page_picture is not None:
                 self.file("Whole page (PNG)", viser.Icon.BROWSER, "page.png", self._whole_page)
-        with gui.add_folder("The marked interval, or all that is kept"):
-            for label, name in (("Log (CSV)", "log.csv"), ("Log (Parquet)", "log.parquet")):
-                self.file(label, viser.Icon.TABLE, name, partial(self._log, name))
+        with gui.add_folder("Marked interval, or the last minute"):
+            for label, name, hint in (
+                ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
+                ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
+            ):
+                self.file(label, viser.Icon.TABLE, name, partial(self._log, name), hint=hint)
             for label, name, write in (
                 ("Report (HTML)", "report.html", write_report),
                 ("Replay (HTML)", "replay.html", write_replay),
             ):
                 self.file(label, viser.Icon.MOVIE, name, partial(self._of_log, name, write))
-            self._film_as = gui.add_dropdown("Film as", tuple(CODECS))
-            self._film_from = gui.add_dropdown("Film from", tuple(PRESETS))
+            self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
+            self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
             self.file(
                 "Film",
                 viser.Icon.VIDEO,
                 lambda: f"film{self._film_as.value}",
                 self._film,
-                hint=f"{FILM_RATE:g} pictures a second of the interval, as large as a picture; "
-                "each takes about a quarter of a second to draw: mark a short interval",
+                hint=f"{FILM_RATE:g} pictures per second, in the size of a picture. Each takes "
+                "about 0.25 s to draw: mark a short interval.",
             )
-        gui.add_markdown("Parameters are saved in the tab *Tune*.")
+        gui.add_markdown("The tab *Tune* saves parameters.")
 
     def _size(self) -> tuple[int, int]:
         """[px] the wanted width and height."""
@@ -159,7 +153,9 @@ class SavePanel(FilePanel):
 
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:
-            return self._write(folder / name).read_bytes()
+            data = self._write(folder / name).read_bytes()
+        # Spreadsheets and pandas open a plain table; `dbb replay` and `report` take Parquet.
+        return data.partition(b"\n")[2] if name.endswith(".csv") else data
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
         """What `write(report, log, path, *more)` makes of the log."""
@@ -182,82 +178,6 @@ class SavePanel(FilePanel):
         model = self._viewer.shared.model
         write_trace(path, Trace.of_snapshots(model, snapshots, scenario=scenario))
         return path
-
-
-class SweepPanel(Panel):
-    """The newest polar map of a folder, and the button that begins a sweep."""
-
-    def __init__(self, viewer: Viewer) -> None:
-        super().__init__(viewer)
-        self._shared, self._job = viewer.shared, viewer.shared.sweep_job
-        self._map: tuple[Path, int] | None = None
-        self._problem = ""
-        self._updates = 0
-        self._box = self._gui.add_folder("Sweep", expand_by_default=False)
-        with self._box:
-            self._text = self._gui.add_html("")
-            self.status = JobStatus(viewer, self._job)
-            """How far the sweep is, which is common to all viewers."""
-            self._button = self.button(
-                "Make a map",
-                lambda _: self.begin(),
-                viser.Icon.RADAR,
-                hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
-                "parameters of now, in a process of low priority; takes some minutes.",
-            )
-        self._image: viser.GuiImageHandle | None = None
-
-    def update(self, moment: Moment) -> None:
-        self.status.show(problem(self._job.problem) if self._job.problem else "")
-        self._button.disabled = self._job.progress is not None
-        if self._updates % _LOOK_EVERY == 0:
-            self._look()
-        self._updates += 1
-        none = f"No map in {self._shared.sweeps} yet."
-        text = self._problem or (self._map[0].name if self._map else none)
-        self._text.content = small(escape(text))  # a file's name may be anybody's
-
-    def begin(self) -> None:
-        """Make a map with what is chosen now."""
-        shared = self._shared
-        plan = SweepPlan(
-            shared.model.description.name,
-            (shared.loop.latest().controller,),
-            step=STEP,
-            config=shared.tuning.config,
-        )
-        start_sweep(self._job, plan, shared.sweeps)
-
-    def _look(self) -> None:
-        """Show the folder's newest map, if it is another one than is shown."""
-        found = newest_map(self._shared.sweeps)
-        if found is None or found == self._map:
-            return
-        self._map, self._problem = found, ""
-        try:
-            picture = read_map(found[0])  # whole: a press on it enlarges it
-        except StudyError as error:
-            self._problem = str(error)
-            return
-        if self._image is None:
-            with self._box:
-                self._image = self._gui.add_image(picture, format="png")
-        else:
-            self._image.image = picture
-
-
-def start_sweep(job: Job, plan: SweepPlan, folder: Path) -> None:
-    """Begin a sweep; its files are written into the folder when all of it is done.
-
-    Raises:
-        OutputError: The folder cannot be made.
-        ConfigError: A sweep is under way.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write to {folder}: {error.strerror}") from None
-    job.start("sweep", "begins", lambda: job.run(sweep_to_files, plan, folder))
 
 
 def png(picture: Image.Image) -> bytes:

@@ -114,7 +114,7 @@ class Link(NamedTuple):
         for number in place:
             check_range("look", float(number), -_FARTHEST, _FARTHEST, "m")
         if np.linalg.norm(place[:2] - place[3:5]) < 1e-3:
-            raise ConfigError("look: a camera looks to a place that is not above or below it")
+            raise ConfigError("look: the target is exactly above or below the camera")
         return place[:3], place[3:]
 
     def query(self) -> str:
@@ -242,13 +242,15 @@ class SharePanel(Panel):
             'style="width:100%" onclick="this.select()">'
         )
         run = f'<img src="data:," alt="" style="display:none" onerror="{_COPY}">'
-        self._address.content = small(f"Copied; it is this page's address now too:<br>{box}{run}")
+        self._address.content = small(
+            f"Copied. It is also the address of this page now:<br>{box}{run}"
+        )
         self._address.visible = True
 
     def _save(self, event: Any) -> None:
         case = self._shared.course.case
         if case is None:
-            raise CaseError("nothing has been played yet: a case is of a scenario, or a challenge")
+            raise CaseError("there is no case yet; play a scenario first")
         newest = self._shared.loop.latest()
         if newest.scenario:  # what is tuned meanwhile is meant too
             case = case.model_copy(
@@ -260,7 +262,9 @@ class SharePanel(Panel):
     def _play(self, event: Any) -> None:
         file = taken_upload(event.target)
         if len(file.content) > LARGEST:
-            raise CaseError(f"{file.name}: {len(file.content) / 1e6:.0f} MB is no case")
+            raise CaseError(
+                f"{file.name}: {len(file.content) / 1e6:.0f} MB is too large for a case"
+            )
         try:
             text = text_of(file.content)
         except ValueError as error:
@@ -288,7 +292,7 @@ def play_case(shared: SharedState, text: str, name: str) -> str:
     shared.tuning.load(case.config())
     for command in (Choose(case.controller), play):
         shared.loop.send(command)
-    return "; ".join([f"{case.played} plays again", *case.differences()])
+    return "; ".join([f"{case.played} is playing", *case.differences()])
 
 
 def _value(path: str, text: str) -> float | str:
@@ -301,5 +305,5 @@ def _number(name: str, text: str) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise ConfigError(f"{name}: {text[:40]!r} is no number")
+        raise ConfigError(f"{name}: {text[:40]!r} is not a number")
     return number

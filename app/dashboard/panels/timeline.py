@@ -1,6 +1,7 @@
 """Time line: which instant a viewer sees, and the bar along the page's edge to choose it."""
 
 import threading
+from time import monotonic
 from typing import Any
 
 from app.dashboard.panels import Moment, Panel, Viewer
@@ -8,8 +9,11 @@ from app.dashboard.record import BIN, KEPT, Event, Strip
 from app.errors import LogError
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
+from app.strict import check_range
 
 FRAME = 0.02  # [s] between two snapshots
+REPLAY = 0.1, 4.0  # [-] speed of the past, over real time
+AGAIN = 10.0  # [s] of the past that are played from now
 MOST_MARKED = 300.0  # [s] of a marked interval, all of whose snapshots are kept for one viewer
 
 
@@ -23,6 +27,7 @@ class Timeline:
         """Begin with now; the loop has every snapshot of the last 60 s, the strip older ones."""
         self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
+        self._replay: tuple[float, float, float] | None = None  # [s] begun, [s] there, [-] speed
         self._newest = loop.latest()
         self._marked: list[Snapshot] = []
         self._lock = threading.RLock()
@@ -49,7 +54,28 @@ class Timeline:
             self._newest = newest
             if self.begin is not None and self.end is None:
                 self._hold()
+            if self._replay is not None:
+                self._go_on(self._replay, newest)
             return self._shown or newest
+
+    @property
+    def plays(self) -> bool:
+        """Whether the past is played."""
+        return self._replay is not None
+
+    def play(self, speed: float) -> None:
+        """Play the past from the instant that is shown, or stop; at now the last 10 s.
+
+        Raises:
+            ConfigError: The speed is not within `REPLAY`.
+        """
+        check_range("replay speed", speed, *REPLAY, "× real time")
+        if self.plays:
+            self._replay = None
+            return
+        if self.live:
+            self.step(-AGAIN)
+        self._replay = monotonic(), self.shown().t, speed
 
     def go_to(self, t: float) -> None:
         """Show the snapshot that is nearest to a time [s]."""
@@ -57,7 +83,7 @@ class Timeline:
 
     def show(self, snapshot: Snapshot) -> None:
         """Show this one, which has been published before."""
-        self._shown = snapshot
+        self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
         """Go on (or back, if negative) by so many seconds, within what is kept."""
@@ -65,7 +91,7 @@ class Timeline:
 
     def go_live(self) -> None:
         """Show the newest snapshot again, from now on."""
-        self._shown = None
+        self._shown = self._replay = None
 
     def mark_begin(self) -> None:
         """The marked interval begins at the instant that is shown; its end is open."""
@@ -108,8 +134,17 @@ class Timeline:
         with self._lock:
             found = list(self._marked) if self.begin is not None else self._loop.history(-1.0)
         if len(found) < 2:
-            raise LogError("the marked interval is a single instant: mark a begin and a later end")
+            raise LogError("the marked interval has no duration; mark a start and a later end")
         return found
+
+    def _go_on(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
+        began, t, speed = replay
+        t += (monotonic() - began) * speed
+        if t >= newest.t:
+            self.go_live()
+        else:
+            self.go_to(t)
+            self._replay = replay
 
     def _kept(self) -> list[Snapshot]:
         """All there is to look at, older ones thinned."""
@@ -150,6 +185,8 @@ class TimelinePanel(Panel):
             "begin": timeline.mark_begin,
             "end": timeline.mark_end,
             "unmark": timeline.unmark,
+            "play": lambda speed: timeline.play(float(speed)),
+            "look": lambda: viewer.look(viewer.camera.preset or "iso"),
         }.items():
             channel.on(word, act)
 
@@ -172,12 +209,12 @@ class TimelinePanel(Panel):
         self._events = events
         marks = [None if x is None else round(x, 3) for x in (line.begin, line.end)]
         times = [round(newest.t, 3), round(shown.t, 3), *marks]
-        state = [*times, line.live, newest.paused, shown.config.border.d_b]
+        state = [*times, line.live, newest.paused, shown.config.border.d_b, line.plays]
         if state != self._state:
             self._state = state
             self._channel.tell("state", *state)
 
     def _jump(self, to: Snapshot | None) -> None:
         if to is None:
-            raise LogError("nobody has pulled the robot yet")
+            raise LogError("there has been no pull yet")
         self._timeline.show(to)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -24,39 +24,20 @@ from app.robot.description import RobotDescription
 DECIMALS = 6  # [-] that a number box takes
 MARK = "\N{NO-BREAK SPACE}•"  # behind the label of what is not at its default
 FIRST_NAME = "tuning"
-MAIN = (
-    "border.d_b",
-    "force.f_max",
-    "repulsion.k_p",
-    "admittance.mass",
-    "admittance.damping",
-    "hand.stiffness",
-)
-"""What a first visitor may want to move."""
 _BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
 
 
 class TuningPanel(Panel):
     """Folders of widgets."""
 
-    def __init__(self, viewer: Viewer, paths: Iterable[str] | None = None) -> None:
-        """Build the panel.
-
-        Args:
-            viewer: All viewers share the configuration.
-            paths: Parameters of a single folder without files, steps and resets of others; None
-                is all of them, with those.
-        """
+    def __init__(self, viewer: Viewer) -> None:
+        """Build the panel; all viewers share the configuration."""
         super().__init__(viewer)
         self._viewer, self._tuning = viewer, viewer.shared.tuning
         self.widgets: dict[str, ParameterWidgets] = {}
         """The widgets of each parameter, by its path."""
         self._folders: list[_Folder] = []
-        self._all: viser.GuiCheckboxHandle | None = None
-        if paths is None:
-            self._add_everything()
-        else:
-            self._add_folder("Main parameters", tuple(paths), expand=True)
+        self._add_everything()
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
@@ -73,7 +54,7 @@ class TuningPanel(Panel):
         self.buttons(
             "Changes",
             {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset},
-            hint="One step is one move of a slider, whoever moved it",
+            hint="One step is one change of one parameter, by anybody.",
         )
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
@@ -89,14 +70,14 @@ class TuningPanel(Panel):
                 "Save",
                 self._save,
                 viser.Icon.DOWNLOAD,
-                hint="For --config of dbb run, serve and sweep",
+                hint="A TOML file for --config of dbb run, serve and sweep",
             )
             self.upload(
                 "Load",
                 self._load,
                 color="gray",
                 mime_type=".toml",
-                hint="A TOML file; what is not in it goes to its default",
+                hint="A TOML file; parameters that are not in it get their defaults",
             )
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
@@ -110,12 +91,12 @@ class TuningPanel(Panel):
                 viser.Icon.ARROW_BACK_UP,
                 color="gray",
                 disabled=True,
-                hint="Set what stands above to its defaults",
+                hint="Reset the parameters of this folder",
             )
         self._folders.append(_Folder(handle, reset, title, paths))
 
     def _show_advanced(self) -> None:
-        wanted = self._all is None or self._all.value
+        wanted = self._all.value
         for each in self.widgets.values():
             for handle in each.handles:
                 handle.visible = wanted or each.is_marked or not each.about.advanced
@@ -134,6 +115,10 @@ class TuningPanel(Panel):
         except ConfigError as error:
             raise ConfigError(f"{file.name[:60]}: {error}") from None
         self._tuning.load(loaded.config)
+        count = len(self._tuning.changes)
+        self._notifier.tell(
+            event.client, "Parameters", f"{file.name[:60]}: {count} not at defaults."
+        )
         self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
 
 
@@ -160,8 +145,8 @@ def score_html(robot: RobotDescription) -> str:
         for body, r in robot.reachability.items()
     ]
     return small(
-        "Nothing to tune: det J_c of (7) follows from the wheels, and A, B, C of (9) are the "
-        f"robot's, from its description.{table((head, *rows)) if rows else ''}"
+        "The score has no parameters: det J_c of (7) follows from the wheels; A, B, C of (9) are "
+        f"in the robot's description.{table((head, *rows)) if rows else ''}"
     )
 
 

@@ -25,7 +25,7 @@ class ViewPanel(Panel):
         with gui.add_folder(LAYERS):
             self._add(LAYERS)
         with gui.add_folder(PAGE):
-            self.buttons("Look from", {name: partial(viewer.look, name) for name in PRESETS})
+            self.buttons("Camera", {name: partial(viewer.look, name) for name in PRESETS})
             self._add(PAGE)
         with gui.add_folder("Plots", expand_by_default=False):
             for plan in viewer.shared.plans:

@@ -1,16 +1,19 @@
-"""Tab "Why": why the robot moved, in one plain sentence, and every quantity behind it."""
+"""Header and tab "Why": why the robot moved, in a sentence, three rows, and every quantity."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 from app.config import Config
 from app.control.explanation import Explanation, Level, LevelName, NearPair
-from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, cell, minus, row, table
+from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, small, table
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels import phrases as words
-from app.dashboard.scene.colours import css
-from app.dashboard.scene.legend import measure_of
+from app.dashboard.scene.colours import css, ink
+from app.dashboard.scene.legend import legend_html, measure_of
 from app.dashboard.verdict import Verdict, base_cannot_help
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.words import millimetres
 
 LONGEST = 280  # characters of the longest answer of `sentence`
 
@@ -19,41 +22,99 @@ UNDISTURBED = (0.05, 0.2)
 
 BOUNDS_SHOWN = 3  # lines for limits that were met; of more than that the number is shown
 
-_NONE = '<span style="opacity:.45">–</span>'
+BAR_RANGE = 0.5  # [m] distance that fills a bar
+_NONE = "–"
+_BODY = "font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em"
 _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
-    ("base gives way", "the base's rows of T_sca, (16), less what the base may do", ("base",)),
-    ("arm against base", "the rows of T_rep: the repulsive method's", ("arm",)),
-    ("between links", "the rows (20) that part links of the arm", ("links",)),
-    ("hand's task", "w_2 of (26): the end-effector's task", ("hand",)),
+    ("base avoidance", "rows of the base in T_sca, (16)", ("base",)),
+    ("arm–base repulsion", "rows of the repulsive method", ("arm",)),
+    ("arm self-repulsion", "rows (20) between links of the arm", ("links",)),
+    ("end-effector task", "slack w_2 of (26)", ("hand",)),
     (
-        "posture, or arm left alone",
-        "what the arm's joints would do by themselves",
+        "posture",
+        "joint accelerations of the posture task, or of the free arm",
         ("posture", "free"),
     ),
 )
 _BEHIND = -0.5  # [-] forward part of a normal above which what is near is not behind the base
 
 
+class WhyPanel(Panel):
+    """The tab, and the strip over the scene, which every page has."""
+
+    of_instant = True
+
+    def __init__(self, viewer: Viewer) -> None:
+        super().__init__(viewer)
+        gui, self._viewer = self._gui, viewer
+        self._why = gui.add_html("")
+        with gui.add_folder("Details", expand_by_default=False):
+            self._details = gui.add_html("")
+        self.legend = gui.add_html(legend_html([]))
+        self._head = ""
+
+    def update(self, moment: Moment) -> None:
+        _, shown, verdict = moment
+        self._why.content = why_html(shown, verdict)
+        self._details.content = details_html(shown)
+        head = header_html(shown, verdict, self._viewer.shared.spoken)
+        if head != self._head:
+            self._head = head
+            self._viewer.channel.tell("head", head)
+
+
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
-    """The whole panel; its number of lines is the same whatever it says."""
-    why, colour = snapshot.explanation, css(verdict.colour)
-    tables = "" if why is None else _tables(snapshot, why)
-    loud = f"background:{colour};color:white;" if verdict.state == "contact" else ""
-    return (
-        f'<div style="{loud}border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
-        'height:8.6em;overflow:hidden;font-size:.85em;line-height:1.4"><b style="font-size:1.1em">'
-        f"{verdict.state.capitalize()}</b><br>{sentence(snapshot)}</div>"
-        f'<div style="font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em">{tables}</div>'
-    )
-
-
-def strip_html(snapshot: Snapshot, verdict: Verdict) -> str:
-    """What the panel says first, for a page that is too narrow for panels beside the scene."""
+    """The verdict in a sentence, and in three rows its force, the base's motion and the limits."""
     colour = css(verdict.colour)
     return (
-        f'<div data-strip style="border-left:6px solid {colour}"><b style="color:{colour}">'
-        f"{verdict.state.capitalize()}</b> {sentence(snapshot)}</div>"
+        f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
+        f'min-height:5.6em;font-size:.85em;line-height:1.4">{verdict_chip(verdict)}'
+        f"<br>{sentence(snapshot)}</div>"
+        f'<div style="{_BODY}">{table(_first_rows(snapshot))}</div>'
     )
+
+
+def details_html(snapshot: Snapshot) -> str:
+    """Every quantity behind the sentence; a line while nothing acts on the robot."""
+    why = snapshot.explanation
+    if why is None or why.bearing is None:
+        return small("Nothing acts on the robot: no link pair is inside its buffer.")
+    return f'<div style="{_BODY}">{_tables(snapshot, why)}</div>'
+
+
+def _first_rows(snapshot: Snapshot) -> list[str]:
+    why = snapshot.explanation
+    x, y = _sum([force.f for force in why.forces]) if why else (0.0, 0.0)
+    size, bounds = _size((x, y)), why.bounds if why and why.bearing else ()
+    force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
+    limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
+    more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
+    return [
+        _row("Force on the base", "sum of the forces (14) at the acting points", force),
+        _row("Base motion", "measured", words.speeds(snapshot.base_velocity)),
+        _row("Limited by", "constraints that are active in this control step", limit + more),
+    ]
+
+
+def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
+    """Verdict, sentence and the three numbers that the strip over the scene shows."""
+    pair, d_b, factor = snapshot.nearest, snapshot.config.border.d_b, snapshot.realtime_factor
+    share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
+    pace = (
+        "paused" if snapshot.paused else "" if math.isnan(factor) else f"{factor:.2f} × real time"
+    )
+    hint = f"Nearest link pair; the stroke is its buffer d_b = {millimetres(d_b)}"
+    return (
+        f'<div class="dbb-say">{verdict_chip(verdict)} {sentence(snapshot)}</div>'
+        f'<div class="dbb-numbers"><span title="{hint}">{spoken[pair.name]} '
+        f'<b>{millimetres(pair.d)}</b></span><span class="dbb-bar" title="{hint}">{share}</span>'
+        f"<span>base {words.speeds(snapshot.base_velocity)}</span><span>{pace}</span></div>"
+    )
+
+
+def verdict_chip(verdict: Verdict) -> str:
+    """The verdict on its colour."""
+    return chip(verdict.state.capitalize(), css(verdict.colour), ink(verdict.colour))
 
 
 def sentence(snapshot: Snapshot) -> str:
@@ -61,8 +122,8 @@ def sentence(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
-    touch = "Parts of the arm touch! " if snapshot.arm_in_contact else ""
-    return ("Arm and base touch! " if snapshot.in_contact else touch) + _answer(snapshot, why)
+    touch = "Contact within the arm. " if snapshot.arm_in_contact else ""
+    return ("Contact of arm and base. " if snapshot.in_contact else touch) + _answer(snapshot, why)
 
 
 def _hand_is_disturbed(why: Explanation) -> bool:
@@ -76,10 +137,7 @@ def _hand_is_disturbed(why: Explanation) -> bool:
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if not why.solved:
-        return (
-            "The solver found no motion that keeps all limits, so the arm holds itself up and the "
-            "base brakes."
-        )
+        return "The solver found no feasible motion: the arm holds still and the base brakes."
     pair = why.bearing
     if pair is None:
         return _nothing_near(snapshot, why)
@@ -95,41 +153,42 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
 
 
 def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
-    a, b, d = why.nearest
+    name, _, d, *_ = snapshot.nearest
+    a, _, b = name.partition("-")
     buffer = words.length(snapshot.config.border.d_b)
     text = f"Nothing is near: {_the(b, why)} is {_beside(d, snapshot)} from {_the(a, why)}"
     if why.controller == "none":
         return f"{text}. Avoidance is off."
-    text += f" (buffer {buffer}), so nothing has to give way"
+    text += f" (buffer {buffer})"
     moves = _motion(snapshot, why, ahead=False)
     if moves is None:
         return f"{text}."
     if why.mode == "tracking":
-        return f"{text}; the base {moves} to carry the hand along."
-    return f"{text}; the base, which {moves}, comes to rest."
+        return f"{text}; the base {moves} to follow the end-effector's task."
+    return f"{text}; the base {moves} and comes to rest."
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """The paper's method: the base gives way; where its barrier is met, the arm resists."""
     cause, also = _cause(pair, why, snapshot.config), _also(why)
     if base_cannot_help(pair):
-        where = f"{cause}, where no motion of the base helps"
+        where = f"{cause}, where base motion cannot help"
         if why.controller == "hqp":
             return f"{where}, and the printed controller has nothing else that holds the arm.{also}"
         if pair.held:
-            return f"{where}: the arm itself keeps its distance{_off_target(snapshot)}.{also}"
+            return f"{where}; the arm itself holds this distance{_off_target(snapshot)}.{also}"
         least = words.length(snapshot.config.barrier.d_min)
-        return f"{where}: the arm itself will stay {least} away.{also}"
+        return f"{where}; the arm itself will stop at {least}.{also}"
     moves = _base_moves(snapshot, why, pair)
-    moved = f"so {moves}" if moves else "too little yet to move the base"
+    moved = "; the base does not need to move yet" if not moves else f", so {moves}"
     if pair.held:
-        return f"{cause}, {moved}, and the arm itself keeps its distance.{also}"
-    return f"{cause}, {moved}; {_hand(why)}.{also}"
+        return f"{cause}{moved}, and the arm itself holds this distance.{also}"
+    return f"{cause}{moved}; {_hand(why)}.{also}"
 
 
 def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(pair, why, snapshot.config)
-    text = f"{cause}, so this method pushes the arm away and does not ask the base"
+    text = f"{cause}, so this method pushes the arm away and does not move the base"
     return f"{text}; {_hand(why, held=True)}{_off_target(snapshot)}."
 
 
@@ -140,15 +199,15 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(shown, why, None)
     least = words.length(snapshot.config.barrier.d_min)
     if held is None:
-        return f"{cause}; only nearer than {least} is forbidden, so nothing gives way yet."
+        return f"{cause}; this method acts at its minimum distance of {least} only."
     moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
     hand = _hand(why, held=True) + _off_target(snapshot)
-    return f"{cause}, held back by the hard limit of {least}; {moves}; {hand}."
+    return f"{cause}, at the minimum distance of {least}; {moves}; {hand}."
 
 
 def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(pair, why, snapshot.config)
-    text = f"{cause}, so the arm pushes the two apart; the base has no part in it"
+    text = f"{cause}, so the arm pushes the two links apart; the base is not involved"
     if why.mode == "tracking":
         return f"{text}; {_hand(why)}."
     return f"{text}{_off_target(snapshot)}."
@@ -159,13 +218,9 @@ def _cause(pair: NearPair, why: Explanation, config: Config | None) -> str:
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
-        return f"{b} is {words.length(-pair.d)} inside the outline of {near}"
-    if config is None:
-        return f"{b} is {words.length(pair.d)} from {near}"
-    buffer = words.length(config.border.d_b)
-    if pair.d > config.border.d_b - 0.005:
-        return f"{b} is at the edge of the {buffer} buffer around {near}"
-    return f"{b} came within {words.length(pair.d)} of {near} (its buffer is {buffer})"
+        return f"{b} overlaps {near} by {words.length(-pair.d)}"
+    text = f"{b} is {words.length(pair.d)} from {near}"
+    return text if config is None else f"{text} (buffer {words.length(config.border.d_b)})"
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
@@ -174,7 +229,7 @@ def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | N
     moves = _motion(snapshot, why, ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
-        return f"the base {moves}" + (", as fast as it may" if top else "")
+        return f"the base {moves}" + (", at its speed limit" if top else "")
     asked = planar(why.axes, why.base_asked)
     will = words.intention(asked.forward, asked.turn, ahead=ahead, left=asked.left)
     return None if will is None else f"the base is about to {will}"
@@ -188,16 +243,16 @@ def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
 def _hand(why: Explanation, *, held: bool = False) -> str:
     """How the hand fares; `held` if the arm itself keeps its distance."""
     if why.mode == "guiding":
-        return "the hand cannot be led on freely" if held else "the hand stays free to be led"
+        return "the arm resists further guiding" if held else "the arm can still be guided freely"
     if _hand_is_disturbed(why):
-        return "the hand's own task has to give way"
-    return "the hand's own task is not disturbed"
+        return "the end-effector's task is reduced"
+    return "the end-effector's task is not affected"
 
 
 def _off_target(snapshot: Snapshot) -> str:
     if snapshot.ee_error < 0.01:
         return ""
-    return f"; the hand stays {words.length(snapshot.ee_error)} off its target"
+    return f"; the hand is {words.length(snapshot.ee_error)} from its target"
 
 
 def _beside(d: float, snapshot: Snapshot) -> str:
@@ -211,7 +266,7 @@ def _also(why: Explanation) -> str:
     for pair in why.near:
         if not pair.mobile:
             a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
-            return f" {b.capitalize()} and {a} are pushed apart as well."
+            return f" {b.capitalize()} and {a} are also pushed apart."
     return ""
 
 
@@ -221,29 +276,27 @@ def _the(name: str, why: Explanation) -> str:
 
 def _tables(snapshot: Snapshot, why: Explanation) -> str:
     return (
-        _table("Near", _near_rows(snapshot, why))
+        _table("Nearest active pair", _near_rows(snapshot, why))
         + _table("Force on the base", _force_rows(why), _columns(why.axes))
-        + _table("Where it acts, p_act", _score_rows(why))
-        + _table("Given up, what weighs most first", _level_rows(why.levels))
-        + _table("Limited by", _bound_rows(why))
+        + _table("Acting point p_act", _score_rows(why))
+        + _table("Task error, by priority", _level_rows(why.levels))
+        + _table("Active limits", _bound_rows(why))
     )
 
 
 def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     pair = why.bearing
-    more = f" and {len(why.near) - 1} more" if len(why.near) > 1 else ""
-    buffer = f" of {1000 * snapshot.config.border.d_b:.0f} mm"
-    if pair is None:
-        a, b, d = why.nearest
-        name, beta = words.pair(a, b, why.chain), 0.0
-    else:
-        name, d, beta = words.pair(pair.a, pair.b, why.chain), pair.d, pair.beta
-    distance = minus(f"{1000 * d:.0f}")
-    held = ", distance held" if pair is not None and pair.held else ""
+    assert pair is not None, "tables are for what is near"
+    more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
+    name = words.pair(pair.a, pair.b, why.chain) + more
+    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.config.border.d_b)})"
+    held = ", minimum distance reached" if pair.held else ""
     return [
-        _row("pair", "the link pair that counts most", name + more),
-        _row("distance d, of buffer d_b", "signed distance of its bodies", distance + buffer),
-        _row("activation β", "0 outside of the buffer, 1 in full force", f"{beta:.2f}{held}"),
+        _row("pair", "the most active link pair", name),
+        _row("distance d", "signed distance of its convex bodies", distance),
+        _row(
+            "activation β", "0 outside the buffer, 1 at full activation", f"{pair.beta:.2f}{held}"
+        ),
     ]
 
 
@@ -266,20 +319,18 @@ def _force_rows(why: Explanation) -> list[str]:
     x, y = f
     towards = f"{words.direction(x, y)}, {words.angle(x, y)}" if _size(f) > 0.05 else _NONE
     return [
-        _row("direction", "from forward, as the base sees it", towards, span=1 + len(why.axes)),
-        _acceleration("moving away", away, away_acc, "the part along −n, Figure 7b", on=on),
+        _row("direction", "angle from the base's forward axis", towards, span=1 + len(why.axes)),
+        _acceleration("away from the arm", away, away_acc, "component along −n, Figure 7b", on=on),
         _acceleration(
-            "to the better score",
+            "towards higher score",
             turn,
             turn_acc,
-            "the part across, by (12) and (13), Figure 7c",
+            "component across n from (12) and (13), Figure 7c",
             on=on,
         ),
-        _acceleration(
-            "together, times β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on
-        ),
-        _acceleration("asked of the base", None, why.base_asked, "the base's part of (29)"),
-        _acceleration("the base really has", None, why.base_given, "of its drive, a command late"),
+        _acceleration("sum × β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on),
+        _acceleration("commanded", None, why.base_asked, "base part of the solution of (29)"),
+        _acceleration("measured", None, why.base_given, "follows the command by one period"),
     ]
 
 
@@ -295,9 +346,9 @@ def _score_rows(why: Explanation) -> list[str]:
         ]
     labels = (
         (measure.label, measure.hint),
-        ("reachability R", "(9): how well the arm reaches the point"),
+        ("reachability R", "(9): how easily the arm reaches the point"),
         ("score S", f"(10): {measure.score}"),
-        ("score without the step, p_n", "S where the force would act without (12)"),
+        ("score at p_n", "S at the nearest point of the border, without the step (12)"),
     )
     return [_row(*label, value) for label, value in zip(labels, values, strict=True)]
 
@@ -314,14 +365,14 @@ def _level_rows(levels: Sequence[Level]) -> list[str]:
 def _given_up(level: Level) -> str:
     parts = ((level.linear, "m/s²"), (level.angular, "rad/s²"))
     texts = [f"{value:.2f} {unit}" for value, unit in parts if value is not None and value >= 0.005]
-    return ", ".join(texts) or '<span style="opacity:.65">nothing</span>'
+    return ", ".join(texts) or '<span style="opacity:.8">0</span>'
 
 
 def _bound_rows(why: Explanation) -> list[str]:
     texts = [words.bound(bound, why.chain) for bound in why.bounds]
     if len(texts) > BOUNDS_SHOWN:
         texts = [*texts[: BOUNDS_SHOWN - 1], f"and {len(texts) - BOUNDS_SHOWN + 1} more"]
-    texts = texts or ['<span style="opacity:.65">no limit</span>']
+    texts = texts or ['<span style="opacity:.8">none</span>']
     texts += ["&nbsp;"] * (BOUNDS_SHOWN - len(texts))
     return [row(cell(text, ONE_LINE)) for text in texts]
 

@@ -87,7 +87,6 @@ PRESETS = {
     "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
 """Views by name."""
-_OF_SCENARIOS = {"way-out": "pair"}  # views that scenarios have of their own, besides doors
 
 
 class _Look(NamedTuple):
@@ -222,7 +221,7 @@ class Camera:
 
         That is after a beginning, whoever has moved the camera, and, if it follows, once the base
         has gone on unseen, or a hand, also of a ghost, where nobody has moved the camera. A
-        scenario that has a view of its own begins with it.
+        scenario with a door begins with its view.
 
         Args:
             snapshot: What is shown.
@@ -234,7 +233,7 @@ class Camera:
             snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
         )
         self._begun = self._begun or begun
-        if begun and {first_view(snapshot), self._preset} & {"door", *_OF_SCENARIOS.values()}:
+        if begun and "door" in (first_view(snapshot), self._preset):
             self.begin(snapshot)
         if busy or self._waits():
             return
@@ -275,9 +274,8 @@ class Camera:
 
 
 def first_view(snapshot: Snapshot) -> str:
-    """Key of `PRESETS` where one looks from at first: a door's, or the scenario's own view."""
-    own = _OF_SCENARIOS.get(snapshot.scenario, "iso")
-    return own if snapshot.door is None else "door"
+    """Key of `PRESETS` of the first view: a door's where there is one."""
+    return "iso" if snapshot.door is None else "door"
 
 
 def placed(
@@ -304,7 +302,7 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
     if of == "hand":
         seen = [hand + _NEAR_HAND]
     elif of == "pair" and snapshot.pairs:
-        nearest = min(snapshot.pairs, key=lambda pair: pair.d)
+        nearest = snapshot.nearest
         seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
     elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size

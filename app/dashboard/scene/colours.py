@@ -7,7 +7,7 @@ from app.strict import Array
 
 Rgb = tuple[int, int, int]
 
-BRAND: Rgb = (38, 132, 214)
+BRAND: Rgb = (24, 104, 176)  # white text on it has a contrast of 5.9
 BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
 """Of a dark and of a light page, behind the scene."""
 
@@ -32,6 +32,7 @@ _VIRIDIS = np.array(
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
 """One colour a link pair, in the order of the snapshot; distinct on white and on black."""
 
+BETA = "#8e6bd8"  # activation
 CLEAR: Rgb = (128, 138, 150)  # a pair outside of its buffer
 NEAR: Rgb = (235, 205, 70)  # a pair inside of its buffer, on which nothing acts
 YIELDS: Rgb = (240, 150, 40)  # a pair for which the base gives way
@@ -60,6 +61,12 @@ def viridis_css() -> str:
 def css(colour: Rgb) -> str:
     """The colour as CSS writes it."""
     return "rgb({},{},{})".format(*colour)
+
+
+def ink(ground: Rgb) -> str:
+    """Black or white, whichever has more contrast on a ground: at least 4.5 to 1."""
+    luminance = float(linear(np.array(ground)) / 255.0 @ (0.2126, 0.7152, 0.0722))
+    return "black" if luminance > 0.179 else "white"
 
 
 def linear(colours: Array) -> Array:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pinocchio as pin
 
 from app.dashboard.panels import phrases as words
 from app.dashboard.scene import colours
@@ -19,10 +20,18 @@ from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
+from app.simulation.trace.snapshot import (
+    ActingReading,
+    DoorView,
+    GhostReading,
+    PairReading,
+    Snapshot,
+)
+from app.simulation.trace.words import METHODS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
+_SAME = 0.01  # [m or rad] nearer to the robot a ghost is not seen as another one
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 _LEAST_FORCE = 0.5  # [N] weaker forces get no arrow, whose head would be longer than itself
 _FORCE_LIFT = 0.08  # [m] of the arrow of a force on the base over the base's top
@@ -43,7 +52,6 @@ _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "handle": (_HANDLE, None),
 }
 _DOOR_LIFT = 0.05  # [m] of the angle over the door
-_NAME_HEIGHT = 0.02  # [m] of the names of robots that are compared
 _DOOR_ARC = 0.30  # [m] radius of the angle
 
 
@@ -61,13 +69,13 @@ def draw_distances(
         canvas.segments(
             f"/distances/{kind}", ends, np.repeat(shades[:, None, :], 2, axis=1), pixels
         )
-    nearest = min(pairs, key=lambda pair: pair.d)
+    nearest = snapshot.nearest
     for pair in pairs:
         if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
             # Between the base and the arm stand the acting points with their own labels.
             place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
-            depth = "" if pair.d >= 0.0 else " inside: contact"
-            text = f"{spoken[pair.name]}  {1000 * abs(pair.d):.0f} mm{depth}"
+            overlap = "" if pair.d >= 0.0 else " overlap"
+            text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.names and pair.d < d_b:
             node = f"/distances/{pair.name}"
@@ -92,6 +100,9 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
     The base's top is at a height [m].
     """
     for reading in snapshot.acting:
+        size = np.linalg.norm(reading.f)
+        if size < _LEAST_FORCE:
+            continue
         node = f"/acting/{reading.name}"
         canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
         canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
@@ -100,19 +111,17 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
         place = _draw_force(canvas, node, reading, top)
-        force = f"{np.linalg.norm(reading.f):.0f} N"
+        force = f"base pushed {size:.0f} N"
         canvas.label(f"{node}/p_act_label", place, f"p_act  {force}" if view.names else force)
 
 
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
-    """The arrow of the force on the base at p_act, if it is strong enough; gives its label's place.
+    """The arrow of the force on the base at p_act; gives its label's place.
 
     The arrow ends there, for the base would hide one that began there; and below the base's top it
     is drawn straight above p_act, for the arm would hide it.
     """
     p_act = reading.p_act
-    if np.linalg.norm(reading.f) < _LEAST_FORCE:
-        return p_act
     end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
     start = end - METRES_PER_NEWTON * reading.f
     canvas.arrow(f"{node}/force", start, end, colours.ACTING)
@@ -159,16 +168,29 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
         ends = np.array([pull.point, pull.target])
         if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
             canvas.lines(f"/pull/{i}", [ends], colours.PERSON, 3.0)
-            text = f"{np.linalg.norm(pull.force):.0f} N{words.borne(snapshot.force_bound)}"
-            canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
+            force = float(np.linalg.norm(pull.force))
+            if force >= _LEAST_FORCE:
+                text = f"pull {force:.0f} N{words.borne(snapshot.force_bound)}"
+                canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
 
-def draw_names(canvas: Canvas, snapshot: Snapshot) -> None:
-    """Below each of several robots its controller's name."""
-    ghosts = [(ghost.controller, ghost.base_pose) for ghost in snapshot.ghosts]
-    robots = [(f"{snapshot.controller} (led)", snapshot.base_pose), *ghosts] if ghosts else []
-    for i, (name, (x, y, _)) in enumerate(robots):
-        canvas.label(f"/names/{i}", np.array([x, y, _NAME_HEIGHT]), name)
+def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
+    """At a place (3,) [m] of each of several bases what its controller does, and its distance."""
+    apart = any(not coincides(ghost, snapshot) for ghost in snapshot.ghosts)
+    robots = [
+        (snapshot.controller, snapshot.base_pose, min(p.d for p in snapshot.pairs if p.mobile))
+    ]
+    robots += [(ghost.controller, ghost.base_pose, ghost.clearance) for ghost in snapshot.ghosts]
+    for i, (name, (x, y, phi), d) in enumerate(robots if apart else ()):
+        place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
+        near = "touches" if d < 0.0 else f"{millimetres(d)} to its base"
+        canvas.label(f"/names/{i}", place, f"{METHODS.get(name, name)}: {near}")
+
+
+def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
+    """Whether a ghost stands where the robot does: drawn over it, it would only tint the robot."""
+    poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
+    return all(bool(np.abs(each).max() < _SAME) for each in poses)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

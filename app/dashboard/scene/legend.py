@@ -9,7 +9,7 @@ from typing_extensions import Self
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
 from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
-from app.dashboard.scene.colours import Rgb, css, viridis_css
+from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 from app.strict import Array
@@ -26,15 +26,15 @@ class BaseMeasure(NamedTuple):
     title: str = "measure of the base"
     unit: str = ""
     label: str = "measure of the base"
-    hint: str = "how well the base moves the point; in the place of (7)"
+    hint: str = "how well the base moves the point; replaces (7)"
     score: str = "measure · R"
 
 
 _DETERMINANT = BaseMeasure(
     title="det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)",
     unit="m⁴/rad⁴",
-    label="far from singular, det",
-    hint="(7): 0 on the wheels' axis, where the base cannot move the point sideways",
+    label="det(J Jᵀ)",
+    hint="(7): 0 on the wheel axis, where the base cannot move the point sideways",
     score="sign · det · R",
 )
 
@@ -95,7 +95,7 @@ class Legend(NamedTuple):
 def legend_html(legends: list[Legend]) -> str:
     """The colour bars of all drawn borders as HTML; without one, a line that says so."""
     if not legends:
-        return small("no border drawn (tab View)", FAINT)
+        return small("No border is shown (see tab View).", FAINT)
     return "".join(map(_bar_html, legends))
 
 
@@ -103,33 +103,38 @@ def key_html(d_b: float) -> str:
     """What the other colours and arrows mean, as HTML, for d_b [m]."""
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
     states: dict[State, str] = {
-        "clear": "closest points, pair outside its buffer",
-        "near": f"inside d<sub>b</sub> = {d_b:.2f} m, nothing acts on it",
+        "clear": "closest points of a pair outside its buffer",
+        "near": f"inside the buffer d<sub>b</sub> = {d_b:.2f} m, base at rest",
         "giving way": "the base gives way",
         "resisting": "the arm keeps the distance itself",
-        "contact": "contact: one is inside the other",
+        "contact": "contact or overlap",
     }
     acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)
     rows = [
         *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
-        (acting, f"acting point and its force: 0.1 m is {force:.0f} N"),
-        (_signs("→", colours.PERSON), f"person's force: 0.1 m is {force:.0f} N"),
+        (acting, f"acting point and force on the base (0.1 m: {force:.0f} N)"),
+        (_signs("→", colours.PERSON), f"force of the person (0.1 m: {force:.0f} N)"),
         (
             _signs("→", colours.ACCELERATION),
-            f"asked of the base: v̇, 0.2 m is {push:.0f} m/s²; ω̇ as an arc",
+            f"commanded base acceleration (0.2 m: {push:.0f} m/s²), ω̇ as an arc",
         ),
-        (_signs("―", colours.TRAIL_BASE, colours.TRAIL_HAND), "ways of base and hand"),
-        ("<b>―</b>", "border at the hand's height"),
+        (
+            f'<span style="color:{BETA}">▮</span>',
+            "time line, from above: activation β; marks are events (hover for their names)",
+        ),
+        (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
+        (_signs("―", colours.TRAIL_BASE, colours.TRAIL_HAND), "trails of base and hand"),
+        ("<b>―</b>", "border at the height of the hand"),
     ]
     signs = "width:2.6em;text-align:center"
     return small(
-        table(row(cell(sign, signs, ONE_LINE), cell(text, "opacity:.75")) for sign, text in rows)
+        table(row(cell(sign, signs, ONE_LINE), cell(text, "opacity:.85")) for sign, text in rows)
     )
 
 
 def _bar_html(legend: Legend) -> str:
     texts, factor = tick_texts(legend.low, legend.high)
-    share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of the"
+    share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
     gradient = f"background:linear-gradient(to right,{viridis_css()})"
@@ -138,7 +143,7 @@ def _bar_html(legend: Legend) -> str:
         + f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
         f'{spread(*texts)}<div style="{FAINT}">'
         f"d<sub>b</sub> = {legend.d_b:.3f} m, {share} {legend.total:,} points{part}. "
-        "Where there are none, the arm cannot be at that distance.</div>"
+        "Gaps: the arm cannot reach these points.</div>"
     )
 
 

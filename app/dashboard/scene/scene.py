@@ -246,7 +246,7 @@ class Scene:
         if view.motion:
             layers.draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
         layers.draw_pulls(canvas, snapshot)
-        layers.draw_names(canvas, snapshot)
+        layers.draw_names(canvas, snapshot, self._data.parts.crown)
         if snapshot.door is not None:
             layers.draw_door(canvas, snapshot.door)
         for name, points in self._trails.items():
@@ -264,7 +264,8 @@ class Scene:
                 self._ghosts.append(robot)
             self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
         for i, robot in enumerate(self._ghosts):
-            robot.root.visible = i < len(snapshot.ghosts)
+            ghosts = snapshot.ghosts[i : i + 1]
+            robot.root.visible = any(not layers.coincides(ghost, snapshot) for ghost in ghosts)
 
 
 def set_floor(scene: viser.SceneApi, *, dark: bool, shadows: bool = True) -> None:

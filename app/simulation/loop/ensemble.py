@@ -74,7 +74,8 @@ class Ensemble:
     def changing(self) -> str:
         """What of the parameters is on its way to what was configured, or empty."""
         now, wanted = self.main.controller.d_b, self.main.config.border.d_b
-        return "" if abs(now - wanted) < 1e-6 else f"d_b is {now:.3f} m on its way to {wanted:g} m"
+        change = f"Buffer d_b: {now:.3f} m, changing to {wanted:.3f} m"
+        return "" if abs(now - wanted) < 1e-6 else change
 
     @property
     def case(self) -> RunCase | None:

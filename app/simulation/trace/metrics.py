@@ -1,13 +1,14 @@
 """Figures of merit of a run, for `dbb run`, sweeps, studies, claims, ghosts and reports."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from app.simulation.plants.door import BODY
 from app.simulation.trace.trace import Trace
+from app.simulation.trace.words import outcome, spoken
 from app.strict import Array
 
 NEAR = 0.01
@@ -47,24 +48,27 @@ def touches(figures: dict[str, Any]) -> list[str]:
     return [what for key, what in _TOUCHED.items() if figures[key]]
 
 
-def verdict(figures: dict[str, Any]) -> str:
-    """How a run of these figures went: contact, the least distance, how far the hand is off."""
+def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
+    """How a run of these figures went: contact, least distance, remaining error of the hand.
+
+    With the robot's bodies in order, as `chain`, its link pairs are named in words.
+    """
     touched = touches(figures)
-    told = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
+    text = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
     least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
-    fatter = ""
+    larger = ""
     if least is not None:
-        pair, distance = least[0], 1000 * least[1]
+        pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
         near = f"least distance {distance:.0f}"
         if distance < 0:
             near = f"bodies overlapped by {-distance:.1f}"
-        told += f"; {near} mm ({pair})"
-        if distance < 0 and not touched:
-            fatter = (
-                " Distances are between bodies that are fatter than the links that they hold:"
-                " they can overlap while nothing touches."
+        text += f"; {near} mm ({pair})"
+        if outcome(least[1], touched=bool(touched)) == "overlap":
+            larger = (
+                " Distances are between convex bodies that enclose the links: they can overlap"
+                " without contact."
             )
-    return f"{told}; the hand ended {1000 * figures['ee_error_final_m']:.1f} mm off.{fatter}"
+    return f"{text}; final hand error {1000 * figures['ee_error_final_m']:.1f} mm.{larger}"
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:

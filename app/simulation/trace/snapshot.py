@@ -42,6 +42,8 @@ from app.simulation.trace.columns import (
 )
 from app.strict import Array
 
+_SETTLED = 1e-6  # [m] of d_b
+_D_B_STEP = 0.005  # [m] of d_b on its way: the border is drawn anew for each
 EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop as in a log
 
 _DOOR = TypeAdapter(Door)
@@ -354,7 +356,7 @@ class Snapshot:
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
-    config: Annotated[Config, config_changes(lambda s, o: s.config)]
+    config: Annotated[Config, config_changes(lambda s, o: config_in_force(s))]
     """The parameters in force; a scenario may firm those that it was given."""
     buffer: Annotated[BufferReading, _buffer()]
     """Whether d_b is enough for how fast the arm comes."""
@@ -421,6 +423,17 @@ class Snapshot:
         return self.run == before.run and self.t >= before.t
 
     @property
+    def nearest(self) -> PairReading:
+        """The link pair of the least distance."""
+        return min(self.pairs, key=lambda pair: pair.d)
+
+    @property
+    def touches(self) -> bool:
+        """Whether the plant reports any contact."""
+        door = self.door is not None and self.door.contact
+        return self.in_contact or self.arm_in_contact or self.floor_contact or door
+
+    @property
     def held(self) -> PullReading | None:
         """The pull that has lasted longest, or None if nobody holds the robot."""
         return self.pulls[0] if self.pulls else None
@@ -466,6 +479,14 @@ def make_snapshot(
         explanation=explain(*why) if explained else None,
         **course,
     )
+
+
+def config_in_force(session: Session) -> Config:
+    """The session's parameters; on its way to another value, d_b is the present one to 5 mm."""
+    config, d_b = session.config, session.controller.d_b
+    if abs(d_b - config.border.d_b) < _SETTLED:
+        return config
+    return config.replace("border.d_b", round(round(d_b / _D_B_STEP) * _D_B_STEP, 3))
 
 
 def _acting_reading(state: RobotState, w: ControlStep, i: int) -> ActingReading:

@@ -3,7 +3,6 @@
 Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
 
-from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import groupby
 from operator import attrgetter
@@ -14,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from app.border.cache import load_border_data
-from app.errors import StudyError
 from app.jobs.pool import Workers
 from app.jobs.progress import OnProgress, part_of
 from app.robot.description import load_robot
@@ -34,7 +32,6 @@ from app.studies.sweep.plan import (
 from app.studies.sweep.starts import Start, StartFinder
 from app.system import write_whole
 
-_MOST_PIXELS = 20_000_000  # [-] of a map, which has two million
 START_SHARE = 0.25  # [-] of the work that the search for starts is counted as
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
@@ -224,31 +221,3 @@ def write_sweep(result: Row, out: Path) -> list[str]:
     write_rows(out / "sweep.csv", rows + result["unreachable"], _FIRST)
     write_json(out / "sweep.json", {**result, "files": names})
     return names
-
-
-def newest_map(folder: Path) -> tuple[Path, int] | None:
-    """The picture of the newest sweep from the side in a folder, and its time [ns]; or None."""
-    found: dict[Path, int] = {}
-    for path in folder.glob("sweep_h*_v*.png"):
-        with suppress(OSError):  # it has just been removed
-            found[path] = path.stat().st_mtime_ns
-    return max(found.items(), key=lambda each: (each[1], each[0].name), default=None)
-
-
-def read_map(path: Path) -> Array:
-    """(H, W, 3) the picture's pixels, 0 to 255.
-
-    Raises:
-        StudyError: It cannot be read, or is larger than any map.
-    """
-    from PIL import Image
-
-    try:
-        with Image.open(path, formats=("PNG",)) as picture:
-            if picture.width * picture.height > _MOST_PIXELS:
-                raise StudyError(f"{path.name}: {picture.width} × {picture.height} pixels")
-            return np.asarray(picture.convert("RGB"))
-    except StudyError:
-        raise
-    except Exception as error:  # a damaged picture raises anything
-        raise StudyError(f"{path.name} cannot be read: {error}") from None

@@ -1,0 +1,77 @@
+"""What a screen reader gets of the page: names, landmarks, contrast, as axe-core finds them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.simulation.loop.commands import Pull, Release
+from tests.browser import REQUIRED, DashboardTab, wait_for
+from tests.dashboards import served_dashboard
+
+pytestmark = pytest.mark.browser
+
+AXE = "axe-core@4.11.1"
+"""From npm: a tool of tests only."""
+TABS = ("Run", "Lab", "View", "Tune", "Save", "Help", "Plots", "Compare", "Key", "Why")
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Its source."""
+    folder, npm = tmp_path_factory.mktemp("axe"), shutil.which("npm")
+    pack = [npm or "npm", "pack", AXE, "--silent"]
+    if npm is None or subprocess.run(pack, cwd=folder, timeout=120, check=False).returncode:
+        if os.environ.get(REQUIRED) and npm is not None:
+            pytest.fail(f"npm does not deliver {AXE}")
+        pytest.skip("without npm there is no axe-core")
+    [archive] = Path(folder).glob("*.tgz")
+    with tarfile.open(archive) as packed:
+        source = packed.extractfile("package/axe.min.js")
+        assert source is not None
+        return source.read().decode()
+
+
+@pytest.fixture(scope="module")
+def served():
+    with served_dashboard() as served:
+        yield served
+
+
+@pytest.mark.parametrize("dark", [True, False])
+def test_no_tab_has_a_violation(browser, served, axe, dark):
+    tab = DashboardTab(browser, served.server.address, first_visit=True)
+    served.page().view.dark = dark
+    tab.page.wait_for_selector(f"html[data-mantine-color-scheme={'dark' if dark else 'light'}]")
+    tab.page.locator("#dbb-card").wait_for()
+    tab.page.evaluate(axe + ";0")
+    for name in TABS:
+        tab.page.evaluate("name => dbbPanels.open(name)", name)
+        tab.page.get_by_role("tab", name=name, selected=True).wait_for()
+        tab.page.wait_for_timeout(700)  # [ms] names are given to what has just come
+        found = tab.page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")
+        told = [(each["id"], each["nodes"][0]["html"][:200]) for each in found["violations"]]
+        assert told == [], name
+    tab.close()
+
+
+def test_the_hand_is_pulled_by_keys_until_shift_is_released(browser, served):
+    served.begin_anew()
+    tab = DashboardTab(browser, served.server.address)
+    hand = np.array(served.loop.latest().p_ee)
+    keys = tab.page.keyboard
+    keys.down("Shift")
+    for _ in range(3):
+        keys.press("ArrowDown")
+    wait_for(lambda: len(served.loop.pulls()) >= 3, what="pulls")
+    keys.up("Shift")
+    wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="letting go")
+    pulls = [command for command in served.loop.commands if isinstance(command, Pull)]
+    np.testing.assert_allclose(pulls[-1].target - hand, [-0.06, 0.0, 0.0], atol=1e-6)
+    tab.close()
