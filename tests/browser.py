@@ -20,7 +20,7 @@ from app.errors import BrowserError
 REQUIRED = "DBB_REQUIRE_BROWSER"
 """Environment variable that turns a missing browser from a skip into a failure."""
 
-_HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
+HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
 LEAST_DIFFERENCE = 24
 """Of a channel of 0 to 255, from which on a pixel counts as changed."""
@@ -101,7 +101,7 @@ class DashboardTab:
                 None leaves it to the page.
         """
         context = browser_of_app.new_context(browser, size, honest=honest, touch=touch)
-        context.add_init_script(_HELPERS)
+        context.add_init_script(HELPERS)
         if not fresh:
             context.add_init_script("self.dbbTouched = true;")
         if not first_visit:

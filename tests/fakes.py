@@ -224,6 +224,7 @@ class ScriptedLoop:
             mode="guiding",
             controller=self._controller,
             config=config,
+            d_b=config.border.d_b,
             speed=self._speed,
             pulls=pulls,
             buffer=BufferReading(0.0, 0.0, 0.0, 0.0, too_small=False, too_small_ever=False),

@@ -84,6 +84,7 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         mode=str(rng.choice(["guiding", "tracking"])),
         controller=str(rng.choice(["dbb", "none"])),
         config=CONFIGS[rng.integers(len(CONFIGS))],
+        d_b=number(),
         buffer=BufferReading(
             number(), float(rng.choice([np.inf, 0.1])), number(), np.inf, truth(), truth()
         ),

@@ -53,7 +53,7 @@ class Layer(NamedTuple):
         least: [px] how many have to.
         node: In whose frame; the root is the world.
         share: [-] of all that changes, how much of it lies there; the rest of the border changes
-            its colours with the range of what is shown.
+            its colours with the range of what is shown, and labels are longer than the radius.
     """
 
     box: str
@@ -142,7 +142,7 @@ LAYERS = (
     Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
-    Layer("Acting points", of(acting), 60, 200),
+    Layer("Acting points", of(acting), 60, 200, share=0.7),
     Layer("Point labels", of(named), 110, 80),
     Layer("Forces", of(pushed), 60, 100),
     Layer("Trails", passed, 12, 40),
@@ -186,7 +186,7 @@ def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair, 
     for quantity in (*quantities, "hidden"):
         tab.choose(said[pair], quantity)
         picture = tab.wait_for_change(picture, 1500, places, radius=10)
-        title = TITLES.get(quantity, "no border drawn")
+        title = TITLES.get(quantity, "No border is shown")
         tab.page.get_by_text(title).filter(visible=True).first.wait_for(timeout=40_000)
     for name, quantity in ((pair, first), (other, "score" if other == "lm-lEE" else "hidden")):
         tab.choose(said[name], quantity)

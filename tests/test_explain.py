@@ -12,7 +12,6 @@ import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.config import Config
 from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, Level, NearPair
@@ -270,9 +269,8 @@ def test_of_several_pairs_it_speaks_of_the_one_that_is_inside(blank):
     assert "overlaps the shoulder by 3 mm" in said(blank, explanation((BASE, deep)))
 
 
-def test_the_buffer_is_that_of_the_configuration(blank):
-    config = Config().replace("border.d_b", 0.22)
-    assert "buffer 22 cm" in said(blank, explanation(NEAR["base"]), config=config)
+def test_the_buffer_is_the_one_in_force(blank):
+    assert "buffer 22 cm" in said(blank, explanation(NEAR["base"]), d_b=0.22)
 
 
 def test_as_fast_as_it_may_is_said_at_the_top_speed_only(blank):

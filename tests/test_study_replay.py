@@ -13,7 +13,7 @@ import viser
 
 from app.cli.main import main
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels.run import RunPanel
+from app.dashboard.panels.run import LabPanel
 from app.dashboard.server import serve_dashboard
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Play, Pull, Reset
@@ -181,9 +181,9 @@ def test_the_button_plays_the_case_of_the_page(case):
     sent = []
     sink = SimpleNamespace(send=sent.append)
     shared = SimpleNamespace(loop=sink, case=case.scenario())
-    RunPanel(SimpleNamespace(client=server, notifier=Notifier(server), shared=shared))
-    *_, button = server.gui._gui_input_handle_from_uuid.values()
-    assert button.label == "Play the case"
+    LabPanel(SimpleNamespace(client=server, notifier=Notifier(server), shared=shared))
+    handles = server.gui._gui_input_handle_from_uuid.values()
+    (button,) = (handle for handle in handles if handle.label == "Play the case")
     button.value = True
     wait_for(lambda: sent)
     server.stop()

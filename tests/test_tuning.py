@@ -456,7 +456,7 @@ def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
     press(gui, "Name", " stiff/arm ")
     [(name, content)] = press(gui, "Save").files
     assert name == "stiff-arm.toml"
-    assert decode_config(content) == ("stiff/arm", config)
+    assert decode_config(content) == ("stiff/arm", config, ())
     desk.tuning.reset()
     assert upload(desk, content).notes == ["mine.toml: 2 not at defaults."]
     assert desk.tuning.config == config
@@ -475,7 +475,7 @@ def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
     ("content", "told"),
     [
         (b"#" * (MOST_BYTES + 1), "more than"),
-        (b"\xff\xfe", "UTF-8"),
+        (b"\xff\xff", "UTF-8"),
         (b"[border]\nd_b = 1", "border.d_b: must be within 0.06 to 0.3 m"),
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),
     ],

@@ -374,7 +374,7 @@ class Uploads:
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
         """Nothing yet; a file may have `largest` [bytes]; few at a time, whoever sends them."""
         self._largest, self._everyone = largest, everyone
-        self._left: dict[str, tuple[int, range]] = {}
+        self.unfinished: dict[str, tuple[int, range]] = {}
         """By transfer: how many bytes are still to come, and which parts."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
@@ -387,10 +387,10 @@ class Uploads:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
         if not min(size, 1) <= parts <= size:
             raise RefusedError("this is no upload")
-        if sum(len(each._left) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
+        if sum(len(each.unfinished) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
             raise RefusedError("one upload after the other")
         if parts:
-            self._left[transfer] = size, range(parts)
+            self.unfinished[transfer] = size, range(parts)
 
     def add(self, transfer: str, part: int, size: int) -> None:
         """Take note of a part of so many bytes.
@@ -398,12 +398,12 @@ class Uploads:
         Raises:
             RefusedError: Nothing was announced of which it is the next part.
         """
-        left, parts = self._left.get(transfer, (0, range(0)))
+        left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
             raise RefusedError("not what was announced")
-        self._left[transfer] = left - size, parts[1:]
+        self.unfinished[transfer] = left - size, parts[1:]
         if not parts[1:]:
-            del self._left[transfer]
+            del self.unfinished[transfer]
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:

@@ -155,7 +155,7 @@ class Page:
         for panel in self._panels:
             if panel.of_instant:
                 panel.update(moment)
-        self._key.content = key_html(moment.shown.config.border.d_b)
+        self._key.content = key_html(moment.shown.border.d_b)
         self._show_refusal(moment.newest)
 
     def _renew_beside(self, moment: Moment) -> None:

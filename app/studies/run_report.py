@@ -128,7 +128,7 @@ def distances_figure(run: Trace) -> Figure:
         line = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
         above.plot(run.t, run.distances[:, k], label=spoken(pair, chain) if chain else pair, **line)
         below.plot(run.t, run.betas[:, k], **line)
-    d_b = [s.config.border.d_b for s in run.snapshots]
+    d_b = [s.d_b for s in run.snapshots]
     if len(set(d_b)) == 1:
         style.level(above, d_b[0], "buffer distance $d_b$")
     else:  # it was changed while the run went on

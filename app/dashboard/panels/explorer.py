@@ -56,7 +56,7 @@ class Explorer:
         data = BorderData(found, dict(clouds), "cache")
         self._model = model
         self._session = Session(model, data, snapshot.config, physics="kinematic")
-        self._search = PostureSearch(model, found, snapshot.config.border.d_b)
+        self._search = PostureSearch(model, found, snapshot.d_b)
         self._asked: tuple[object, ...] = ()
         self._answer = snapshot
 

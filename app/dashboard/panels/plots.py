@@ -117,7 +117,7 @@ def _distances(title: str, model: RobotModel, names: list[str], height: int) -> 
     ]
     return PlotPlan(
         title,
-        [*curves, Curve("d_b", lambda s: s.config.border.d_b)],
+        [*curves, Curve("d_b", lambda s: s.d_b)],
         (*_series(len(names)), _THRESHOLD),
         _soft(0.0, 0.4),
         height,

@@ -351,7 +351,7 @@ def pairs_html(
         cell(), cell("pair"), cell(), cell("d [mm]", RIGHT, ONE_LINE), cell("β", RIGHT), style=FAINT
     )
     pairs = enumerate(zip(snapshot.pairs, verdict.pairs, strict=True))
-    d_b, known = snapshot.config.border.d_b, spoken or {}
+    d_b, known = snapshot.d_b, spoken or {}
     rows = (
         _pair_row(i, pair, state, d_b, known.get(pair.name, pair.name))
         for i, (pair, state) in pairs

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from app.config import Config
 from app.control.explanation import Explanation, Level, LevelName, NearPair
 from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
@@ -98,7 +97,7 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
     """Verdict, sentence and the three numbers that the strip over the scene shows."""
-    pair, d_b, factor = snapshot.nearest, snapshot.config.border.d_b, snapshot.realtime_factor
+    pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = (
         "paused" if snapshot.paused else "" if math.isnan(factor) else f"{factor:.2f} × real time"
@@ -142,7 +141,7 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if pair is None:
         return _nothing_near(snapshot, why)
     if why.controller == "none":
-        return f"{_cause(pair, why, snapshot.config)}, but avoidance is off: nothing gives way."
+        return f"{_cause(pair, why, snapshot.d_b)}, but avoidance is off: nothing gives way."
     if why.controller == "barrier":
         return _barrier(snapshot, why, pair)
     if not pair.mobile:
@@ -155,7 +154,7 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
 def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     name, _, d, *_ = snapshot.nearest
     a, _, b = name.partition("-")
-    buffer = words.length(snapshot.config.border.d_b)
+    buffer = words.length(snapshot.d_b)
     text = f"Nothing is near: {_the(b, why)} is {_beside(d, snapshot)} from {_the(a, why)}"
     if why.controller == "none":
         return f"{text}. Avoidance is off."
@@ -170,7 +169,7 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     """The paper's method: the base gives way; where its barrier is met, the arm resists."""
-    cause, also = _cause(pair, why, snapshot.config), _also(why)
+    cause, also = _cause(pair, why, snapshot.d_b), _also(why)
     if base_cannot_help(pair):
         where = f"{cause}, where base motion cannot help"
         if why.controller == "hqp":
@@ -187,7 +186,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    cause = _cause(pair, why, snapshot.config)
+    cause = _cause(pair, why, snapshot.d_b)
     text = f"{cause}, so this method pushes the arm away and does not move the base"
     return f"{text}; {_hand(why, held=True)}{_off_target(snapshot)}."
 
@@ -206,21 +205,21 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    cause = _cause(pair, why, snapshot.config)
+    cause = _cause(pair, why, snapshot.d_b)
     text = f"{cause}, so the arm pushes the two links apart; the base is not involved"
     if why.mode == "tracking":
         return f"{text}; {_hand(why)}."
     return f"{text}{_off_target(snapshot)}."
 
 
-def _cause(pair: NearPair, why: Explanation, config: Config | None) -> str:
-    """What is near what; with the buffer if a configuration is given."""
+def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
+    """What is near what; with the buffer d_b [m] if there is one."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
         return f"{b} overlaps {near} by {words.length(-pair.d)}"
     text = f"{b} is {words.length(pair.d)} from {near}"
-    return text if config is None else f"{text} (buffer {words.length(config.border.d_b)})"
+    return text if d_b is None else f"{text} (buffer {words.length(d_b)})"
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
@@ -257,7 +256,7 @@ def _off_target(snapshot: Snapshot) -> str:
 
 def _beside(d: float, snapshot: Snapshot) -> str:
     """A distance, to the millimetre where it is near the buffer distance."""
-    near = abs(d - snapshot.config.border.d_b) < 0.01
+    near = abs(d - snapshot.d_b) < 0.01
     return f"{100 * d:.1f} cm" if near else words.length(d)
 
 
@@ -289,7 +288,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     assert pair is not None, "tables are for what is near"
     more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
     name = words.pair(pair.a, pair.b, why.chain) + more
-    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.config.border.d_b)})"
+    distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
     held = ", minimum distance reached" if pair.held else ""
     return [
         _row("pair", "the most active link pair", name),

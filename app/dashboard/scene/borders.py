@@ -283,7 +283,7 @@ class BorderSlice:
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.pairs]
         if not mobile:
             return
-        border = snapshot.config.border
+        border = snapshot.border
         z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
         key = (round(z / _GRAIN), border.d_b)
         if key != self._key:
@@ -362,10 +362,10 @@ def first_hit(mesh: trimesh.Trimesh, origin: Array, direction: Array) -> tuple[A
 def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array, n: Array) -> Probe:
     """What holds at a place p of a pair's border, its normal n, (3,) each in the base's frame."""
     config, field = snapshot.config, borders.fields[pair]
-    d_b = config.border.d_b
+    d_b, border = snapshot.d_b, snapshot.border
     d = _INSIDE * d_b
     p_b = p - (d_b - d) * n
-    finder = ActingPointFinder(BorderSearch(borders.surface(config.border)), field)
+    finder = ActingPointFinder(BorderSearch(borders.surface(border)), field)
     found = finder.find_acting_point(p_b, d, config.force)
     assert found is not None, "a border that is drawn has contours"
     f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)

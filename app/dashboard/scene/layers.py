@@ -62,7 +62,7 @@ def draw_distances(
 
     Words for the pairs are `spoken`, by their names.
     """
-    d_b, pairs = snapshot.config.border.d_b, snapshot.pairs
+    d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
     for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
         ends = segments(pairs, d_b, inside=inside)

@@ -197,7 +197,7 @@ class Scene:
         Returns:
             Whether `legends` is new.
         """
-        return self._border.update(self._view, snapshot.config.border)
+        return self._border.update(self._view, snapshot.border)
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
         """Draw a snapshot, as it is seen through a lens; labels and trails only if `texts`."""

@@ -18,7 +18,7 @@ from app.simulation.loop.ensemble import Ensemble
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, config_in_force, make_snapshot
+from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapshot
 from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
 from app.strict import Array
 
@@ -265,7 +265,7 @@ class SimulationLoop(LiveLoop):
         self._history.add(
             replace(
                 latest,
-                config=config_in_force(main),
+                config=main.config,
                 controller=main.controller.name,
                 busy="",
                 ghosts=latest.ghosts if compared else (),

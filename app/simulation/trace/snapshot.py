@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import TypeAdapter
 
-from app.config import Config
+from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound
@@ -42,7 +42,6 @@ from app.simulation.trace.columns import (
 )
 from app.strict import Array
 
-_SETTLED = 1e-6  # [m] of d_b
 _D_B_STEP = 0.005  # [m] of d_b on its way: the border is drawn anew for each
 EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop as in a log
 
@@ -356,8 +355,10 @@ class Snapshot:
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
-    config: Annotated[Config, config_changes(lambda s, o: config_in_force(s))]
-    """The parameters in force; a scenario may firm those that it was given."""
+    config: Annotated[Config, config_changes(lambda s, o: s.config)]
+    """The commanded parameters; a scenario may make some firmer."""
+    d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
+    """[m] buffer distance in force, which approaches `config.border.d_b` slowly."""
     buffer: Annotated[BufferReading, _buffer()]
     """Whether d_b is enough for how fast the arm comes."""
     pulls: Annotated[
@@ -423,6 +424,15 @@ class Snapshot:
         return self.run == before.run and self.t >= before.t
 
     @property
+    def border(self) -> BorderConfig:
+        """The border in force; while d_b changes, it is the present one to 5 mm."""
+        commanded = self.config.border
+        if abs(self.d_b - commanded.d_b) < _D_B_STEP:
+            return commanded
+        d_b = round(round(self.d_b / _D_B_STEP) * _D_B_STEP, 3)
+        return commanded.model_copy(update={"d_b": d_b})
+
+    @property
     def nearest(self) -> PairReading:
         """The link pair of the least distance."""
         return min(self.pairs, key=lambda pair: pair.d)
@@ -479,14 +489,6 @@ def make_snapshot(
         explanation=explain(*why) if explained else None,
         **course,
     )
-
-
-def config_in_force(session: Session) -> Config:
-    """The session's parameters; on its way to another value, d_b is the present one to 5 mm."""
-    config, d_b = session.config, session.controller.d_b
-    if abs(d_b - config.border.d_b) < _SETTLED:
-        return config
-    return config.replace("border.d_b", round(round(d_b / _D_B_STEP) * _D_B_STEP, 3))
 
 
 def _acting_reading(state: RobotState, w: ControlStep, i: int) -> ActingReading:
