@@ -152,6 +152,7 @@ class ScriptedLoop:
         if isinstance(command, Release) or command.target is None:
             self._pulls.pop(command.who, None)
         else:
+            self._scenario = ""
             self._pulls[command.who] = command
 
     def _begin(self) -> None:

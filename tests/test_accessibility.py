@@ -56,8 +56,8 @@ def test_no_tab_has_a_violation(browser, served, axe, dark):
         tab.page.get_by_role("tab", name=name, selected=True).wait_for()
         tab.page.wait_for_timeout(700)  # [ms] names are given to what has just come
         found = tab.page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")
-        told = [(each["id"], each["nodes"][0]["html"][:200]) for each in found["violations"]]
-        assert told == [], name
+        nodes = [(each["id"], each["nodes"][0]) for each in found["violations"]]
+        assert [(kind, n["html"][:200], n["failureSummary"]) for kind, n in nodes] == [], name
     tab.close()
 
 

@@ -95,6 +95,7 @@ def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data)
 def test_a_visitor_explores_postures_and_clicks_the_border(browser):
     with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
+        tab.open_tab("Lab")
         tab.page.get_by_text("Joint sliders", exact=True).click()
         tab.click("Pause and pose the arm")
         tab.row("panda_joint4 [°]").wait_for()
@@ -121,7 +122,7 @@ def test_a_visitor_explores_postures_and_clicks_the_border(browser):
         wait_for(lambda: tab.is_shown("/probe/text"), what="the place's numbers")
         assert "det" in tab.text("/probe/text")
 
-        tab.open_tab("Run")
+        tab.open_tab("Lab")
         tab.click("Start from this posture")
         wait_for(lambda: Pause(False) in served.loop.commands, what="the start")
         [reset] = [c for c in served.loop.commands if isinstance(c, Reset) and c.q_m]

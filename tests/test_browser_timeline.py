@@ -1,4 +1,4 @@
-"""Looking back: the scene, the plots and the texts show that instant, and `Now` returns."""
+"""Looking back: the scene, the plots and the texts show that instant, and `Back to now` returns."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def tab(opened, served):
     served.pull_at_base(4.0)
     opened.wait("t => Math.abs(dbb.seen().now - t) < 0.01", served.loop.latest().t)
     yield opened
-    opened.click("Now")
+    opened.click("Back to now")
     assert opened.errors == [], "the page's console"
 
 
@@ -82,7 +82,7 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
 
     wait_for(lambda: len(cursors()) == 3, what="a cursor in each of the three plots")
     np.testing.assert_allclose(cursors(), then, atol=0.05)
-    tab.click("Now")
+    tab.click("Back to now")
     wait_for(lambda: cursors() == [], what="no cursor")
     wait_for(lambda: shows(tab, served.loop.latest()), what="the newest instant")
     tab.page.get_by_text(f"t = {served.loop.latest().t:.2f} s, now").wait_for(timeout=40_000)
@@ -92,7 +92,7 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
 def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab, served):
     loop, page = served.loop, served.page()
     for paused in (False, True):
-        tab.click("Stop / go")
+        tab.click("Pause" if paused else "Continue")
         wait_for(lambda p=paused: loop.commands[-1:] == [Pause(p)])
         wait_for(lambda p=paused: loop.latest().paused is p)
     before = loop.latest().t
@@ -129,7 +129,7 @@ def test_the_past_looks_past_and_escape_leads_back(tab, served):
     tab.look_at(3.0)
     wait_for(lambda: not page.timeline.live)
     then = page.timeline.shown().t
-    tab.page.get_by_text(f"This is the past: t = {then:.2f} s").wait_for(timeout=40_000)
+    tab.page.get_by_text(f"Viewing the past: t = {then:.2f} s").wait_for(timeout=40_000)
     tab.page.keyboard.press("Escape")
     wait_for(lambda: page.timeline.live, what="the present")
     banner.wait_for(state="hidden", timeout=40_000)
@@ -171,18 +171,18 @@ def test_the_strip_shows_what_happened_and_is_scrubbed_by_mouse_touch_and_keys(t
 
 def test_a_marked_interval_is_on_the_bar_and_events_are_stepped_through(tab, served):
     page = served.page()
-    tab.click("No marks")
+    tab.click("Clear marks")
     tab.click("◂ Event")
     wait_for(lambda: not page.timeline.live)
     events = [event.t for event in served.server.shared.strip.events.values()]
     assert any(page.timeline.shown().t == pytest.approx(t, abs=DT) for t in events)
-    tab.click("Mark begin")
+    tab.click("Mark start")
     wait_for(lambda: page.timeline.begin is not None)
-    tab.click("Now")
+    tab.click("Back to now")
     wait_for(lambda: page.timeline.live)
     tab.click("Mark end")
     wait_for(lambda: page.timeline.end is not None)
     said = f"marked {page.timeline.begin:.2f} to {page.timeline.end:.2f} s"
     tab.page.get_by_text(said).wait_for(timeout=40_000)
-    tab.click("No marks")
+    tab.click("Clear marks")
     wait_for(lambda: page.timeline.begin is None)

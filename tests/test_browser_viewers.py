@@ -42,11 +42,11 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         wait_for(lambda: np.linalg.norm(first.position(GIZMO) - then.p_ee) < 1e-3)
         wait_for(lambda: np.linalg.norm(second.position(GIZMO) - now.p_ee) < 1e-3)
         assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "each has a time of his own"
-        first.click("Now")
+        first.click("Back to now")
         served.begin_anew()
         first.open_tab("Run")
         second.click("Pause")
-        first.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=40_000)
+        first.page.get_by_role("button", name="Continue", exact=True).first.wait_for(timeout=40_000)
         loop.send(Pause(False))
 
         hold(first, 1, 0.15)

@@ -59,6 +59,7 @@
       const kind = icon && [...icon.classList].find((name) => name.startsWith("tabler-icon-"))?.slice(12);
       if (icon) each.setAttribute("aria-label", ICONS[kind] ?? kind?.replaceAll("-", " ") ?? "Close");
     }
+    for (const each of document.querySelectorAll("[data-scrollarea-viewport]")) each.tabIndex = 0; // scrolls by keys
     for (const each of document.querySelectorAll("[role=slider][aria-label=''], .mantine-Input-input:not([aria-label])")) {
       let label = each.labels?.[0];
       for (let at = each.parentElement; at && !label; at = at.parentElement) label = at.querySelector("label");
