@@ -138,6 +138,10 @@ class EstimateConfig(Strict):
         default=0.2, ge=0.01, le=10.0
     )
     """[s] time window of the noise estimate."""
+    delay: Annotated[float, Shown("readings late", advanced=True)] = Field(
+        default=0.0, ge=0.0, le=0.03
+    )
+    """[s] known age of a reading when its step begins; older readings are noticed."""
 
 
 class AdmittanceConfig(Strict):

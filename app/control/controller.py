@@ -40,7 +40,7 @@ _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _HIERARCHY = 3  # place of its solution in `qp_x`
-_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture")  # NaN until they are known
+_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading")  # NaN until they are known
 
 
 class Controller:

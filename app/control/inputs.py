@@ -92,6 +92,7 @@ _GAINS: dict[str, Any] = {
     "least_noise": _FLOAT,
     "velocity_noise": _FLOAT,
     "noise_window": _FLOAT,
+    "delay": _FLOAT,
     "period": _FLOAT,
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
     "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
@@ -203,6 +204,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         least_noise=c.estimate.least_noise,
         velocity_noise=c.estimate.velocity_noise,
         noise_window=c.estimate.window,
+        delay=c.estimate.delay,
         period=c.admittance.period,
         virtual_mass=virtual_mass(base, c.admittance),
         virtual_damping=virtual_damping(base, c.admittance),
