@@ -576,7 +576,9 @@ def put_commands(robot: Any, gains: Any, w: Any) -> None:
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
         w.failures[()] += 1.0
         u = w.u_free
-        moving = w.base_velocity if w.valid[()] != 0.0 else w.v_cmd  # without a reading: as commanded
+        moving = (
+            w.base_velocity if w.valid[()] != 0.0 else w.v_cmd
+        )  # without a reading: as commanded
         put(w.a_base_cmd, -gains.base_damping * moving)
         fill(w.qdd, math.nan)
     put(w.u_cmd, clip(u, w.u_min, w.u_max))

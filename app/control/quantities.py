@@ -87,6 +87,7 @@ age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: periods by which the readings are late
 ratio | | | 1 | | readings | memory: way of a joint by the integral of its velocities
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not belong to the positions
+rested | | | 1 | | readings | memory: readings of a robot at rest that were the same
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
 pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base

@@ -13,7 +13,6 @@ late is one and the same case. Three quantities are found in the readings themse
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,8 +20,6 @@ import numpy as np
 from app.compiled import compiled
 from app.control.estimate import advance, estimate_arm, predicted_joint_acceleration
 from app.control.qp import times
-from app.errors import MeasurementError
-from app.robot.model import RobotModel
 from app.robot.state import all_finite
 from app.strict import Array
 from app.structs import fill, put, put_rows
@@ -55,50 +52,6 @@ _NOISES = 50.0  # [-] of the position's deviation, over which the period is meas
 _MOST_LAG = 24  # periods
 _CLEARLY = 0.25  # [-] of the unexplained motion, with which another lag is right
 _LEAST_CURVE = 1e-12  # [rad²] of unexplained third differences that say anything about the lag
-
-
-class JointOrder:
-    """Positions and velocities of the arm from joint states in a driver's own order.
-
-    As `sensor_msgs/JointState` has them: any order, with further joints, with or without
-    velocities. The names are looked up once; a step only picks the entries::
-
-        order = JointOrder(model, message.name)
-        Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
-    """
-
-    def __init__(self, model: RobotModel, names: Sequence[str]) -> None:
-        """Look the arm's joints up.
-
-        Raises:
-            MeasurementError: Names the joints that are missing, or named twice.
-        """
-        wanted, names = model.description.arm.joints, list(names)
-        for fault, count in (("does not name", 0), ("names more than once", 2)):
-            if wrong := [each for each in wanted if min(names.count(each), 2) == count]:
-                raise MeasurementError(
-                    f"joint states: the driver {fault} {', '.join(wrong)}; "
-                    f"names: {', '.join(names) or '(none)'}"
-                )
-        self._size = len(names)
-        self._places = np.array([names.index(each) for each in wanted])
-
-    def __call__(
-        self, position: Sequence[float] | Array, velocity: Sequence[float] | Array = ()
-    ) -> tuple[Array, Array]:
-        """(n_m,) positions and velocities in the arm's own order; velocities NaN if there are none.
-
-        Raises:
-            MeasurementError: There are not as many values as names.
-        """
-        q, qd = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
-        for field, values in (("position", q), ("velocity", qd)):
-            if values.shape != (self._size,) and (field == "position" or values.size):
-                raise MeasurementError(
-                    f"joint states: {field} has {values.size} values for {self._size} names"
-                )
-        places = self._places
-        return q[places], qd[places] if qd.size else np.full(len(places), np.nan)
 
 
 @compiled()
@@ -145,7 +98,9 @@ def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
 
 
 @compiled()
-def _is_repeated(w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, dt: float) -> bool:
+def _is_repeated(
+    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, dt: float
+) -> bool:
     """Whether these are the last readings again, of a robot that has moved since."""
     if not (
         _same(q, w.reading[0])
@@ -164,6 +119,24 @@ def _is_repeated(w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: A
     for v in base_velocity:
         fastest = max(fastest, abs(v) * dt)
     return fastest > _STILL
+
+
+@compiled()
+def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
+    """Periods in which a robot at rest began to move, while its readings were repeated.
+
+    A robot at rest may send the same readings again and again; that the driver repeats them shows
+    in the next ones: they are farther away than a joint moves in one period.
+    """
+    if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
+        w.rested[()] = 0.0 if first else w.rested[()] + 1.0
+        return 0.0
+    far = 0.0
+    for i in range(len(q)):
+        speed = 0.0 if math.isnan(qd[i]) else abs(qd[i])
+        far = max(far, abs(q[i] - w.reading[0, i]) - 2.0 * dt * speed)
+    rested, w.rested[()] = w.rested[()], 0.0
+    return rested if far > _STILL else 0.0
 
 
 @compiled()
@@ -342,6 +315,7 @@ def take_readings(
         w.age[()] += 1.0
         advance(w.x_est, _recall(w, 0, 1), gains.dt)
     else:
+        w.age[()] += _rested(w, q, qd, gains.dt, first)
         put(w.reading[0], q)
         put(w.reading[1], qd)
         _take_new(robot, gains, w, q, qd, first)
@@ -362,7 +336,7 @@ def take_readings(
 
 @compiled()
 def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) -> None:
-    """Update the estimate by new readings q, qd (n_m,); NaN stands for velocities not to be used."""
+    """Update the estimate by new readings q, qd (n_m,); velocities not to be used become NaN."""
     age = int(w.age[()])
     if first:
         _begin(gains, w, q)
