@@ -56,8 +56,8 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
     i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
     return MeasurementError(
         f"measurement.q_m: {model.description.arm.joints[i]} is at {q_m[i]:g}, its limits are "
-        f"{model.q_lower[i]:.4g} and {model.q_upper[i]:.4g} rad or m: send radians, in the order of "
-        f"{', '.join(model.description.arm.joints)} (`JointOrder` sorts by name)"
+        f"{model.q_lower[i]:.4g} and {model.q_upper[i]:.4g} rad or m: send radians, in the order "
+        f"of {', '.join(model.description.arm.joints)} (`JointOrder` sorts by name)"
     )
 
 

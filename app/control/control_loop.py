@@ -41,6 +41,11 @@ class Command(NamedTuple):
         return self.step.g[self.step.n_b :].copy()
 
     @property
+    def load(self) -> float:
+        """[kg] the mass at the end-effector whose weight explains the external torques best."""
+        return float(self.step.load)
+
+    @property
     def faults(self) -> tuple[str, ...]:
         """Names of all that is wrong with the readings of this step; `FAULTS` explains them."""
         return tuple(name for name, is_on in zip(FAULTS, self.step.faults, strict=True) if is_on)

@@ -109,7 +109,8 @@ class Controller:
             ConfigError: The control period is too long for a gain.
         """
         check_gains(config, self._dt)
-        self._config, border = config, config.border
+        self._config, border, load = config, config.border, config.payload
+        self.state.carry(load.mass, (load.x, load.y, load.z))
         if METHODS[self.name].get("hierarchy"):
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)

@@ -118,7 +118,7 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
         "base_rows": True,
         "link_rows": True,
         "reaction": True,
-        "barrier": MOBILE_BARRIER,
+        "barrier": EVERY_BARRIER,
         "lookahead": True,
     },
     "hqp": {"base_rows": True, "link_rows": True, "hierarchy": True},

@@ -82,7 +82,7 @@ twists | | n_j 6 | m/s, rad/s | world | | twist of each joint's body
 biases | | n_j 6 | m/s², rad/s² | world | | its change at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings | 1 if the readings are usable, else 0
-faults | | 9 | 1 | | readings | 1 for each of `readings.FAULTS` that the readings of the step have
+faults | | 10 | 1 | | readings | 1 for each of `readings.FAULTS` that the readings of the step have
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: periods by which the readings are late
 ratio | | | 1 | | readings | memory: way of a joint by the integral of its velocities
@@ -102,9 +102,12 @@ lag_samples | | | 1 | | readings | memory: readings in these sums
 travel | | 2 n_m | rad | joints | readings |
     memory: positions from which the period is measured, and the integral of the velocities
 since | | | 1 | | readings | memory: readings in that integral
+load | m | | kg | | readings |
+    memory: mass at the end-effector whose weight explains the external torques best
+loaded | | | s | | readings | memory: time for which it explains them well
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: position, velocity, external acceleration q̈_ext of now
-x_read | | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
+x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
     memory: Kalman state, the same at the newest reading
 P_est | P | n_m 3 3 | | joints | estimate | memory: its covariance
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |

@@ -37,10 +37,11 @@ FAULTS = {
     "lag": "the readings are older than stated: compensated up to 24 periods",
     "period": "the loop does not run at its stated period: the measured one is used from now on",
     "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
+    "load": "a force straight down acts on the end-effector: state a load as `payload.mass`",
 }
 """What can be wrong with the readings of a step, by name, in the order of `ControlStep.faults`."""
 
-INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION = range(9)
+INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD = range(10)
 
 HISTORY = 128
 """Periods over which a reading's age can be bridged."""
@@ -51,6 +52,9 @@ _LEAST_WAY = 0.002  # [rad] over which the period is measured
 _NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
 _MOST_LAG = 24  # periods
 _CLEARLY = 0.25  # [-] of the unexplained motion, with which another lag is right
+_LEAST_LOAD = 0.3  # [kg] that is reported
+_LOAD_TIME = 0.15  # [s] for which a force must look like a load
+_GRAVITY = 9.81  # [m/s²]
 _LEAST_CURVE = 1e-12  # [rad²] of unexplained third differences that say anything about the lag
 
 
@@ -271,6 +275,27 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 
 
 @compiled()
+def _estimate_load(gains: Any, w: Any) -> None:
+    """The mass whose weight at the end-effector explains the external torques best.
+
+    It is reported where it does so well for a while: a person rarely pulls straight down.
+    """
+    n_b = len(w.g) - len(w.q_m)
+    torque, lift = times(w.M[n_b:, n_b:], w.x_est[2]), w.J_ee[2, n_b:]
+    along, size, total = 0.0, 0.0, 0.0
+    for i in range(len(torque)):
+        along += torque[i] * lift[i]
+        size += lift[i] ** 2
+        total += torque[i] ** 2
+    if size == 0.0:
+        return
+    w.load[()] = -along / size / _GRAVITY
+    alike = along**2 > 0.8 * total * size and w.load[()] > _LEAST_LOAD
+    w.loaded[()] = w.loaded[()] + gains.dt if alike else 0.0
+    w.faults[LOAD] = 1.0 if w.loaded[()] > _LOAD_TIME else 0.0
+
+
+@compiled()
 def take_readings(
     robot: Any,
     gains: Any,
@@ -322,6 +347,7 @@ def take_readings(
         _take_base(robot, gains, w, base_pose, base_velocity, first)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
+    _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
     put(w.base_pose, w.pose_last)

@@ -5,7 +5,7 @@ end-effector begins a polynomial of fifth degree, from its present reference pos
 acceleration to the sample and the velocity of the way since the last one, within two mean intervals
 of samples: a steady motion stays steady, and jitter is bridged. Where no further sample comes it
 comes to rest at the last one. A sample that is farther away than the correction speed allows, such
-as the first one after a stall, is approached at that speed. References without leaps pass unchanged.
+as the first one after a stall, is approached at that speed. References without leaps pass as sent.
 """
 
 from __future__ import annotations
