@@ -121,14 +121,26 @@ class Oracle:
         w.valid = all(np.isfinite(each).all() for each in m)
         if not w.valid:
             self.estimate.gap()
-        else:
-            qdd_b = self.base.to_q @ (m.base_velocity - self.estimate.v_last) / self.dt
-            known = w.u_a - w.h[n_b:] - w.M[n_b:, :n_b] @ qdd_b
-            known = np.linalg.solve(w.M[n_b:, n_b:], known)
-            self.estimate.update(m, known, self.config.estimate)
-            if np.isnan(w.q_posture[0]):
-                w.q_posture = m.q_m.copy()
-            self._take(m._replace(q_m=self.estimate.x[0], qd_m=self.estimate.x[1]))
+            known = np.linalg.solve(w.M[n_b:, n_b:], w.u_a - w.h[n_b:])
+            x = self.estimate.x
+            now = x[1] + self.dt * (known + x[2])  # the reading's own x stays
+            fades = np.exp(-self.dt / self.config.estimate.window)
+            w.x_est = np.array([x[0] + self.dt * now, now, fades * x[2]])
+            w.qd = np.append(w.qd[:n_b], now)
+            w.P_est, w.noise_var, w.q_last = (
+                self.estimate.P,
+                self.estimate.variances,
+                self.estimate.last,
+            )
+            w.samples, w.v_last = self.estimate.samples, self.estimate.v_last
+            return
+        qdd_b = self.base.to_q @ (m.base_velocity - self.estimate.v_last) / self.dt
+        known = w.u_a - w.h[n_b:] - w.M[n_b:, :n_b] @ qdd_b
+        known = np.linalg.solve(w.M[n_b:, n_b:], known)
+        self.estimate.update(m, known, self.config.estimate)
+        if np.isnan(w.q_posture[0]):
+            w.q_posture = m.q_m.copy()
+        self._take(m._replace(q_m=self.estimate.x[0], qd_m=self.estimate.x[1]))
         e = self.estimate
         w.x_est, w.P_est, w.noise_var, w.q_last = e.x, e.P, e.variances, e.last
         w.samples, w.v_last = e.samples, e.v_last
@@ -500,7 +512,8 @@ class Oracle:
         u = w.M[n_b:] @ w.qdd + w.h[n_b:] if w.solved else w.u_free  # (26)
         if not w.solved:
             w.failures += 1
-            w.a_base_cmd = -self.config.task.base_damping * w.base_velocity
+            moving = w.base_velocity if w.valid else w.v_cmd
+            w.a_base_cmd = -self.config.task.base_damping * moving
         w.u_cmd = np.clip(u, w.u_min, w.u_max)
         if not np.isnan(w.q_posture[0]):
             w.u_a = w.u_cmd

@@ -217,11 +217,22 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
 
 
 @compiled()
+def _measure_from(w: Any, q: Array) -> None:
+    """Measure the period anew from the positions q (n_m,) on."""
+    put(w.travel[0], q)
+    fill(w.travel[1], 0.0)
+    w.since[()] = 0.0
+
+
+@compiled()
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Compare the joints' ways with the integral of their velocities.
 
     `w.ratio` is 1 where both agree; `w.no_velocity` is 1 where no period can explain it.
     """
+    if w.known[()] == 0.0:  # a gap
+        _measure_from(w, q)
+        return
     far, most = -1, 1.0
     w.since[()] += 1.0
     for i in range(len(q)):
@@ -244,9 +255,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         w.faults[PERIOD] = 1.0 if agrees else 0.0
         w.samples[()] = 0.0  # the readings themselves, until this is clear
     w.ratio[()] = ratio
-    put(w.travel[0], q)
-    fill(w.travel[1], 0.0)
-    w.since[()] = 0.0
+    _measure_from(w, q)
 
 
 @compiled()
@@ -255,7 +264,7 @@ def _begin(gains: Any, w: Any, q: Array) -> None:
     put(w.q_posture, q)
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 1.0
-    put(w.travel[0], q)
+    _measure_from(w, q)
     put(w.differences[0], q)
 
 
@@ -296,6 +305,21 @@ def _estimate_load(gains: Any, w: Any) -> None:
 
 
 @compiled()
+def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
+    """Predict the arm's velocity for the fallback command, which damps the arm as it moves now."""
+    w.age[()] += 1.0
+    w.known[()] = 0.0
+    fill(w.v_last, math.nan)
+    if not (math.isnan(w.q_posture[0]) or math.isnan(w.u_a[0])):
+        known = np.empty((1, len(w.q_m)))
+        at_rest = np.zeros(robot.n_b)
+        put(known[0], predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, at_rest))
+        advance(w.x_est, known, gains.dt)
+        w.x_est[2] *= math.exp(-gains.dt / gains.noise_window)  # nobody pulls the same for long
+        put(w.qd[robot.n_b :], w.x_est[1])
+
+
+@compiled()
 def take_readings(
     robot: Any,
     gains: Any,
@@ -331,9 +355,7 @@ def take_readings(
         w.faults[STALE] = 1.0 if repeated and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
     w.valid[()] = w.faults[INVALID] + w.faults[IMPLAUSIBLE] + w.faults[STALE] == 0.0
     if w.valid[()] == 0.0:
-        fill(w.v_last, math.nan)
-        w.known[()] = 0.0
-        w.age[()] += 1.0
+        _advance_blind(robot, gains, w)
         return
     _remember(robot, gains, w, base_velocity, not repeated)
     if repeated:
@@ -390,6 +412,8 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
         gains,
     )
     w.faults[JUMP] = 1.0 if jumped else 0.0
+    if jumped:
+        _measure_from(w, q)
     put_rows(w.x_est, w.x_read)
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
