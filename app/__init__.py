@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from app.border.cache import load_border_data as load_border_data
     from app.config import Config as Config
     from app.config_file import read_config as read_config
-    from app.control.contract import JointOrder as JointOrder
     from app.control.control_loop import Command as Command
     from app.control.control_loop import ControlLoop as ControlLoop
     from app.control.controller import Controller as Controller
@@ -53,7 +52,6 @@ _MODULES = {
     "ControlStep": "app.control.quantities",
     "Controller": "app.control.controller",
     "DbbError": "app.errors",
-    "JointOrder": "app.control.contract",
     "Measurement": "app.robot.state",
     "MeasurementError": "app.errors",
     "Reference": "app.control.tasks",

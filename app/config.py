@@ -208,7 +208,7 @@ class DisturbanceConfig(Strict):
     """[s] for which each reading is repeated; 0 is a new one at each step."""
     dropped: float = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of the readings that are lost, so that the last one is repeated."""
-    payload: float = Field(default=0.0, ge=0.0, le=10.0)
+    unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
     """[kg] load at the end-effector that the controller does not know; its weight alone."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller takes for true; 0.001 is."""

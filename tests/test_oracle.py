@@ -175,7 +175,7 @@ def along(
                 each.configure(config.replace("border.d_b", 0.17))
         m = plant.measure()
         if k == GAP:
-            m = m._replace(qd_m=m.qd_m * np.nan)
+            m = m._replace(q_m=m.q_m * np.nan)
         given = m, reference_at(k * DT, start, path.way)
         a = plant.acceleration() if k % 50 < 25 else None
         step = controller.step(*given, base_acceleration=a)

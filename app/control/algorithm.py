@@ -50,7 +50,7 @@ from app.avoidance.task import (
 from app.border.nearest import BORDER
 from app.compiled import compiled
 from app.control.admittance import next_command
-from app.control.inputs import EVERY_BARRIER, GAINS, MOBILE_BARRIER, NO_BARRIER, ROBOT
+from app.control.inputs import GAINS, ROBOT
 from app.control.limits import (
     barrier_bound,
     distance_rows,
@@ -376,7 +376,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 @compiled()
 def write_limits(
-    robot: Any, gains: Any, w: Any, barrier: int, link_buffers: bool, for_arm: bool
+    robot: Any, gains: Any, w: Any, barrier: bool, link_buffers: bool, for_arm: bool
 ) -> int:
     """Write the limits into w.C, w.l, w.u and w.slack_weight, and count them.
 
@@ -384,7 +384,7 @@ def write_limits(
         robot: `ROBOT`.
         gains: `GAINS`, whose rates say how fast limits may be approached.
         w: `STEP`.
-        barrier: Distances with a barrier.
+        barrier: Whether the distances of all pairs have a barrier.
         link_buffers: Whether links of the arm have their buffer as a barrier too.
         for_arm: For the arm's QP: within the torques of this step, with external forces, and no
             joint demands more than its own torque can achieve. Else any torque may act.
@@ -411,11 +411,7 @@ def write_limits(
     torque_rows(w.M, w.h, u_min, u_max, w.C, w.l, w.u)
     joints = slice(n_m, 2 * n_m)
     joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
-    count = 0
-    if barrier == EVERY_BARRIER or link_buffers:
-        count = len(robot.convex)
-    elif barrier == MOBILE_BARRIER:
-        count = robot.n_convex_mob
+    count = len(robot.convex) if barrier or link_buffers else 0
     rows, least = robot.convex[:count], np.empty(count)
     for k in range(count):
         i = rows[k]
@@ -464,9 +460,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     rows = slice(n_b, n_b + links)
     H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], slow.slack_weight, 0)
     put_qp(w, H, c)
-    m = write_limits(
-        robot, gains, w, gains.barrier if gains.base_in_barrier else NO_BARRIER, False, False
-    )
+    m = write_limits(robot, gains, w, gains.base_in_barrier, False, False)
     for i in range(n_b):
         put(w.C[m + i], robot.base_rows[i])
         w.l[m + i], w.u[m + i], w.slack_weight[m + i] = -robot.a_max[i], robot.a_max[i], 0.0
@@ -508,7 +502,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     put_qp(w, H, c)
     response = gains.response_gain * (w.a_base_cmd - gains.response_drag * w.base_velocity)
     put(w.qp_fixed, times(robot.J_m_inv, response))
-    return write_limits(robot, slow, w, NO_BARRIER, gains.lookahead, False)
+    return write_limits(robot, slow, w, False, gains.lookahead, False)
 
 
 @compiled()

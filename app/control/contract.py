@@ -57,7 +57,7 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
     return MeasurementError(
         f"measurement.q_m: {model.description.arm.joints[i]} is at {q_m[i]:g}, its limits are "
         f"{model.q_lower[i]:.4g} and {model.q_upper[i]:.4g} rad or m: send radians, in the order "
-        f"of {', '.join(model.description.arm.joints)} (`JointOrder` sorts by name)"
+        f"of {', '.join(model.description.arm.joints)} (`ControlLoop.joint_order` sorts by name)"
     )
 
 
@@ -67,7 +67,7 @@ class JointOrder:
     As `sensor_msgs/JointState` has them: any order, with further joints, with or without
     velocities. The names are looked up once; a step only picks the entries::
 
-        order = JointOrder(model, message.name)
+        order = loop.joint_order(message.name)
         Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
     """
 

@@ -1,6 +1,7 @@
 """All of the control at 1 kHz in one object: what a robot's own loop and the simulation call."""
 
 import logging
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
-from app.control.contract import checked_reference
+from app.control.contract import JointOrder, checked_reference
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
 from app.control.readings import FAULTS, JUMP, LOCALISATION
@@ -87,6 +88,14 @@ class ControlLoop:
         self._reported: set[str] = set()
         self._tracked = False
         self._references = References(dt) if interpolate else None
+
+    def joint_order(self, names: Sequence[str]) -> JointOrder:
+        """Sorts joint states of a driver that names the joints in its own order, and others too.
+
+        Raises:
+            MeasurementError: Names the joints that are missing, or named twice.
+        """
+        return JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
         """Start again from here: the next reading is where the robot is, at rest.

@@ -230,7 +230,7 @@ class Session:
         joint = model.pin.names[model.pin.njoints - 1]
         loads = (
             (known.mass, (known.x, known.y, known.z)),
-            (self.config.disturbance.payload, (0.0, 0.0, 0.0)),
+            (self.config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
         )
         return tuple(
             Push(joint, at.act(np.array(centre)), mass * model.pin.gravity.linear)
