@@ -149,7 +149,7 @@ class Oracle:
         """Kinematics and dynamics at a state, by pinocchio."""
         w, model, data, S, n_b = self.w, self.model.pin, self.pin_data, self.S, self.n_b
         w.base_pose, w.base_velocity, w.q_m, w.qd_m = (each.copy() for each in m[:4])
-        w.qd = np.append(self.base.to_q @ w.base_velocity, w.qd_m)
+        w.qd = self.measured_qd = np.append(self.base.to_q @ w.base_velocity, w.qd_m)
         x, y, phi = w.base_pose
         q, v = np.array([x, y, np.cos(phi), np.sin(phi), *w.q_m]), S @ w.qd
         pin.computeAllTerms(model, data, q, v)
@@ -220,7 +220,7 @@ class Oracle:
         """(21): how the distance changes along a normal that is fixed to the first body."""
         a, b = row.a.joint, row.b.joint
         J = self._jacobian(b, p) - self._jacobian(a, p)
-        v = J @ self.w.qd
+        v = J @ self.measured_qd
         bias = self._bias(b, p) - self._bias(a, p) - 2 * np.cross(self._turning(a), v)
         return n @ J, n @ bias, n @ v
 
@@ -291,7 +291,7 @@ class Oracle:
     def _tasks(self, reference: Reference | None) -> None:
         w, model, n_b = self.w, self.model, self.n_b
         w.tracking = reference is not None
-        w.u_free = w.g[n_b:] - model.joint_damping * w.qd_m
+        w.u_free = w.g[n_b:] - model.joint_damping * w.qd[n_b:]
         last = w.u_free if np.isnan(w.u_a[0]) else w.u_a
         at, most = (
             np.clip(last, -model.tau_max, model.tau_max),
@@ -324,7 +324,7 @@ class Oracle:
         half = (high - low) / 2
         s = (w.q_m - (low + high) / 2) / half
         weight = np.append(np.full(self.n_b, task.base_weight), np.ones(self.n_m))
-        arm = task.posture_stiffness * (w.q_posture - w.q_m) - task.posture_damping * w.qd_m
+        arm = task.posture_stiffness * (w.q_posture - w.q_m) - task.posture_damping * w.qd[self.n_b :]
         wanted = np.append(-task.base_damping * w.qd[: self.n_b], arm - task.centring * half * s**5)
         w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
@@ -365,7 +365,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Torques, joints, distances: "none", of L_m ("mobile"), "all", or with "buffers"."""
+        """Torques, joints, distances: "none", "all", or with "buffers"."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
@@ -373,7 +373,7 @@ class Oracle:
         if for_arm:
             bounds = self._reachable(*bounds, pushed)
         unit = model.qd_max
-        rows = [k for k in self.convex if distances in ("all", "buffers") or self.rows[k].mobile]
+        rows = self.convex
         rows = [] if distances == "none" else rows
         least = np.array([self._barrier(k, slowness, distances == "buffers") for k in rows])
         J = w.J[rows].reshape(-1, model.n)
@@ -503,7 +503,7 @@ class Oracle:
         if w.valid:
             rows = slice(n_b, None)
             H, c = self._with_rows(w.H, w.c, rows, w.b_sca[rows], n_b)
-            kept = {DBB: "mobile", BARRIER: "all"}.get(self.name, "none")
+            kept = "all" if self.name in (DBB, BARRIER) else "none"
             w.C, w.l, w.u, w.slack_weight = limits = self._limits(1.0, kept, for_arm=True)
             w.n_limits = len(w.l)
             qdd = solve_qp(H, c, limits, self.base.to_q @ w.a_base_meas)

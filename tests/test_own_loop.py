@@ -60,7 +60,7 @@ def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run
         *,
         stated: float = 0.001,
         real: float = 0.001,
-        time: float = 1.5,
+        time: float = 1.6,
         start: Any = FRONT,
         pull: Array = PULL,
         reference: Callable[[float, pin.SE3], Reference] | None = None,
@@ -168,7 +168,7 @@ def test_the_period_changes_nothing_and_a_wrong_one_is_named(
     found = run(stated=stated, real=real)
     assert ("period" in found.faults) == (stated != real)
     assert found.share < 1.05
-    np.testing.assert_allclose(found.base, plain.base, atol=0.005)
+    np.testing.assert_allclose(found.base, plain.base, atol=0.008)  # of a base at 0.5 m/s
 
 
 @pytest.mark.parametrize(
