@@ -324,7 +324,8 @@ class Oracle:
         half = (high - low) / 2
         s = (w.q_m - (low + high) / 2) / half
         weight = np.append(np.full(self.n_b, task.base_weight), np.ones(self.n_m))
-        arm = task.posture_stiffness * (w.q_posture - w.q_m) - task.posture_damping * w.qd[self.n_b :]
+        damped = task.posture_damping * w.qd[self.n_b :]
+        arm = task.posture_stiffness * (w.q_posture - w.q_m) - damped
         wanted = np.append(-task.base_damping * w.qd[: self.n_b], arm - task.centring * half * s**5)
         w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
