@@ -138,6 +138,23 @@ class EstimateConfig(Strict):
         default=0.2, ge=0.01, le=10.0
     )
     """[s] time window of the noise estimate."""
+    delay: Annotated[float, Shown("readings late", advanced=True)] = Field(
+        default=0.0, ge=0.0, le=0.03
+    )
+    """[s] known age of a reading when its step begins; older readings are noticed."""
+
+
+class PayloadConfig(Strict):
+    """What the gripper holds, as far as the controller knows; its size is no part of it."""
+
+    mass: Annotated[float, Shown("payload")] = Field(default=0.0, ge=0.0, le=20.0)
+    """[kg] of the load."""
+    x: Annotated[float, Shown("payload x", advanced=True)] = Field(default=0.0, ge=-1.0, le=1.0)
+    """[m] its centre of mass in the end-effector's frame."""
+    y: Annotated[float, Shown("payload y", advanced=True)] = Field(default=0.0, ge=-1.0, le=1.0)
+    """[m] likewise."""
+    z: Annotated[float, Shown("payload z", advanced=True)] = Field(default=0.0, ge=-1.0, le=1.0)
+    """[m] likewise."""
 
 
 class AdmittanceConfig(Strict):
@@ -185,6 +202,16 @@ class DisturbanceConfig(Strict):
     """[-] relative error of the arm's masses and inertias in the controller's model."""
     slip: float = Field(default=0.0, ge=0.0, le=0.5)
     """[-] share of the base's commanded motion that is lost to slip."""
+    sensor_delay: float = Field(default=0.0, ge=0.0, le=0.05)
+    """[s] age of all readings when they arrive."""
+    sensor_period: float = Field(default=0.0, ge=0.0, le=0.05)
+    """[s] for which each reading is repeated; 0 is a new one at each step."""
+    dropped: float = Field(default=0.0, ge=0.0, le=0.9)
+    """[-] share of the readings that are lost, so that the last one is repeated."""
+    unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
+    """[kg] load at the end-effector that the controller does not know; its weight alone."""
+    stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
+    """[s] control period that the controller takes for true; 0.001 is."""
 
 
 class Config(Strict):
@@ -208,6 +235,8 @@ class Config(Strict):
     """Limits"""
     estimate: EstimateConfig = EstimateConfig()
     """Estimate"""
+    payload: PayloadConfig = PayloadConfig()
+    """Payload"""
     admittance: AdmittanceConfig = AdmittanceConfig()
     """Admittance"""
     hand: HandConfig = HandConfig()

@@ -121,14 +121,26 @@ class Oracle:
         w.valid = all(np.isfinite(each).all() for each in m)
         if not w.valid:
             self.estimate.gap()
-        else:
-            qdd_b = self.base.to_q @ (m.base_velocity - self.estimate.v_last) / self.dt
-            known = w.u_a - w.h[n_b:] - w.M[n_b:, :n_b] @ qdd_b
-            known = np.linalg.solve(w.M[n_b:, n_b:], known)
-            self.estimate.update(m, known, self.config.estimate)
-            if np.isnan(w.q_posture[0]):
-                w.q_posture = m.q_m.copy()
-            self._take(m._replace(q_m=self.estimate.x[0], qd_m=self.estimate.x[1]))
+            known = np.linalg.solve(w.M[n_b:, n_b:], w.u_a - w.h[n_b:])
+            x = self.estimate.x
+            now = x[1] + self.dt * (known + x[2])  # the reading's own x stays
+            fades = np.exp(-self.dt / self.config.estimate.window)
+            w.x_est = np.array([x[0] + self.dt * now, now, fades * x[2]])
+            w.qd = np.append(w.qd[:n_b], now)
+            w.P_est, w.noise_var, w.q_last = (
+                self.estimate.P,
+                self.estimate.variances,
+                self.estimate.last,
+            )
+            w.samples, w.v_last = self.estimate.samples, self.estimate.v_last
+            return
+        qdd_b = self.base.to_q @ (m.base_velocity - self.estimate.v_last) / self.dt
+        known = w.u_a - w.h[n_b:] - w.M[n_b:, :n_b] @ qdd_b
+        known = np.linalg.solve(w.M[n_b:, n_b:], known)
+        self.estimate.update(m, known, self.config.estimate)
+        if np.isnan(w.q_posture[0]):
+            w.q_posture = m.q_m.copy()
+        self._take(m._replace(q_m=self.estimate.x[0], qd_m=self.estimate.x[1]))
         e = self.estimate
         w.x_est, w.P_est, w.noise_var, w.q_last = e.x, e.P, e.variances, e.last
         w.samples, w.v_last = e.samples, e.v_last
@@ -137,7 +149,7 @@ class Oracle:
         """Kinematics and dynamics at a state, by pinocchio."""
         w, model, data, S, n_b = self.w, self.model.pin, self.pin_data, self.S, self.n_b
         w.base_pose, w.base_velocity, w.q_m, w.qd_m = (each.copy() for each in m[:4])
-        w.qd = np.append(self.base.to_q @ w.base_velocity, w.qd_m)
+        w.qd = self.measured_qd = np.append(self.base.to_q @ w.base_velocity, w.qd_m)
         x, y, phi = w.base_pose
         q, v = np.array([x, y, np.cos(phi), np.sin(phi), *w.q_m]), S @ w.qd
         pin.computeAllTerms(model, data, q, v)
@@ -208,7 +220,7 @@ class Oracle:
         """(21): how the distance changes along a normal that is fixed to the first body."""
         a, b = row.a.joint, row.b.joint
         J = self._jacobian(b, p) - self._jacobian(a, p)
-        v = J @ self.w.qd
+        v = J @ self.measured_qd
         bias = self._bias(b, p) - self._bias(a, p) - 2 * np.cross(self._turning(a), v)
         return n @ J, n @ bias, n @ v
 
@@ -279,7 +291,7 @@ class Oracle:
     def _tasks(self, reference: Reference | None) -> None:
         w, model, n_b = self.w, self.model, self.n_b
         w.tracking = reference is not None
-        w.u_free = w.g[n_b:] - model.joint_damping * w.qd_m
+        w.u_free = w.g[n_b:] - model.joint_damping * w.qd[n_b:]
         last = w.u_free if np.isnan(w.u_a[0]) else w.u_a
         at, most = (
             np.clip(last, -model.tau_max, model.tau_max),
@@ -312,7 +324,8 @@ class Oracle:
         half = (high - low) / 2
         s = (w.q_m - (low + high) / 2) / half
         weight = np.append(np.full(self.n_b, task.base_weight), np.ones(self.n_m))
-        arm = task.posture_stiffness * (w.q_posture - w.q_m) - task.posture_damping * w.qd_m
+        damped = task.posture_damping * w.qd[self.n_b :]
+        arm = task.posture_stiffness * (w.q_posture - w.q_m) - damped
         wanted = np.append(-task.base_damping * w.qd[: self.n_b], arm - task.centring * half * s**5)
         w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
@@ -353,7 +366,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Torques, joints, distances: "none", of L_m ("mobile"), "all", or with "buffers"."""
+        """Torques, joints, distances: "none", "all", or with "buffers"."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
@@ -361,7 +374,7 @@ class Oracle:
         if for_arm:
             bounds = self._reachable(*bounds, pushed)
         unit = model.qd_max
-        rows = [k for k in self.convex if distances in ("all", "buffers") or self.rows[k].mobile]
+        rows = self.convex
         rows = [] if distances == "none" else rows
         least = np.array([self._barrier(k, slowness, distances == "buffers") for k in rows])
         J = w.J[rows].reshape(-1, model.n)
@@ -491,7 +504,7 @@ class Oracle:
         if w.valid:
             rows = slice(n_b, None)
             H, c = self._with_rows(w.H, w.c, rows, w.b_sca[rows], n_b)
-            kept = {DBB: "mobile", BARRIER: "all"}.get(self.name, "none")
+            kept = "all" if self.name in (DBB, BARRIER) else "none"
             w.C, w.l, w.u, w.slack_weight = limits = self._limits(1.0, kept, for_arm=True)
             w.n_limits = len(w.l)
             qdd = solve_qp(H, c, limits, self.base.to_q @ w.a_base_meas)
@@ -500,7 +513,8 @@ class Oracle:
         u = w.M[n_b:] @ w.qdd + w.h[n_b:] if w.solved else w.u_free  # (26)
         if not w.solved:
             w.failures += 1
-            w.a_base_cmd = -self.config.task.base_damping * w.base_velocity
+            moving = w.base_velocity if w.valid else w.v_cmd
+            w.a_base_cmd = -self.config.task.base_damping * moving
         w.u_cmd = np.clip(u, w.u_min, w.u_max)
         if not np.isnan(w.q_posture[0]):
             w.u_a = w.u_cmd

@@ -38,7 +38,7 @@ class Estimate:
         if continued:
             self._learn(q, qd, known, config.window)
         else:
-            self.last = np.array([q - dt * qd, q, np.full_like(q, np.nan)])
+            self.last = np.array([qd, q, np.full_like(q, np.nan)])
         least, ratio = config.least_noise, config.velocity_noise
         of_q, of_qd = self.variances
         noise = np.maximum(of_q, least**2)
@@ -55,15 +55,16 @@ class Estimate:
 
     def _learn(self, q: Array, qd: Array, known: Array, window: float) -> None:
         """Noise of positions from third differences, of velocities from the way between two."""
-        before, now, unknown_before = self.last
-        unknown = q - 2 * now + before - self._dt**2 * known
-        of_q, of_qd = (unknown - unknown_before) ** 2 / 20, (qd - (q - now) / self._dt) ** 2
+        speed_before, now, unknown_before = self.last
+        speed = (q - now) / self._dt
+        unknown = self._dt * (speed - speed_before) - self._dt**2 * known
+        of_q, of_qd = (unknown - unknown_before) ** 2 / 20, (qd - speed) ** 2
         counted = np.isfinite(of_q)
         self.samples += int(counted[0])
         share = max(1 / max(self.samples, 1), -np.expm1(-self._dt / window))
         self.variances[1] += share * (of_qd - self.variances[1])
         self.variances[0, counted] += share * (of_q - self.variances[0])[counted]
-        self.last = np.array([now, q, unknown])
+        self.last = np.array([speed, q, unknown])
 
     def _filter(self, q: Array, qd: Array, known: Array, noise: Array, drift: float) -> None:
         """Predict over dt, then correct by the position, then by the velocity."""

@@ -377,7 +377,7 @@ def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(
     good = measured(robot, np.array(robot.description.arm.ready_position) + 0.1)
     late, well = (Controller(robot, border_data, Config()) for _ in range(2))
     for _ in range(3):
-        bad = good._replace(qd_m=np.full(robot.n_m, np.nan))
+        bad = good._replace(q_m=np.full(robot.n_m, np.nan))
         first = late.step(bad, Reference(late.state.T_world_ee.copy(), np.zeros(6), np.zeros(6)))
         assert not first.solved
         assert np.isfinite(first.u_cmd).all()

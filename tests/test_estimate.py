@@ -55,15 +55,15 @@ class RunningEstimate:
         self, read: Measurement, state: RobotState, u_a: Array | None, c: EstimateConfig, dt: float
     ) -> Measurement:
         """The readings with the estimate in their place; `state` is that before them."""
-        predicted, robot = np.full(len(read.q_m), np.nan), state.model
+        known, robot = np.empty((0, len(read.q_m))), state.model
         if self._v_last is not None and u_a is not None:
             qdd_b = robot.J_m_inv @ (read.base_velocity - self._v_last) / dt
             L_aa = cholesky(state.M[robot.n_b :, robot.n_b :])
-            predicted = predicted_joint_acceleration(state.M, state.h, L_aa, u_a, qdd_b)
+            known = predicted_joint_acceleration(state.M, state.h, L_aa, u_a, qdd_b)[None]
         self._v_last = read.base_velocity
         memory = self._x, self._P, self._variances, self._last, self._samples
         gains = Gains(dt, c.push_change, c.least_noise, c.velocity_noise, c.window)
-        estimate_arm(*memory, predicted, read.q_m, read.qd_m, robot.qd_max, gains)
+        estimate_arm(*memory, known, read.q_m, read.qd_m, robot.qd_max, gains)
         return read._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
 
 
@@ -218,7 +218,7 @@ def test_after_a_pause_who_pushes_stays_and_after_a_reset_nobody_does(
         ready.move(w.u_cmd, ready.state.M[2:, 2:] @ np.ones(7))
     known = w.x_est[2].copy()
     assert (known > 0.5).all()
-    controller.step(ready.measurement._replace(qd_m=gap))
+    controller.step(ready.measurement._replace(q_m=gap))
     w = controller.step(ready.measurement)
     np.testing.assert_array_equal(w.x_est[2], known)
     controller.reset()

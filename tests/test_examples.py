@@ -39,6 +39,18 @@ def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_hand(capsys) -> None:
     assert "lm-lEE" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("name", "holds"),
+    [
+        ("joint_states", lambda faults: faults == ("velocity", "repeated")),
+        ("planner", lambda speed: 0.03 < speed < 0.2),
+        ("load", lambda found: found[0] == pytest.approx(2.0, abs=0.1) and found[1] < 0.1),
+    ],
+)
+def test_a_case_of_ones_own_loop_runs(name: str, holds) -> None:
+    assert holds(example(name).main())
+
+
 def test_a_node_sends_what_the_loop_gives_for_its_messages(robot, border_data) -> None:
     sent = example("ros2_shape").main(steps=5)
     ready = np.array(robot.description.arm.ready_position)

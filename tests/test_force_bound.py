@@ -93,12 +93,15 @@ def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_da
     near = Near(robot, border_data, 0)
     d, J, d_dot = (np.array([each, each]) for each in near.distance())
     pairs = {"n_mob": 2, "beta": np.array([0.5, 0.0]), "d": d, "J": J, "d_dot": d_dot}
-    control = SimpleNamespace(**pairs, M=near.state.M, g=near.state.g)
+    control = SimpleNamespace(**pairs, M=near.state.M, g=near.state.g, J_ee=near.state.J_ee)
+    nobody = SimpleNamespace(hand=np.zeros(3))
     session: Any = SimpleNamespace(model=robot)
     quantity: Any = QUANTITIES["force_bound"]
 
     def step(t: float, **fields: Any) -> Any:
-        return SimpleNamespace(**{"t": t, "pulls": ("a pull",), "control": control} | fields)
+        return SimpleNamespace(
+            **{"t": t, "pulls": ("a pull",), "control": control, "person": nobody} | fields
+        )
 
     rows = [quantity.row(session, step(k / 1000))[0] for k in range(41)]
     known = [k for k, force in enumerate(rows) if not math.isnan(force)]

@@ -36,7 +36,8 @@ STILL = 1e-3
 """[m/s, m/s²] of the base that count as much as one that moves: at rest all is rounding."""
 
 NOT_COMPARED = {"q_pin", "v_pin"} | {q.name for q in QUANTITIES if q.name.startswith("qp_")}
-"""Pinocchio's own coordinates, and the rescue of a QP."""
+NOT_COMPARED |= {q.name for q in QUANTITIES if q.source == "readings"} - {"valid"}
+"""Pinocchio's own coordinates, the rescue of a QP, and the age of readings that have none."""
 TRACKING_ONLY = {"x_ref", "v_ref", "a_ref", "e_ee", "b_ee", "lm_damping"}
 ACTIVE_ONLY = {"tangent", "alpha"}
 OF_BASE = {"a_base_free", "a_base_des", "a_base_cmd", "a_base_meas", "a_sum", "v_cmd", "v_before"}
@@ -174,7 +175,7 @@ def along(
                 each.configure(config.replace("border.d_b", 0.17))
         m = plant.measure()
         if k == GAP:
-            m = m._replace(qd_m=m.qd_m * np.nan)
+            m = m._replace(q_m=m.q_m * np.nan)
         given = m, reference_at(k * DT, start, path.way)
         a = plant.acceleration() if k % 50 < 25 else None
         step = controller.step(*given, base_acceleration=a)

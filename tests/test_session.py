@@ -251,7 +251,7 @@ def test_a_robot_without_anything_to_avoid_is_refused_by_name(
         Session(robot, data, Config())
 
 
-@pytest.mark.parametrize("reading", ["base_pose", "base_velocity", "q_m", "qd_m"])
+@pytest.mark.parametrize("reading", ["base_pose", "base_velocity", "q_m"])
 def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goes_on(
     make, monkeypatch, reading
 ):

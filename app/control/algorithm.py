@@ -50,8 +50,7 @@ from app.avoidance.task import (
 from app.border.nearest import BORDER
 from app.compiled import compiled
 from app.control.admittance import next_command
-from app.control.estimate import estimate_arm, predicted_joint_acceleration
-from app.control.inputs import EVERY_BARRIER, GAINS, MOBILE_BARRIER, NO_BARRIER, ROBOT
+from app.control.inputs import GAINS, ROBOT
 from app.control.limits import (
     barrier_bound,
     distance_rows,
@@ -63,6 +62,7 @@ from app.control.limits import (
 )
 from app.control.qp import cholesky, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
+from app.control.readings import take_readings
 from app.control.tasks import (
     add_base_rest_task,
     add_tracking,
@@ -81,7 +81,6 @@ from app.control.transition import (
     uncompensated_base_jacobian,
 )
 from app.robot.state import (
-    all_finite,
     chain_motion,
     coordinates,
     distance_motions,
@@ -123,33 +122,9 @@ def update_estimate(
         w.d_b[()] = gains.d_b
     w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
     fill(w.qp_tried, 0.0)
-    w.valid[()] = all_finite(base_pose, base_velocity, q_m, qd_m, drive)
+    take_readings(robot, gains, w, base_pose, base_velocity, q_m, qd_m, drive)
     if w.valid[()] == 0.0:
-        fill(w.v_last, math.nan)
         return
-    predicted = np.full(len(q_m), np.nan)
-    if not (math.isnan(w.v_last[0]) or math.isnan(w.u_a[0])):
-        qdd_b = times(robot.J_m_inv, (base_velocity - w.v_last) / gains.dt)
-        predicted = predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b)
-    estimate_arm(
-        w.x_est,
-        w.P_est,
-        w.noise_var,
-        w.q_last,
-        w.samples,
-        predicted,
-        q_m,
-        qd_m,
-        robot.qd_max,
-        gains,
-    )
-    if math.isnan(w.q_posture[0]):
-        put(w.q_posture, q_m)
-    put(w.v_last, base_velocity)
-    put(w.base_velocity, base_velocity)
-    put(w.base_pose, base_pose)
-    put(w.q_m, w.x_est[0])
-    put(w.qd_m, w.x_est[1])
     qd, q_pin, v_pin = coordinates(
         w.base_pose, w.base_velocity, w.q_m, w.qd_m, robot.T_J_m, robot.J_m_inv
     )
@@ -401,7 +376,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 @compiled()
 def write_limits(
-    robot: Any, gains: Any, w: Any, barrier: int, link_buffers: bool, for_arm: bool
+    robot: Any, gains: Any, w: Any, barrier: bool, link_buffers: bool, for_arm: bool
 ) -> int:
     """Write the limits into w.C, w.l, w.u and w.slack_weight, and count them.
 
@@ -409,7 +384,7 @@ def write_limits(
         robot: `ROBOT`.
         gains: `GAINS`, whose rates say how fast limits may be approached.
         w: `STEP`.
-        barrier: Distances with a barrier.
+        barrier: Whether the distances of all pairs have a barrier.
         link_buffers: Whether links of the arm have their buffer as a barrier too.
         for_arm: For the arm's QP: within the torques of this step, with external forces, and no
             joint demands more than its own torque can achieve. Else any torque may act.
@@ -436,11 +411,7 @@ def write_limits(
     torque_rows(w.M, w.h, u_min, u_max, w.C, w.l, w.u)
     joints = slice(n_m, 2 * n_m)
     joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
-    count = 0
-    if barrier == EVERY_BARRIER or link_buffers:
-        count = len(robot.convex)
-    elif barrier == MOBILE_BARRIER:
-        count = robot.n_convex_mob
+    count = len(robot.convex) if barrier or link_buffers else 0
     rows, least = robot.convex[:count], np.empty(count)
     for k in range(count):
         i = rows[k]
@@ -489,9 +460,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     rows = slice(n_b, n_b + links)
     H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], slow.slack_weight, 0)
     put_qp(w, H, c)
-    m = write_limits(
-        robot, gains, w, gains.barrier if gains.base_in_barrier else NO_BARRIER, False, False
-    )
+    m = write_limits(robot, gains, w, gains.base_in_barrier, False, False)
     for i in range(n_b):
         put(w.C[m + i], robot.base_rows[i])
         w.l[m + i], w.u[m + i], w.slack_weight[m + i] = -robot.a_max[i], robot.a_max[i], 0.0
@@ -533,7 +502,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     put_qp(w, H, c)
     response = gains.response_gain * (w.a_base_cmd - gains.response_drag * w.base_velocity)
     put(w.qp_fixed, times(robot.J_m_inv, response))
-    return write_limits(robot, slow, w, NO_BARRIER, gains.lookahead, False)
+    return write_limits(robot, slow, w, False, gains.lookahead, False)
 
 
 @compiled()
@@ -601,7 +570,10 @@ def put_commands(robot: Any, gains: Any, w: Any) -> None:
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
         w.failures[()] += 1.0
         u = w.u_free
-        put(w.a_base_cmd, -gains.base_damping * w.base_velocity)
+        moving = (
+            w.base_velocity if w.valid[()] != 0.0 else w.v_cmd
+        )  # without a reading: as commanded
+        put(w.a_base_cmd, -gains.base_damping * moving)
         fill(w.qdd, math.nan)
     put(w.u_cmd, clip(u, w.u_min, w.u_max))
     if not math.isnan(w.q_posture[0]):  # else the torques belong to no measured pose

@@ -1,15 +1,25 @@
 """All of the control at 1 kHz in one object: what a robot's own loop and the simulation call."""
 
+import logging
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
+from app.control.contract import JointOrder, checked_reference
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
+from app.control.readings import FAULTS, JUMP, LOCALISATION
+from app.control.references import References
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
-from app.robot.state import Measurement
+from app.robot.state import Measurement, checked
 from app.strict import Array
+
+logger = logging.getLogger(__name__)
 
 
 class Command(NamedTuple):
@@ -23,6 +33,24 @@ class Command(NamedTuple):
     step: ControlStep
     """All quantities of the step, such as the distances; the next step overwrites them."""
 
+    @property
+    def gravity(self) -> Array:
+        """(n_m,) [N m or N] the share of gravity in `u_a`.
+
+        Subtract it for a driver that adds gravity itself, as those of UR and Franka do.
+        """
+        return self.step.g[self.step.n_b :].copy()
+
+    @property
+    def load(self) -> float:
+        """[kg] the mass at the end-effector whose weight explains the external torques best."""
+        return float(self.step.load)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Names of all that is wrong with the readings of this step; `FAULTS` explains them."""
+        return tuple(name for name, is_on in zip(FAULTS, self.step.faults, strict=True) if is_on)
+
 
 class ControlLoop:
     """The controller with the base's drive and admittance law, for a loop of one's own at 1/dt."""
@@ -35,6 +63,7 @@ class ControlLoop:
         *,
         name: str = "dbb",
         dt: float = 0.001,
+        interpolate: bool = True,
     ) -> None:
         """Prepare.
 
@@ -44,9 +73,11 @@ class ControlLoop:
             config: Parameters; by default those of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
+            interpolate: Whether references that leap are interpolated, as `References` does.
 
         Raises:
             UnknownNameError: No controller has that name.
+            ConfigError: A senseless period, or one too long for a gain.
             DescriptionError: The mobile robot is too large for its border to be stored.
         """
         config = config or model.description.config
@@ -54,10 +85,31 @@ class ControlLoop:
             model, data or load_border_data(model), config, name=name, dt=dt
         )
         """Algorithm 2."""
+        self._reported: set[str] = set()
+        self._tracked = False
+        self._references = References(dt) if interpolate else None
+
+    def joint_order(self, names: Sequence[str]) -> JointOrder:
+        """Sorts joint states of a driver that names the joints in its own order, and others too.
+
+        Raises:
+            MeasurementError: Names the joints that are missing, or named twice.
+        """
+        return JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
-        """Forget posture, torques, estimate and commands: the robot starts anew, at rest."""
+        """Start again from here: the next reading is where the robot is, at rest.
+
+        To be called after a protective stop, or after somebody has moved the arm. The commands,
+        the posture and the estimate are forgotten.
+        """
         self.controller.reset()
+        self._reported.clear()
+        self._end_reference()
+
+    def _end_reference(self) -> None:
+        if self._references is not None:
+            self._references.reset()
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
@@ -71,7 +123,50 @@ class ControlLoop:
             reference: Desired motion of the end-effector, or None while a person guides it.
 
         Raises:
-            MeasurementError: A reading has another number of entries.
+            MeasurementError: A reading or the reference has another number of entries, or the
+                first reading is that of another pose or unit.
         """
+        if reference is not None:
+            reference = self._reference(checked_reference(reference), measured)
+        elif self._tracked:
+            self._end_reference()
+        self._tracked = reference is not None
         step = self.controller.step_with_drive(measured, reference)
-        return Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
+        command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
+        if np.count_nonzero(step.faults):
+            self._report(command)
+            if step.faults[JUMP] or step.faults[LOCALISATION] or not step.valid:
+                self._end_reference()
+        return command
+
+    def _reference(self, sent: Reference, measured: Measurement) -> Reference:
+        """The reference of this step: interpolated, unless that is switched off."""
+        if self._references is None:
+            return sent
+        here = None
+        if self._references.is_new:
+            here = end_effector_pose(self.controller.state.model, measured)
+        self._references.dt = self.controller.dt
+        speed = self.controller.config.task.ee_speed
+        return self._references.next(sent, here, speed)
+
+    def _report(self, command: Command) -> None:
+        """Log each fault of the readings once until `reset`."""
+        for name in command.faults:
+            if name not in self._reported:
+                self._reported.add(name)
+                more = {
+                    "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
+                    "period": f" ({self.controller.dt * 1000:.2f} ms)",
+                }
+                logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
+
+
+def end_effector_pose(model: RobotModel, measured: Measurement) -> pin.SE3 | None:
+    """Pose of the end-effector in the world, or None where a reading is not finite."""
+    pose, _, q_m, *_ = checked(measured, model)
+    if not np.isfinite(pose.sum() + q_m.sum()):
+        return None
+    data = model.pin.createData()
+    pin.framesForwardKinematics(model.pin, data, model.configuration(pose, q_m))
+    return data.oMf[model.ee_frame].copy()

@@ -24,9 +24,11 @@ from app.control.algorithm import (
     run_algorithm_2,
     update_estimate,
 )
+from app.control.contract import LONGEST, SHORTEST, check_gains, checked_period, implausible
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, robot_struct
 from app.control.quantities import QUANTITIES, ControlStep
+from app.control.readings import IMPLAUSIBLE, PERIOD
 from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
 from app.errors import check_name
@@ -40,7 +42,7 @@ _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _HIERARCHY = 3  # place of its solution in `qp_x`
-_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture")  # NaN until they are known
+_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading")  # NaN until they are known
 
 
 class Controller:
@@ -66,8 +68,10 @@ class Controller:
 
         Raises:
             UnknownNameError: No controller has that name.
+            ConfigError: A senseless period, or one too long for a gain.
         """
-        self._model, self._data, self._dt, self._config = model, data, dt, config
+        self._model, self._data, self._config = model, data, config
+        self._dt = checked_period(dt)
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
@@ -100,18 +104,40 @@ class Controller:
         A new d_b or ε selects another border from the same samples; the buffer distance in force
         approaches the new one at `algorithm.BUFFER_RATE`, because a jump would throw an arm that is
         inside the buffer.
+
+        Raises:
+            ConfigError: The control period is too long for a gain.
         """
-        self._config, border = config, config.border
+        check_gains(config, self._dt)
+        self._config, border, load = config, config.border, config.payload
+        self.state.carry(load.mass, (load.x, load.y, load.z))
         if METHODS[self.name].get("hierarchy"):
             border = border.model_copy(update={"kind": "points"})
         clouds = tuple(self._data.clouds[pair.name] for pair in self._data.pairs.mobile)
         self._border = border_of(self._model, clouds, border).struct
-        self._gains = gains_struct(config, self._base, self.name, self._dt)
-        self._slow = gains_struct(slowed(config), self._base, self.name, self._dt)
+        self._set_gains()
         self._largest_command = largest_command(self._base, config.admittance)
 
+    def _set_gains(self) -> None:
+        config, base = self._config, self._base
+        self._gains = gains_struct(config, base, self.name, self._dt)
+        self._slow = gains_struct(slowed(config), base, self.name, self._dt)
+
+    @property
+    def config(self) -> Config:
+        """The parameters in use."""
+        return self._config
+
+    @property
+    def dt(self) -> float:
+        """[s] the control period: as stated, or as measured where the readings contradict that."""
+        return self._dt
+
     def reset(self) -> None:
-        """Forget posture, torques, estimate, commands and the counts of failures."""
+        """Start again from here: the next reading is where the robot is, at rest.
+
+        Forgets posture, torques, estimate, commands and the counts of failures.
+        """
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0
 
@@ -141,7 +167,8 @@ class Controller:
             ready posture, and a base that brakes.
 
         Raises:
-            MeasurementError: A reading has another number of entries.
+            MeasurementError: A reading has another number of entries, or the first one is that of
+                another pose or unit.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, BASE_AS_COMMANDED)
@@ -172,6 +199,11 @@ class Controller:
         w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
         measurement = checked(measurement, self._model)
         _estimate(robot, gains, w.struct, *measurement)
+        if w.faults[PERIOD]:
+            self._dt = min(max(self._dt * float(w.ratio), SHORTEST), LONGEST)
+            self._set_gains()
+        if w.faults[IMPLAUSIBLE] and np.isnan(w.q_posture[0]):
+            raise implausible(self._model, measurement.q_m)
         if w.valid:
             self.state.drive = measurement.drive
             pin.computeAllTerms(self.state.pin, data, w.q_pin, w.v_pin)

@@ -8,6 +8,9 @@ difference of the last two positions, but it is never free of their noise, becau
 from the same positions. Readings without noise are thus followed at once, noisy ones do not shake
 the arm, and velocities that are late, wrongly scaled or missing have no effect.
 
+The estimate belongs to the newest reading, however many periods ago that was; `advance` predicts
+the state of now from it, by the accelerations that torques and base have made since.
+
 Tasks do not see the external acceleration: a guided end-effector stays free. Limits do, so that
 joint speeds and distances are kept while a person pulls.
 """
@@ -26,10 +29,11 @@ _FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved whi
 
 
 @compiled()
-def _jumped(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
-    """Whether the arm cannot have moved from x (3, n_m) to q (n_m,) within a period dt [s]."""
+def _jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
+    """Whether the arm cannot have moved from x (3, n_m) to q (n_m,) within some periods dt [s]."""
     for i in range(len(q)):
-        if abs(q[i] - x[0, i] - dt * x[1, i]) > _FARTHEST * dt * qd_max[i]:
+        way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
+        if way > (_FARTHEST + steps - 1) * dt * qd_max[i]:
             return True
     return False
 
@@ -50,47 +54,63 @@ def estimate_arm(
     variances: Array,
     last: Array,
     samples: Array,
-    predicted: Array,
+    known: Array,
     q: Array,
     qd: Array,
     qd_max: Array,
     gains: Any,
-) -> None:
+) -> bool:
     """Update the estimate (x, P) by one reading of positions and velocities.
 
     After a gap, and where the arm cannot have moved to the reading, the filter begins anew at it.
 
     Args:
-        x: (3, n_m) position, velocity and external acceleration; updated.
+        x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
         P: (n_m, 3, 3) covariances; updated.
         variances: (2, n_m) of the noise of positions and velocities; updated.
         last: (3, n_m) as of `_learn`; updated.
         samples: () number of samples of the noise; updated.
-        predicted: (n_m,) of `predicted_joint_acceleration`, or NaN after a gap.
+        known: (k, n_m) accelerations by `predicted_joint_acceleration` in each of the k periods
+            since the last reading; no rows after a gap.
         q: (n_m,) [rad or m] positions.
-        qd: (n_m,) [rad/s or m/s] velocities.
+        qd: (n_m,) [rad/s or m/s] velocities; NaN where there is no reading.
         qd_max: (n_m,) joint speed limits.
         gains: `GAINS`.
+
+    Returns:
+        Whether the arm cannot have moved to the reading.
     """
-    dt = gains.dt
-    continued = not math.isnan(predicted[0]) and not _jumped(x, q, qd_max, dt)
+    steps, dt = len(known), gains.dt
+    jumped = steps > 0 and _jumped(x, q, qd_max, steps, dt)
+    continued = steps > 0 and not jumped
     if continued:
         samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
-        share = max(1.0 / max(samples[()], 1.0), -math.expm1(-dt / gains.noise_window))
-        _learn(variances, last, predicted, q, qd, share, dt)
+        share = max(1.0 / max(samples[()], 1.0), -math.expm1(-steps * dt / gains.noise_window))
+        _learn(variances, last, known, q, qd, share, dt)
     else:
         for i in range(len(q)):
-            last[0, i], last[1, i], last[2, i] = q[i] - dt * qd[i], q[i], math.nan
-    trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, dt)
+            last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
+            last[2, i] = math.nan
+    trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
     if continued and samples[()] >= _FEWEST:
-        _follow(x, P, predicted, q, qd, trusted, gains.external_drift, dt)
-        return
+        _follow(x, P, known, q, qd, trusted, gains.external_drift, dt)
+        return jumped
     for i in range(len(q)):
-        x[0, i], x[1, i] = q[i], qd[i]
+        x[0, i], x[1, i] = q[i], last[0, i] if math.isnan(qd[i]) else qd[i]
         for j in range(3):
             for k in range(3):
                 P[i, j, k] = 0.0
         P[i, 0, 0], P[i, 1, 1], P[i, 2, 2] = trusted[0, i], trusted[1, i], gains.external_drift**2
+    return jumped
+
+
+@compiled()
+def advance(x: Array, known: Array, dt: float) -> None:
+    """Predict x (3, n_m) over the periods dt [s] of the known accelerations (k, n_m)."""
+    for k in range(len(known)):
+        for i in range(x.shape[1]):
+            x[1, i] += dt * (known[k, i] + x[2, i])
+            x[0, i] += dt * x[1, i]
 
 
 @compiled()
@@ -99,21 +119,32 @@ def _learn(
 ) -> None:
     """Count one more reading in.
 
+    The mean velocity since the last reading and the known accelerations imply the velocities at
+    both readings. The two that neighbouring intervals imply for one reading differ by the
+    unexplained second difference of the positions.
+
     Args:
         variances: (2, n_m) of the positions' and of the velocities' noise; are updated.
-        last: (3, n_m) the last two positions, and the last second difference less the known one, or
-            not a number; are updated.
-        known: (n_m,) accelerations.
+        last: (3, n_m) velocity at the last reading that the positions imply, the last position,
+            and the last unexplained second difference, or not a number; are updated.
+        known: (k, n_m) accelerations in the periods since the last reading.
         q: (n_m,) positions.
-        qd: (n_m,) velocities.
+        qd: (n_m,) velocities, or not a number.
         share: [-] of the new samples of the variances.
         dt: [s]
     """
+    steps = len(known)
     for i in range(len(q)):
-        unknown = q[i] - 2.0 * last[1, i] + last[0, i] - dt**2 * known[i]
-        of_q, of_qd = (unknown - last[2, i]) ** 2 / 20.0, (qd[i] - (q[i] - last[1, i]) / dt) ** 2
-        last[0, i], last[1, i], last[2, i] = last[1, i], q[i], unknown
-        variances[1, i] += share * (of_qd - variances[1, i])
+        gained = way = 0.0
+        for k in range(steps):
+            gained += dt * known[k, i]
+            way += dt * gained
+        begin = (q[i] - last[1, i] - way) / (steps * dt)
+        unknown = steps * dt * (begin - last[0, i])
+        of_q = (unknown - last[2, i]) ** 2 / 20.0
+        last[0, i], last[1, i], last[2, i] = begin + gained, q[i], unknown
+        if not math.isnan(qd[i]):
+            variances[1, i] += share * ((qd[i] - last[0, i]) ** 2 - variances[1, i])
         if not math.isnan(of_q):
             variances[0, i] += share * (of_q - variances[0, i])
 
@@ -162,30 +193,31 @@ def _follow(
     change: float,
     dt: float,
 ) -> None:
-    """Predict each joint over dt [s], and correct it by its position, then by its velocity.
+    """Predict each joint since the last reading, and correct it by its position and its velocity.
 
     The velocity is that of the way since the last position, as drives and simulators have it.
 
     Args:
         x: (3, n_m) position, velocity and acceleration by others; is updated.
         P: (n_m, 3, 3) covariances; are updated.
-        known: (n_m,) accelerations besides.
+        known: (k, n_m) accelerations besides, in each period.
         q: (n_m,) positions.
-        qd: (n_m,) velocities.
+        qd: (n_m,) velocities; those that are not a number correct nothing.
         variances: (2, n_m) of the positions' and of the velocities' noise.
         change: Of the acceleration by others, in a second.
         dt: [s]
     """
+    advance(x, known, dt)
     for i in range(len(q)):
         p = P[i]
-        x[1, i] += dt * (known[i] + x[2, i])
-        x[0, i] += dt * x[1, i]
-        for j in range(3):
-            p[1, j] += dt * p[2, j]
-            p[0, j] += dt * p[1, j]
-        for j in range(3):
-            p[j, 1] += dt * p[j, 2]
-            p[j, 0] += dt * p[j, 1]
-        p[2, 2] += change**2 * dt
+        for _ in range(len(known)):
+            for j in range(3):
+                p[1, j] += dt * p[2, j]
+                p[0, j] += dt * p[1, j]
+            for j in range(3):
+                p[j, 1] += dt * p[j, 2]
+                p[j, 0] += dt * p[j, 1]
+            p[2, 2] += change**2 * dt
         _correct(x[:, i], p, 0, q[i], variances[0, i])
-        _correct(x[:, i], p, 1, qd[i], variances[1, i])
+        if not math.isnan(qd[i]):
+            _correct(x[:, i], p, 1, qd[i], variances[1, i])

@@ -92,6 +92,7 @@ _GAINS: dict[str, Any] = {
     "least_noise": _FLOAT,
     "velocity_noise": _FLOAT,
     "noise_window": _FLOAT,
+    "delay": _FLOAT,
     "period": _FLOAT,
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
     "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
@@ -101,7 +102,7 @@ _GAINS: dict[str, Any] = {
     "base_rows": _FLAG,  # the method moves the base by (16)
     "link_rows": _FLAG,  # the method separates links of the arm by (20)
     "arm_rows": _FLAG,  # the method pushes the arm away from the base (T_rep)
-    "barrier": types.i8,  # distances with a barrier: none, of L_m, all
+    "barrier": _FLAG,  # the distances of all pairs have a barrier
     "base_in_barrier": _FLAG,  # the base takes part in these barriers
     "lookahead": _FLAG,  # the base makes room for the arm's distances
     "hierarchy": _FLAG,  # q̈ solves the printed hierarchy, `app.control.hqp`
@@ -110,19 +111,17 @@ _Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ig
 GAINS = struct_type(_Gains, _GAINS)
 """The struct of the gains, for signatures of compiled functions."""
 
-NO_BARRIER, MOBILE_BARRIER, EVERY_BARRIER = range(3)
-
 METHODS: Mapping[str, Mapping[str, Any]] = {
     "dbb": {
         "base_rows": True,
         "link_rows": True,
         "reaction": True,
-        "barrier": MOBILE_BARRIER,
+        "barrier": True,
         "lookahead": True,
     },
     "hqp": {"base_rows": True, "link_rows": True, "hierarchy": True},
     "repulsive": {"link_rows": True, "arm_rows": True},
-    "barrier": {"barrier": EVERY_BARRIER, "base_in_barrier": True},
+    "barrier": {"barrier": True, "base_in_barrier": True},
     "none": {},
 }
 """What each of the compared controllers puts above the tasks, or among the limits."""
@@ -203,6 +202,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         least_noise=c.estimate.least_noise,
         velocity_noise=c.estimate.velocity_noise,
         noise_window=c.estimate.window,
+        delay=c.estimate.delay,
         period=c.admittance.period,
         virtual_mass=virtual_mass(base, c.admittance),
         virtual_damping=virtual_damping(base, c.admittance),
@@ -212,7 +212,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         base_rows=method.get("base_rows", False),
         link_rows=method.get("link_rows", False),
         arm_rows=method.get("arm_rows", False),
-        barrier=method.get("barrier", NO_BARRIER),
+        barrier=method.get("barrier", False),
         base_in_barrier=method.get("base_in_barrier", False),
         lookahead=method.get("lookahead", False),
         hierarchy=method.get("hierarchy", False),

@@ -81,14 +81,39 @@ Jdqd_ee | J̇_2 q̇ | 6 | m/s², rad/s² | world | (26) | its bias acceleration
 twists | | n_j 6 | m/s, rad/s | world | | twist of each joint's body
 biases | | n_j 6 | m/s², rad/s² | world | | its change at q̈ = 0
 # The estimate of the arm
-valid | | | 1 | | | 1 if all readings are finite, else 0
+valid | | | 1 | | readings | 1 if the readings are usable, else 0
+faults | | 10 | 1 | | readings | 1 for each of `readings.FAULTS` that the readings of the step have
+age | | | 1 | | readings | memory: periods since the newest reading
+lag | | | 1 | | readings | memory: periods by which the readings are late
+ratio | | | 1 | | readings | memory: way of a joint by the integral of its velocities
+no_velocity | | | 1 | | readings | memory: 1 while velocities do not belong to the positions
+rested | | | 1 | | readings | memory: readings of a robot at rest that were the same
+reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
+pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
+v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
+history | | 128 n_m | rad/s² | joints | readings |
+    memory: known accelerations of the last periods, in a ring
+periods | | | 1 | | readings | memory: the newest row of the ring
+known | | | 1 | | readings | memory: rows of the ring since the last gap
+differences | | 3 n_m | rad | joints | readings |
+    memory: last position, and its last first and second differences
+lag_error | | 25 | rad² | | readings | memory: third differences that each lag leaves unexplained
+lag_samples | | | 1 | | readings | memory: readings in these sums
+travel | | 2 n_m | rad | joints | readings |
+    memory: positions from which the period is measured, and the integral of the velocities
+since | | | 1 | | readings | memory: readings in that integral
+load | m | | kg | | readings |
+    memory: mass at the end-effector whose weight explains the external torques best
+loaded | | | s | | readings | memory: time for which it explains them well
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
-    memory: Kalman state, position, velocity, external acceleration q̈_ext
+    memory: position, velocity, external acceleration q̈_ext of now
+x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
+    memory: Kalman state, the same at the newest reading
 P_est | P | n_m 3 3 | | joints | estimate | memory: its covariance
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: learnt noise variance of positions and velocities
 q_last |  | 3 n_m | rad | joints | estimate |
-    memory: last two measured positions, and the last unexplained second difference
+    memory: last velocity by positions, position, and unexplained second difference
 samples | | | 1 | | estimate | memory: samples of the noise
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration

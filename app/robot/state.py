@@ -10,6 +10,7 @@ for (B q̇_b, q̇_m).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -370,7 +371,7 @@ class RobotState:
         root, data = self.data.oMi[1], self.data
         self.R_world_base, self.p_o = root.rotation, root.translation
         self._dynamics, self._J = (data.M, data.nle, data.g), data.J
-        self.pin = model.pin
+        self.pin, self._factor, self._load = model.pin, 1.0, pin.Inertia.Zero()
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self._shared = False
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
@@ -407,13 +408,30 @@ class RobotState:
         model's. What is fixed to the base, the arm's first link too, keeps its own. The model that
         others share is not changed.
         """
-        if factor == 1.0:
-            self.pin = self.model.pin
+        self._factor = factor
+        self._compile()
+
+    def carry(self, mass: float, centre: Sequence[float]) -> None:
+        """Compute with a load [kg] from the next update on.
+
+        The centre (3,) [m] is in the end-effector's frame; the load is a point.
+        """
+        at = self.model.pin.frames[self.model.ee_frame].placement
+        self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
+        self._compile()
+
+    def _compile(self) -> None:
+        """Make pinocchio's model anew where it differs from the one that others share."""
+        self.pin = self.model.pin
+        if self._factor == 1.0 and self._load.mass == 0.0:
             return
         self.pin = self.model.pin.copy()
         for joint in range(2, self.pin.njoints):  # 1 is the planar joint of the base
             Y = self.model.pin.inertias[joint]
-            self.pin.inertias[joint] = pin.Inertia(factor * Y.mass, Y.lever, factor * Y.inertia)
+            scaled = pin.Inertia(self._factor * Y.mass, Y.lever, self._factor * Y.inertia)
+            self.pin.inertias[joint] = scaled
+        if self._load.mass > 0.0:
+            self.pin.inertias[self.pin.njoints - 1] += self._load
 
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""

@@ -23,7 +23,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Physics
+from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.scenarios.leading import DoorReading
 from app.strict import Array
 
@@ -108,7 +108,8 @@ class Session:
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         """Kind of plant; of everything random; the door that the hand holds, and how far it is open
         at the start, or None."""
-        self.loop = ControlLoop(model, data, config, name=controller, dt=DT)
+        period = config.disturbance.stated_period
+        self.loop = ControlLoop(model, data, config, name=controller, dt=period)
         """All of the control, as a robot's own loop calls it."""
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
@@ -193,7 +194,9 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        self.physics.step(u_a, self._disturbances.arriving(command), *person)
+        loads = self._loads()
+        pushes = (*person.pushes, *loads)
+        self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
         )
@@ -219,6 +222,21 @@ class Session:
         )
         self.t += DT
         return step
+
+    def _loads(self) -> tuple[Push, ...]:
+        """The weights of the payload and of the one that the controller does not know."""
+        known, model = self.config.payload, self.model
+        at = model.pin.frames[model.ee_frame].placement
+        joint = model.pin.names[model.pin.njoints - 1]
+        loads = (
+            (known.mass, (known.x, known.y, known.z)),
+            (self.config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
+        )
+        return tuple(
+            Push(joint, at.act(np.array(centre)), mass * model.pin.gravity.linear)
+            for mass, centre in loads
+            if mass > 0.0
+        )
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
@@ -262,6 +280,8 @@ class Disturbances:
         self._seed = seed
         longest = round(parameter("disturbance.base_delay").high / dt)
         self._commands: deque[Array] = deque(maxlen=longest + 1)
+        oldest = round(parameter("disturbance.sensor_delay").high / dt)
+        self._sent: deque[Measurement] = deque(maxlen=oldest + 1)
         self.reset()
 
     def reset(self) -> None:
@@ -269,22 +289,36 @@ class Disturbances:
         self._rng = np.random.default_rng(self._seed)
         self._tracking: VelocityTracking | None = None
         self._commands.clear()
+        self._sent.clear()
+        self._seen: Measurement | None = None
+        self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """What the sensors say once a control step; the truth itself without noise.
+        """What the sensors say once a control step; the truth itself without disturbances.
 
         Each joint's position has white noise added. Its velocity is then no reading of its own: as
         on a robot with encoders only, it is made from the noisy positions by `VelocityTracking`.
-        The base's sensors have no noise.
+        The base's sensors have no noise. All readings are then late, repeated or lost.
         """
         if self.config.encoder_noise == 0.0:
             self._tracking = None
-            return truth
+            return self._arrived(truth)
         noise = self.config.encoder_noise * self._rng.standard_normal(len(truth.q_m))
         q_m = truth.q_m + noise
         if self._tracking is None:
             self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
-        return truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
+        return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
+
+    def _arrived(self, sent: Measurement) -> Measurement:
+        """The readings that the controller has: late, repeated, or the last ones for those lost."""
+        c, dt = self.config, self._dt
+        self._sent.append(sent)
+        due = self._steps % max(round(c.sensor_period / dt), 1) == 0
+        lost = c.dropped > 0.0 and self._rng.random() < c.dropped
+        self._steps += 1
+        if self._seen is None or (due and not lost):
+            self._seen = self._sent[max(-1 - round(c.sensor_delay / dt), -len(self._sent))]
+        return self._seen
 
     def arriving(self, command: Array) -> Array:
         """(n_b,) [m/s or rad/s] the command that takes effect, less what slips.

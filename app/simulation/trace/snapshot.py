@@ -5,6 +5,7 @@ new quantity is one more field here: log files, reports and live readings follow
 """
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -264,7 +265,7 @@ def _door() -> Quantity:
 
 
 def _force_bound() -> Quantity:
-    """Least of the pairs in their buffers while somebody holds the robot; in a table 50 Hz do."""
+    """Least of what a person may exert on the arm; in a table 50 Hz do."""
 
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _least_force_bound(session, step),)
@@ -273,11 +274,21 @@ def _force_bound() -> Quantity:
 
 
 def _least_force_bound(session: Session, step: Step) -> float:
+    """[N] least bound of the pairs in their buffers, and of the pull itself.
+
+    Up to the latter the torques can hold the pull, so that no joint exceeds its speed limit. It is
+    NaN where nobody holds the robot, or no pair is in its buffer.
+    """
     w, tau_max = step.control, session.model.tau_max
-    near = [i for i in range(w.n_mob) if w.beta[i] > 0.0]
+    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
     if not (step.pulls and near):
         return NAN
-    return min(force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, w.g, tau_max) for i in near)
+    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, w.g, tau_max) for i in near]
+    force = step.person.hand
+    if size := math.hypot(*force.tolist()):
+        against = -(force / size) @ w.J_ee[:3]
+        found.append(force_bound(math.inf, against, 0.0, w.M, w.g, tau_max))
+    return min(found)
 
 
 @dataclass(frozen=True)

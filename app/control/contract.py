@@ -1,0 +1,140 @@
+"""The contract of a control step with a robot's own loop: order, units, period, references."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from app.config import Config, sections
+from app.control.tasks import Reference
+from app.errors import ConfigError, MeasurementError
+from app.parameters import Parameter
+from app.robot.model import RobotModel
+from app.strict import Array
+
+SHORTEST, LONGEST = 2e-4, 0.02  # [s] of the control periods that are possible
+_ROUNDING = 1e-4  # [-] of a rotation matrix in single precision
+_FASTEST = 0.6  # [-] largest gain [1/s] times the control period
+
+
+def checked_period(dt: float) -> float:
+    """The control period [s].
+
+    Raises:
+        ConfigError: It is none.
+    """
+    if not (isinstance(dt, int | float) and SHORTEST <= dt <= LONGEST):
+        raise ConfigError(f"dt must be within {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
+    return float(dt)
+
+
+def check_gains(config: Config, dt: float) -> None:
+    """Refuse gains that a control period of dt [s] cannot follow.
+
+    Raises:
+        ConfigError: Names the gain, the value that the period allows, and the period that it needs.
+    """
+    for section in sections():
+        for each in section.tunables:
+            if not (isinstance(each, Parameter) and each.unit in ("1/s", "1/s²")):
+                continue
+            value, power = float(config.value(each.path)), 2 if each.unit == "1/s²" else 1
+            rate = value ** (1.0 / power)
+            if each.path != "estimate.velocity_noise" and rate * dt > _FASTEST:
+                raise ConfigError(
+                    f"{each.path} = {value:g} {each.unit} is too much for a control period of "
+                    f"{dt * 1000:g} ms: at most {(_FASTEST / dt) ** power:.3g}, or a period of "
+                    f"{_FASTEST / rate * 1000:.2g} ms"
+                )
+
+
+def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
+    """The error of positions (n_m,) that the arm cannot have; names the worst joint."""
+    half = 0.5 * (model.q_upper - model.q_lower)
+    i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
+    return MeasurementError(
+        f"measurement.q_m: {model.description.arm.joints[i]} is at {q_m[i]:g}, its limits are "
+        f"{model.q_lower[i]:.4g} and {model.q_upper[i]:.4g} rad or m: send radians, in the order "
+        f"of {', '.join(model.description.arm.joints)} (`ControlLoop.joint_order` sorts by name)"
+    )
+
+
+class JointOrder:
+    """Positions and velocities of the arm from joint states in a driver's own order.
+
+    As `sensor_msgs/JointState` has them: any order, with further joints, with or without
+    velocities. The names are looked up once; a step only picks the entries::
+
+        order = loop.joint_order(message.name)
+        Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
+    """
+
+    def __init__(self, model: RobotModel, names: Sequence[str]) -> None:
+        """Look the arm's joints up.
+
+        Raises:
+            MeasurementError: Names the joints that are missing, or named twice.
+        """
+        wanted, names = model.description.arm.joints, list(names)
+        for fault, count in (("does not name", 0), ("names more than once", 2)):
+            if wrong := [each for each in wanted if min(names.count(each), 2) == count]:
+                raise MeasurementError(
+                    f"joint states: the driver {fault} {', '.join(wrong)}; "
+                    f"names: {', '.join(names) or '(none)'}"
+                )
+        self._size = len(names)
+        self._places = np.array([names.index(each) for each in wanted])
+
+    def __call__(
+        self, position: Sequence[float] | Array, velocity: Sequence[float] | Array = ()
+    ) -> tuple[Array, Array]:
+        """(n_m,) positions and velocities in the arm's own order; velocities NaN if there are none.
+
+        Raises:
+            MeasurementError: There are not as many values as names.
+        """
+        q, qd = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
+        for field, values in (("position", q), ("velocity", qd)):
+            if values.shape != (self._size,) and (field == "position" or values.size):
+                raise MeasurementError(
+                    f"joint states: {field} has {values.size} values for {self._size} names"
+                )
+        places = self._places
+        return q[places], qd[places] if qd.size else np.full(len(places), np.nan)
+
+
+def checked_reference(reference: Reference) -> Reference:
+    """The same with arrays of floats.
+
+    Raises:
+        MeasurementError: It is no reference, or has another shape or an entry that is not finite;
+            the message names the field.
+    """
+    if not isinstance(reference, Reference):
+        raise MeasurementError(
+            "reference must be a Reference(pose, velocity, acceleration) or None, was "
+            f"{type(reference).__name__}"
+        )
+    pose, *motion = reference
+    if not isinstance(pose, pin.SE3):
+        raise MeasurementError(
+            f"reference.pose must be a pinocchio.SE3, was {type(pose).__name__}; "
+            "SE3(T) makes one of a 4x4 matrix"
+        )
+    found = []
+    for name, each in zip(Reference._fields[1:], motion, strict=True):
+        try:
+            values = np.asarray(each, dtype=float)
+        except (TypeError, ValueError):
+            values = np.empty(0)
+        if values.shape != (6,):
+            raise MeasurementError(f"reference.{name} must be 6 numbers, was {each!r}")
+        found.append(values)
+    R = pose.rotation
+    if not np.isfinite(pose.translation.sum() + sum(each.sum() for each in found)):
+        raise MeasurementError("reference: an entry is not a finite number")
+    if not np.abs(R.T @ R - np.eye(3)).max() < _ROUNDING:
+        raise MeasurementError("reference.pose: its rotation is no rotation matrix")
+    return Reference(pose, *found)

@@ -1,0 +1,419 @@
+"""Which instant the readings belong to, and whether they can be true.
+
+A step runs once a period, whether or not there is a new reading. The estimate of the arm belongs
+to the newest reading; torques and base have moved the robot since then, and the state of now is
+predicted from that, over the reading's age. So a reading that is repeated, dropped or known to be
+late is one and the same case. Three quantities are found in the readings themselves:
+
+- **The lag**, by which the accelerations that torques and base make appear in the positions: the
+  one that leaves the smallest third differences unexplained.
+- **The period**: the way of a joint, divided by its velocities' integral over the stated period,
+  is 1; twice another ratio in a row, and the loop does not run at that period.
+- **Velocities** that no period explains, for their ratio is out of all proportion, are not used.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from app.compiled import compiled
+from app.control.estimate import advance, estimate_arm, predicted_joint_acceleration
+from app.control.qp import times
+from app.robot.state import all_finite
+from app.strict import Array
+from app.structs import fill, put, put_rows
+
+FAULTS = {
+    "invalid": "a position, the base's pose or its velocity is not a finite number",
+    "implausible": "a joint is farther beyond its limits than half its range: degrees, or another "
+    "order of the joints?",
+    "velocity": "joint velocities are missing, or do not belong to the positions: the positions "
+    "alone are used",
+    "repeated": "the readings are the last ones again: the motion since then is predicted",
+    "stale": "the readings have not changed for 0.1 s although the robot moves: the fallback "
+    "command is in force",
+    "jump": "the arm cannot have moved to this reading: the estimate begins anew there",
+    "lag": "the readings are older than stated: compensated up to 24 periods",
+    "period": "the loop does not run at its stated period: the measured one is used from now on",
+    "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
+    "load": "a force straight down acts on the end-effector: state a load as `payload.mass`",
+}
+"""What can be wrong with the readings of a step, by name, in the order of `ControlStep.faults`."""
+
+INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD = range(10)
+
+HISTORY = 128
+"""Periods over which a reading's age can be bridged."""
+_MAX_AGE = 0.1  # [s] without a new reading, until the fallback command
+_STILL = 1e-7  # [rad] of predicted motion in a period with which a robot may be at rest
+_FARTHEST = 10.0  # [-] of the base's way at its top speed; else its pose has jumped
+_LEAST_WAY = 0.002  # [rad] over which the period is measured
+_NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
+_MOST_LAG = 24  # periods
+_CLEARLY = 0.25  # [-] of the unexplained motion, with which another lag is right
+_LEAST_LOAD = 0.3  # [kg] that is reported
+_LOAD_TIME = 0.15  # [s] for which a force must look like a load
+_GRAVITY = 9.81  # [m/s²]
+_LEAST_CURVE = 1e-12  # [rad²] of unexplained third differences that say anything about the lag
+
+
+@compiled()
+def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
+    """The positions (n_m,) without leaps of a full turn, where the joint's limits allow that.
+
+    A driver may wrap a joint that turns without end to ±π. The turn is the one nearest to the last
+    position (n_m,), at the first reading the one within the limits (2, n_m).
+    """
+    found = q.copy()
+    for i in range(len(q)):
+        turn = 2.0 * math.pi
+        if not first:
+            turns = round((last[i] - q[i]) / turn)
+            unwrapped = q[i] + turns * turn
+            if turns != 0 and limits[0, i] <= unwrapped <= limits[1, i]:
+                found[i] = unwrapped
+        elif q[i] < limits[0, i] and q[i] + turn <= limits[1, i]:
+            found[i] += turn
+        elif q[i] > limits[1, i] and q[i] - turn >= limits[0, i]:
+            found[i] -= turn
+    return found
+
+
+@compiled()
+def _same(a: Array, b: Array) -> bool:
+    """Whether two arrays agree to the bit; not a number agrees with itself."""
+    for i in range(len(a)):
+        if a[i] != b[i] and not (math.isnan(a[i]) and math.isnan(b[i])):
+            return False
+    return True
+
+
+@compiled()
+def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
+    """Whether readings say that the robot moves, or do not say whether it does."""
+    for v in base_velocity:
+        if v != 0.0:
+            return True
+    for v in qd:
+        if v != 0.0:  # NaN too
+            return True
+    return unknown
+
+
+@compiled()
+def _is_repeated(
+    w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, dt: float
+) -> bool:
+    """Whether these are the last readings again, of a robot that has moved since."""
+    if not (
+        _same(q, w.reading[0])
+        and _same(qd, w.reading[1])
+        and _same(base_pose, w.pose_last)
+        and _same(base_velocity, w.v_read)
+    ):
+        return False
+    if not _moves(base_velocity, qd, w.no_velocity[()] != 0.0):
+        return False
+    if w.age[()] > 0.0:
+        return True
+    fastest = 0.0
+    for v in w.x_est[1]:
+        fastest = max(fastest, abs(v) * dt)
+    for v in base_velocity:
+        fastest = max(fastest, abs(v) * dt)
+    return fastest > _STILL
+
+
+@compiled()
+def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
+    """Periods in which a robot at rest began to move, while its readings were repeated.
+
+    A robot at rest may send the same readings again and again; that the driver repeats them shows
+    in the next ones: they are farther away than a joint moves in one period.
+    """
+    if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
+        w.rested[()] = 0.0 if first else w.rested[()] + 1.0
+        return 0.0
+    far = 0.0
+    for i in range(len(q)):
+        speed = 0.0 if math.isnan(qd[i]) else abs(qd[i])
+        far = max(far, abs(q[i] - w.reading[0, i]) - 2.0 * dt * speed)
+    rested, w.rested[()] = w.rested[()], 0.0
+    return rested if far > _STILL else 0.0
+
+
+@compiled()
+def _implausible(q: Array, limits: Array) -> bool:
+    """Whether a joint is farther beyond its limits (2, n_m) than half its range."""
+    for i in range(len(q)):
+        half = 0.5 * (limits[1, i] - limits[0, i])
+        if q[i] < limits[0, i] - half or q[i] > limits[1, i] + half:
+            return True
+    return False
+
+
+@compiled()
+def _recall(w: Any, ago: int, count: int) -> Array:
+    """(count, n_m) the accelerations of as many periods, the last of them so many periods ago."""
+    found = np.empty((count, w.history.shape[1]))
+    for k in range(count):
+        put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])
+    return found
+
+
+@compiled()
+def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
+    """Add the acceleration of the period that has just ended to those that are known."""
+    if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
+        w.known[()] = 0.0  # a gap
+        return
+    if fresh and w.age[()] == 0.0 and w.lag[()] == 0.0:
+        a_base = (base_velocity - w.v_last) / gains.dt
+    else:
+        a_base = w.a_base_meas
+    qdd_b = times(robot.J_m_inv, a_base)
+    w.periods[()] = (w.periods[()] + 1.0) % HISTORY
+    w.known[()] = min(w.known[()] + 1.0, 1.0 * HISTORY)
+    row = w.history[int(w.periods[()])]
+    put(row, predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, qdd_b))
+
+
+@compiled()
+def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
+    """Measure by how many periods the readings are late, in `w.lag`.
+
+    Of each lag the squared third differences that it leaves unexplained are summed over the window
+    of the noise: another lag is right where it leaves a small part of those.
+    """
+    dt, d = gains.dt, w.differences
+    known = int(w.known[()])
+    regular = age == 0 and known > _MOST_LAG + 2
+    kept = math.exp(-dt / gains.noise_window)
+    curves = np.empty(len(q))
+    for i in range(len(q)):
+        step = q[i] - d[0, i]
+        curve = step - d[1, i]
+        curves[i] = curve - d[2, i]
+        d[0, i], d[1, i], d[2, i] = q[i], step, curve
+    if not regular:
+        w.lag_samples[()] = 0.0
+        fill(w.lag_error, 0.0)
+        return
+    w.lag_samples[()] += 1.0
+    now = int(w.periods[()])
+    for lag in range(_MOST_LAG + 1):
+        a, b = w.history[(now - lag) % HISTORY], w.history[(now - lag - 1) % HISTORY]
+        error = 0.0
+        for i in range(len(q)):
+            error += (curves[i] - dt**2 * (a[i] - b[i])) ** 2
+        w.lag_error[lag] = kept * w.lag_error[lag] + error
+    used, best = int(w.lag[()]), int(np.argmin(w.lag_error))
+    clear = w.lag_error[best] < _CLEARLY * w.lag_error[used]
+    if w.lag_samples[()] > _MOST_LAG and clear and w.lag_error[used] > _LEAST_CURVE:
+        w.lag[()] = best
+        w.samples[()] = 0.0
+        fill(w.noise_var, 0.0)
+
+
+@compiled()
+def _measure_from(w: Any, q: Array) -> None:
+    """Measure the period anew from the positions q (n_m,) on."""
+    put(w.travel[0], q)
+    fill(w.travel[1], 0.0)
+    w.since[()] = 0.0
+
+
+@compiled()
+def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
+    """Compare the joints' ways with the integral of their velocities.
+
+    `w.ratio` is 1 where both agree; `w.no_velocity` is 1 where no period can explain it.
+    """
+    if w.known[()] == 0.0:  # a gap
+        _measure_from(w, q)
+        return
+    far, most = -1, 1.0
+    w.since[()] += 1.0
+    for i in range(len(q)):
+        w.travel[1, i] += steps * gains.dt * qd[i]
+        way = max(_LEAST_WAY, _NOISES * math.sqrt(w.noise_var[0, i]))
+        share = abs(q[i] - w.travel[0, i]) / way
+        if share > most:
+            far, most = i, share
+    if far < 0 or w.since[()] < 4.0:
+        return
+    integral, way = w.travel[1, far], q[far] - w.travel[0, far]
+    ratio = way / integral if integral != 0.0 else math.inf
+    if not 0.1 < ratio < 10.0:  # NaN too
+        w.no_velocity[()] = 1.0
+        ratio = 1.0
+    else:
+        w.no_velocity[()] = 0.0
+    if not 0.8 < ratio < 1.25:
+        agrees = abs(ratio - w.ratio[()]) < 0.15 * ratio
+        w.faults[PERIOD] = 1.0 if agrees else 0.0
+        w.samples[()] = 0.0  # the readings themselves, until this is clear
+    w.ratio[()] = ratio
+    _measure_from(w, q)
+
+
+@compiled()
+def _begin(gains: Any, w: Any, q: Array) -> None:
+    """The first valid reading."""
+    put(w.q_posture, q)
+    w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
+    w.ratio[()] = 1.0
+    _measure_from(w, q)
+    put(w.differences[0], q)
+
+
+@compiled()
+def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
+    """Take the base's readings, and notice a pose that leaps."""
+    if not first:
+        steps = 1.0 + w.age[()]
+        far = _FARTHEST * steps * gains.dt * max(robot.v_max[0], 1.0)
+        moved = math.hypot(pose[0] - w.pose_last[0], pose[1] - w.pose_last[1])
+        turned = abs((pose[2] - w.pose_last[2] + math.pi) % (2.0 * math.pi) - math.pi)
+        w.faults[LOCALISATION] = 1.0 if moved > far or turned > 2.0 * far else 0.0
+    put(w.pose_last, pose)
+    put(w.v_read, velocity)
+    put(w.v_last, velocity)
+    put(w.base_velocity, velocity)
+
+
+@compiled()
+def _estimate_load(gains: Any, w: Any) -> None:
+    """The mass whose weight at the end-effector explains the external torques best.
+
+    It is reported where it does so well for a while: a person rarely pulls straight down.
+    """
+    n_b = len(w.g) - len(w.q_m)
+    torque, lift = times(w.M[n_b:, n_b:], w.x_est[2]), w.J_ee[2, n_b:]
+    along, size, total = 0.0, 0.0, 0.0
+    for i in range(len(torque)):
+        along += torque[i] * lift[i]
+        size += lift[i] ** 2
+        total += torque[i] ** 2
+    if size == 0.0:
+        return
+    w.load[()] = -along / size / _GRAVITY
+    alike = along**2 > 0.8 * total * size and w.load[()] > _LEAST_LOAD
+    w.loaded[()] = w.loaded[()] + gains.dt if alike else 0.0
+    w.faults[LOAD] = 1.0 if w.loaded[()] > _LOAD_TIME else 0.0
+
+
+@compiled()
+def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
+    """Predict the arm's velocity for the fallback command, which damps the arm as it moves now."""
+    w.age[()] += 1.0
+    w.known[()] = 0.0
+    fill(w.v_last, math.nan)
+    if not (math.isnan(w.q_posture[0]) or math.isnan(w.u_a[0])):
+        known = np.empty((1, len(w.q_m)))
+        at_rest = np.zeros(robot.n_b)
+        put(known[0], predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, at_rest))
+        advance(w.x_est, known, gains.dt)
+        w.x_est[2] *= math.exp(-gains.dt / gains.noise_window)  # nobody pulls the same for long
+        put(w.qd[robot.n_b :], w.x_est[1])
+
+
+@compiled()
+def take_readings(
+    robot: Any,
+    gains: Any,
+    w: Any,
+    base_pose: Array,
+    base_velocity: Array,
+    q_m: Array,
+    qd_m: Array,
+    drive: Array,
+) -> None:
+    """Estimate the robot's state of now from the readings; `w.valid` says whether there is one.
+
+    Paper: Algorithm 2, line 2, before the kinematics.
+
+    Args:
+        robot: `ROBOT`.
+        gains: `GAINS`.
+        w: `STEP`.
+        base_pose: (3,) x, y [m], φ [rad].
+        base_velocity: (n_b,) [m/s or rad/s].
+        q_m: (n_m,) [rad or m] positions.
+        qd_m: (n_m,) [rad/s or m/s] velocities; NaN where the driver has none.
+        drive: (n_d,) of the drive.
+    """
+    fill(w.faults, 0.0)
+    first, repeated, q, qd = math.isnan(w.q_posture[0]), False, q_m.copy(), qd_m.copy()
+    w.faults[INVALID] = 0.0 if all_finite(base_pose, base_velocity, q_m, q_m, drive) else 1.0
+    if w.faults[INVALID] == 0.0:
+        q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
+        w.faults[IMPLAUSIBLE] = 1.0 if _implausible(q, robot.q_limits) else 0.0
+        repeated = not first and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt)
+        w.faults[REPEATED] = 1.0 if repeated else 0.0
+        w.faults[STALE] = 1.0 if repeated and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
+    w.valid[()] = w.faults[INVALID] + w.faults[IMPLAUSIBLE] + w.faults[STALE] == 0.0
+    if w.valid[()] == 0.0:
+        _advance_blind(robot, gains, w)
+        return
+    _remember(robot, gains, w, base_velocity, not repeated)
+    if repeated:
+        w.age[()] += 1.0
+        advance(w.x_est, _recall(w, 0, 1), gains.dt)
+    else:
+        w.age[()] += _rested(w, q, qd, gains.dt, first)
+        put(w.reading[0], q)
+        put(w.reading[1], qd)
+        _take_new(robot, gains, w, q, qd, first)
+        _take_base(robot, gains, w, base_pose, base_velocity, first)
+        w.age[()] = 0.0
+    w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
+    _estimate_load(gains, w)
+    put(w.q_m, w.x_est[0])
+    put(w.qd_m, w.x_est[1])
+    put(w.base_pose, w.pose_last)
+    old = (w.age[()] + w.lag[()]) * gains.dt
+    if old > 0.0:
+        twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
+        c, s = math.cos(w.base_pose[2]), math.sin(w.base_pose[2])
+        w.base_pose[0] += old * (c * twist[0] - s * twist[1])
+        w.base_pose[1] += old * (s * twist[0] + c * twist[1])
+        w.base_pose[2] += old * twist[2]
+
+
+@compiled()
+def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) -> None:
+    """Update the estimate by new readings q, qd (n_m,); velocities not to be used become NaN."""
+    age = int(w.age[()])
+    if first:
+        _begin(gains, w, q)
+    else:
+        _find_lag(w, q, age, gains)
+        _find_period(w, q, qd, age + 1, gains)
+    lost = w.no_velocity[()]
+    for i in range(len(qd)):
+        if w.no_velocity[()] != 0.0 or math.isinf(qd[i]):
+            qd[i] = math.nan
+        lost += 1.0 if math.isnan(qd[i]) else 0.0
+    w.faults[VELOCITY] = 1.0 if lost > 0.0 else 0.0
+    lag = int(w.lag[()])
+    steps = age + 1 if w.known[()] >= age + 1 + lag else 0
+    jumped = estimate_arm(
+        w.x_read,
+        w.P_est,
+        w.noise_var,
+        w.q_last,
+        w.samples,
+        _recall(w, lag, steps),
+        q,
+        qd,
+        robot.qd_max,
+        gains,
+    )
+    w.faults[JUMP] = 1.0 if jumped else 0.0
+    if jumped:
+        _measure_from(w, q)
+    put_rows(w.x_est, w.x_read)
+    if lag > 0:
+        advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)

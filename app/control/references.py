@@ -1,0 +1,150 @@
+"""References as a planner sends them: in steps, at 10 or 30 Hz with jitter.
+
+A reference whose pose leaps, in comparison with its own velocity, is a sample. At each sample the
+end-effector begins a polynomial of fifth degree, from its present reference position, velocity and
+acceleration to the sample and the velocity of the way since the last one, within two mean intervals
+of samples: a steady motion stays steady, and jitter is bridged. Where no further sample comes it
+comes to rest at the last one. A sample that is farther away than the correction speed allows, such
+as the first one after a stall, is approached at that speed. References without leaps pass as sent.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from app.control.tasks import Reference
+from app.strict import Array
+
+_LEAP = 10.0  # [m/s² and rad/s²] of a reference in one period, from which it is a sample
+_RATE = 0.3  # [-] share of the newest interval in the mean time between samples
+_LONGEST = 0.25  # [s] between samples of one motion
+_LATE = 1.75  # [-] mean intervals, after which there is no further sample
+_PEAK = 1.875  # [-] largest over mean speed of the polynomial from rest to rest
+_POWERS = np.arange(6)
+
+
+class References:
+    """The reference of each control step, from those that a planner sends."""
+
+    def __init__(self, dt: float) -> None:
+        """No reference; `dt` [s] is the control period."""
+        self.dt = dt
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again: the next reference is approached from the end-effector's pose."""
+        self._raw: Reference | None = None  # the last one that was sent
+        self._way: Array | None = None  # (6, 6) coefficients of the polynomial, while it is in use
+        self._since, self._interval = 0.0, 0.0
+
+    @property
+    def is_new(self) -> bool:
+        """Whether there has been no reference since `reset`."""
+        return self._raw is None
+
+    def next(self, sent: Reference, here: pin.SE3 | None, speed: float) -> Reference:
+        """The reference of this step.
+
+        Args:
+            sent: The newest one.
+            here: Pose of the end-effector.
+            speed: [m/s and rad/s] largest speed towards a sample that is far away.
+        """
+        last, self._raw = self._raw, sent
+        self._since += self.dt
+        if last is None:
+            if here is None or not self._leaps(Reference(here, *sent[1:]), sent):
+                return sent
+            last = Reference(here, np.zeros(6), np.zeros(6))
+            self._begin(last)
+            self._aim(sent, np.zeros(6), speed)
+        elif self._leaps(last, sent):
+            between, self._since = self._since, 0.0
+            if self._way is None:
+                self._begin(last)
+            if between > _LONGEST:  # the first sample of a motion
+                self._interval = 0.0
+                self._aim(sent, np.zeros(6), speed)
+            else:
+                mean = self._interval or between
+                self._interval = mean + _RATE * (between - mean)
+                own = sent.velocity.any()
+                way = _difference(last.pose, sent.pose) / between
+                self._aim(sent, sent.velocity if own else way, speed)
+        elif self._way is None:
+            return sent
+        return self._now(sent, speed)
+
+    def _leaps(self, last: Reference, sent: Reference) -> bool:
+        """Whether its velocity does not explain how a reference moves within a period."""
+        if last.pose is sent.pose:
+            return False
+        way = _difference(last.pose, sent.pose) - self.dt * sent.velocity
+        return float(np.abs(way).max()) > _LEAP * self.dt**2
+
+    def _begin(self, at: Reference) -> None:
+        """Begin a polynomial at a reference."""
+        self._origin = at.pose.copy()
+        self._way = np.zeros((6, 6))
+        self._way[1], self._way[2] = at.velocity, at.acceleration / 2.0
+        self._t, self._end, self._moves_on = 0.0, np.inf, False
+
+    def _aim(self, sent: Reference, velocity: Array, speed: float) -> None:
+        """Go on from the present reference to a sample, to arrive there at a velocity (6,)."""
+        state = self._state(self._t)
+        self._origin = _moved(self._origin, state[0])
+        goal = _difference(self._origin, sent.pose)
+        far = max(np.linalg.norm(goal[:3]), np.linalg.norm(goal[3:]))
+        duration = max(2.0 * self._interval, 2.0 * self.dt)
+        slow = _PEAK * far / speed
+        if slow > 2.0 * duration or not velocity.any():
+            velocity, duration = np.zeros(6), max(slow, duration)
+        self._moves_on = bool(velocity.any())
+        self._way = _quintic(state[1], state[2], goal, velocity, duration)
+        self._t, self._end = 0.0, duration
+
+    def _state(self, t: float) -> Array:
+        """(3, 6) way from the origin, velocity and acceleration of the polynomial."""
+        if self._way is None:
+            return np.zeros((3, 6))
+        p = t**_POWERS
+        v = _POWERS[1:] * p[:5]
+        a = _POWERS[2:] * _POWERS[1:5] * p[:4]
+        return np.array([p @ self._way, v @ self._way[1:], a @ self._way[2:]])
+
+    def _now(self, sent: Reference, speed: float) -> Reference:
+        """The reference along the polynomial, which comes to rest where no further sample comes."""
+        self._t += self.dt
+        if self._moves_on and self._since > _LATE * self._interval:
+            self._aim(sent, np.zeros(6), speed)
+            self._t = self.dt
+        if self._t > self._end:
+            self._way, self._interval = None, 0.0
+            return sent
+        way, v, a = self._state(self._t)
+        return Reference(_moved(self._origin, way), v, a)
+
+
+def _difference(a: pin.SE3, b: pin.SE3) -> Array:
+    """(6,) from a pose to another: linear [m] over angular [rad], in axes of the world."""
+    turned = pin.log3(b.rotation @ a.rotation.T)
+    return np.concatenate([b.translation - a.translation, turned])
+
+
+def _moved(a: pin.SE3, way: Array) -> pin.SE3:
+    """The pose after a way (6,) of `_difference`."""
+    return pin.SE3(pin.exp3(way[3:]) @ a.rotation, a.translation + way[:3])
+
+
+def _quintic(v: Array, a: Array, goal: Array, v_end: Array, T: float) -> Array:
+    """(6, 6) coefficients, by power, from 0 at velocity v and acceleration a (6,) to a goal (6,).
+
+    It arrives after T [s] at the velocity v_end (6,), without acceleration.
+    """
+    rest = goal - T * v - T**2 / 2.0 * a
+    slope, bend = T * (v_end - v - T * a), -(T**2) * a
+    c3 = 10.0 * rest - 4.0 * slope + 0.5 * bend
+    c4 = -15.0 * rest + 7.0 * slope - bend
+    c5 = 6.0 * rest - 3.0 * slope + 0.5 * bend
+    return np.array([np.zeros(6), v, a / 2.0, c3 / T**3, c4 / T**4, c5 / T**5])

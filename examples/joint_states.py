@@ -1,0 +1,38 @@
+"""A driver's own joint states: any order, 50 Hz, without velocities, and gravity added by it.
+
+Run it: python examples/joint_states.py
+"""
+
+import numpy as np
+
+from app import ControlLoop, Measurement, RobotModel, load_robot
+from app.simulation.plants import make_physics
+
+DT, EVERY = 0.002, 10  # [s] of a 500 Hz loop; steps between two joint states
+PULL = np.array([-8.0, 0.0, 0.0])  # [N] of a person on the end-effector
+
+
+def main(duration: float = 1.0) -> tuple[str, ...]:
+    """Run for some simulated seconds; returns the names of all faults."""
+    model = RobotModel(load_robot("husky_panda"))
+    loop, robot = ControlLoop(model, dt=DT), make_physics("kinematic", model, dt=DT)
+    names = ["gripper", *sorted(model.description.arm.joints, reverse=True)]
+    order = loop.joint_order(names)  # once: the driver's names
+    places = [names.index(name) for name in model.description.arm.joints]
+    faults: dict[str, None] = {}
+
+    for k in range(round(duration / DT)):
+        truth = robot.measure()
+        if k % EVERY == 0:  # a new message; it has no velocities
+            position = np.zeros(len(names))
+            position[places] = truth.q_m
+            q_m, qd_m = order(position)
+        command = loop.step(Measurement(truth.base_pose, truth.base_velocity, q_m, qd_m))
+        to_driver = command.u_a - command.gravity  # it adds gravity itself
+        faults |= dict.fromkeys(command.faults)
+        robot.step(to_driver + command.gravity, command.base_velocity, hand_force=PULL)
+    return tuple(faults)
+
+
+if __name__ == "__main__":
+    print("named:", *main())

@@ -1,0 +1,30 @@
+"""The gripper takes 2 kg: the loop says so, and carries it once it is stated.
+
+Run it: python examples/load.py
+"""
+
+import numpy as np
+
+from app import Config, ControlLoop, RobotModel, load_robot
+from app.simulation.plants import make_physics
+
+DT = 0.001  # [s]
+WEIGHT = np.array([0.0, 0.0, -2.0 * 9.81])  # [N]
+
+
+def main() -> tuple[float, float]:
+    """Returns the estimated load [kg], and the speed [m/s] of the end-effector at the end."""
+    model = RobotModel(load_robot("husky_panda"))
+    loop, robot, found = ControlLoop(model), make_physics("kinematic", model), 0.0
+    for _ in range(1500):
+        command = loop.step(robot.measure())
+        if "load" in command.faults and not found:
+            found = command.load
+            loop.configure(Config().changed({"payload.mass": round(found, 1)}))
+        robot.step(command.u_a, command.base_velocity, hand_force=WEIGHT)
+    return found, float(np.linalg.norm(command.step.v_ee[:3]))
+
+
+if __name__ == "__main__":
+    mass, speed = main()
+    print(f"{mass:.2f} kg at the end-effector; once stated, it moves at {speed:.3f} m/s")

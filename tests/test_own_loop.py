@@ -1,0 +1,396 @@
+"""What real robots send: the loop behaves as with a simulator's readings, and names each fault."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.contract import JointOrder
+from app.control.control_loop import ControlLoop
+from app.control.tasks import Reference
+from app.errors import ConfigError, MeasurementError
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState, at_rest
+from app.simulation.plants.kinematic import Kinematic
+from app.simulation.scenarios.start import StartSolver
+
+Array = np.ndarray
+Bend = Callable[[int, Measurement], Measurement]
+
+PULL = np.array([-12.0, 0.0, 0.0])  # [N] on the end-effector, into the buffer
+FRONT, SIDE = (0.92, 0.10, 0.30), (0.30, 0.72, 0.35)  # [m] starts of the end-effector
+NAN = np.full(7, np.nan)
+
+
+class Run(NamedTuple):
+    """What a robot did in its own loop."""
+
+    base: Array
+    """(3,) pose at the end."""
+    share: float
+    """Largest share of a joint's speed limit."""
+    nearest: float
+    """[m] least distance of a pair."""
+    faults: dict[str, float]
+    """[s] when each was first named."""
+    hand: Array
+    """(k, 3) [m] way of the end-effector."""
+    sent: Measurement
+    """The last readings."""
+
+
+@pytest.fixture(scope="module")
+def starts(robot: RobotModel, border_data: BorderData) -> dict[tuple[float, ...], Array]:
+    solver = StartSolver(robot, border_data.pairs, Config().border.d_b)
+    return {start: solver.solve(start) for start in (FRONT, SIDE)}
+
+
+@pytest.fixture(scope="module")
+def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run]:
+    """Runs a loop for a time: `bend` is what happens to the readings on their way."""
+
+    def run(
+        bend: Bend = lambda k, m: m,
+        *,
+        stated: float = 0.001,
+        real: float = 0.001,
+        time: float = 1.6,
+        start: Any = FRONT,
+        pull: Array = PULL,
+        reference: Callable[[float, pin.SE3], Reference] | None = None,
+        **options: Any,
+    ) -> Run:
+        loop = ControlLoop(robot, border_data, dt=stated, **options)
+        plant, seen = Kinematic(robot, dt=real), RobotState(robot)
+        plant.reset(np.zeros(3), starts[start] if isinstance(start, tuple) else start)
+        seen.update_kinematics(plant.measure())
+        origin, share, nearest, faults, hand = seen.T_world_ee.copy(), 0.0, np.inf, {}, []
+        for k in range(round(time / real)):
+            sent = plant.measure()
+            share = max(share, float((np.abs(sent.qd_m) / robot.qd_max).max()))
+            wanted = reference(k * real, origin) if reference else None
+            command = loop.step(bend(k, sent), wanted)
+            nearest = min(nearest, float(command.step.d.min()))
+            for name in command.faults:
+                faults.setdefault(name, k * real)
+            seen.update_kinematics(sent)
+            hand.append(seen.p_ee.copy())
+            plant.step(command.u_a, command.base_velocity, pull)
+        sent = plant.measure()
+        return Run(sent.base_pose, share, nearest, faults, np.array(hand), sent)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def plain(run) -> Run:
+    """The run without a fault."""
+    return run()
+
+
+def held(n: int) -> Bend:
+    last: list[Measurement] = []
+
+    def bend(k: int, m: Measurement) -> Measurement:
+        if k % n == 0:
+            last[:] = [m]
+        return last[0]
+
+    return bend
+
+
+def late(n: int) -> Bend:
+    seen: list[Measurement] = []
+
+    def bend(k: int, m: Measurement) -> Measurement:
+        seen.append(m)
+        return seen[max(0, k - n)]
+
+    return bend
+
+
+def lossy(share: float) -> Bend:
+    rng, last = np.random.default_rng(0), []
+
+    def bend(k: int, m: Measurement) -> Measurement:
+        if not last or rng.random() > share:
+            last[:] = [m]
+        return last[0]
+
+    return bend
+
+
+def without(n: int) -> Bend:
+    repeat = held(n)
+    return lambda k, m: repeat(k, m)._replace(qd_m=NAN)
+
+
+READINGS = {
+    "no velocities": (lambda: lambda k, m: m._replace(qd_m=NAN), {"velocity"}),
+    "one velocity missing": (
+        lambda: lambda k, m: m._replace(qd_m=np.where(np.arange(7) == 6, np.nan, m.qd_m)),
+        {"velocity"},
+    ),
+    "velocities of zero": (lambda: lambda k, m: m._replace(qd_m=np.zeros(7)), {"velocity"}),
+    "velocities in degrees": (lambda: lambda k, m: m._replace(qd_m=57.3 * m.qd_m), {"velocity"}),
+    "50 Hz": (lambda: held(20), {"repeated"}),
+    "30 Hz": (lambda: held(33), {"repeated"}),
+    "50 Hz without velocities": (lambda: without(20), {"repeated", "velocity"}),
+    "half of them lost": (lambda: lossy(0.5), {"repeated"}),
+    "5 ms late": (lambda: late(5), {"lag"}),
+    "20 ms late": (lambda: late(20), {"lag"}),
+}
+
+
+@pytest.mark.parametrize("case", READINGS)
+def test_poor_readings_are_named_and_change_little(run, plain: Run, case: str) -> None:
+    make, faults = READINGS[case]
+    found = run(make())
+    assert set(found.faults) == faults
+    assert found.share < 1.05
+    assert found.nearest > 0.02
+    np.testing.assert_allclose(found.base, plain.base, atol=0.04)
+
+
+@pytest.mark.parametrize(
+    ("stated", "real"),
+    [(0.002, 0.002), (0.004, 0.004), (0.008, 0.008), (0.001, 0.005), (0.004, 0.001)],
+)
+def test_the_period_changes_nothing_and_a_wrong_one_is_named(
+    run, plain: Run, stated: float, real: float
+) -> None:
+    found = run(stated=stated, real=real)
+    assert ("period" in found.faults) == (stated != real)
+    assert found.share < 1.05
+    np.testing.assert_allclose(found.base, plain.base, atol=0.008)  # of a base at 0.5 m/s
+
+
+@pytest.mark.parametrize(
+    ("dt", "path", "value", "named"),
+    [
+        (1.0, "", 0.0, "dt must be within"),
+        (float("nan"), "", 0.0, "dt must be within"),
+        (0.008, "task.ee_damping", 150.0, "task.ee_damping = 150"),
+        (0.004, "limit.velocity_rate", 200.0, "limit.velocity_rate = 200"),
+    ],
+)
+def test_a_period_that_a_gain_or_nobody_can_follow_is_refused(
+    robot: RobotModel, border_data: BorderData, dt: float, path: str, value: float, named: str
+) -> None:
+    config = Config().changed({path: value} if path else {})
+    with pytest.raises(ConfigError, match=named):
+        ControlLoop(robot, border_data, config, dt=dt)
+
+
+def test_joints_come_by_name_in_any_order(robot: RobotModel) -> None:
+    names = ["finger", *reversed(robot.description.arm.joints)]
+    q, qd = JointOrder(robot, names)(np.arange(8.0), -np.arange(8.0))
+    np.testing.assert_array_equal(q, np.arange(7.0, 0.0, -1.0))
+    np.testing.assert_array_equal(qd, -q)
+    assert np.isnan(JointOrder(robot, names)(np.arange(8.0))[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda names: names[1:], "does not name"),
+        (lambda names: [*names, names[0]], "more than once"),
+        (lambda names: [], "(none)"),
+    ],
+)
+def test_joint_states_that_do_not_fit_are_refused_by_name(
+    robot: RobotModel, change, named: str
+) -> None:
+    names = list(robot.description.arm.joints)
+    with pytest.raises(MeasurementError, match=names[0]) as error:
+        JointOrder(robot, change(names))
+    assert named in str(error.value)
+
+
+@pytest.mark.parametrize("factor", [57.3, -57.3])
+def test_degrees_are_refused_at_first_and_named_later(
+    robot: RobotModel, border_data: BorderData, factor: float
+) -> None:
+    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    bad = good._replace(q_m=factor * good.q_m)
+    loop = ControlLoop(robot, border_data)
+    with pytest.raises(MeasurementError, match="radians"):
+        loop.step(bad)
+    loop.step(good)
+    command = loop.step(bad)
+    assert set(command.faults) & {"implausible", "jump"}
+    assert np.isfinite(command.u_a).all()
+
+
+@pytest.mark.parametrize(
+    ("reference", "named"),
+    [
+        (np.eye(4), "Reference"),
+        (Reference(np.eye(4), np.zeros(6), np.zeros(6)), "pose"),  # type: ignore[arg-type]
+        (Reference(pin.SE3.Identity(), np.zeros(3), np.zeros(6)), "velocity"),
+        (Reference(pin.SE3.Identity(), np.zeros(6), None), "acceleration"),  # type: ignore[arg-type]
+        (Reference(pin.SE3.Identity(), np.full(6, np.nan), np.zeros(6)), "finite"),
+        (Reference(pin.SE3(2 * np.eye(3), np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
+    ],
+)
+def test_a_wrong_reference_is_refused_by_its_field(
+    robot: RobotModel, border_data: BorderData, reference: Any, named: str
+) -> None:
+    loop = ControlLoop(robot, border_data)
+    with pytest.raises(MeasurementError, match=named):
+        loop.step(at_rest(robot, np.array(robot.description.arm.ready_position)), reference)
+
+
+def sampled(rate: float, jitter: float) -> Callable[[float, pin.SE3], Reference]:
+    """0.1 m/s to the side, in samples at a rate [Hz] with a jitter [s]."""
+    rng = np.random.default_rng(0)
+    times = np.cumsum(1.0 / rate + rng.uniform(-jitter, jitter, 200))
+    last: list[Any] = [-1, None]
+
+    def reference(t: float, origin: pin.SE3) -> Reference:
+        number = int(np.searchsorted(times, t + 1e-9, side="right"))
+        if number != last[0]:
+            pose = origin.copy()
+            pose.translation = origin.translation + t * np.array([0.0, -0.1, 0.0])
+            last[:] = number, Reference(pose, np.zeros(6), np.zeros(6))
+        return last[1]
+
+    return reference
+
+
+def jerk(hand: Array) -> float:
+    """[m/s³] largest one in the second half of a way at 1 kHz, of 5 ms means."""
+    a = np.apply_along_axis(lambda x: np.convolve(x, np.ones(5) / 5, "same"), 0, hand)
+    late = np.diff(a, n=3, axis=0)[len(hand) // 2 : -10]
+    return float(np.linalg.norm(late, axis=1).max()) / 1e-9
+
+
+@pytest.mark.parametrize(("rate", "jitter"), [(30.0, 0.0), (10.0, 0.0), (10.0, 0.03)])
+def test_references_in_samples_make_a_smooth_motion(run, rate: float, jitter: float) -> None:
+    options = {"start": SIDE, "pull": np.zeros(3), "time": 1.6}
+    smooth = run(reference=sampled(rate, jitter), **options)
+    raw = run(reference=sampled(rate, jitter), interpolate=False, **options)
+    assert jerk(smooth.hand) < 0.15 * jerk(raw.hand)
+    lag = (smooth.hand[-1] - smooth.hand[0])[1] + 0.1 * 1.6
+    assert 0.0 < lag < 0.1 * 2.5 / rate + 0.01
+
+
+def still(t: float, origin: pin.SE3) -> Reference:
+    return Reference(origin, np.zeros(6), np.zeros(6))
+
+
+def blind(first: int, last: int, field: str) -> Bend:
+    def bend(k: int, m: Measurement) -> Measurement:
+        return m._replace(**{field: np.nan * getattr(m, field)}) if first <= k < last else m
+
+    return bend
+
+
+def relocated(k: int, m: Measurement) -> Measurement:
+    return m._replace(base_pose=m.base_pose + 0.1 * (k > 300))
+
+
+EVENTS = {
+    "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid"),
+    "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid"),
+    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "invalid"),
+    "localisation jumps": (relocated, "localisation"),
+}
+
+
+@pytest.mark.parametrize("case", EVENTS)
+def test_nothing_leaps_at_an_event_and_it_is_named(run, case: str) -> None:
+    bend, fault = EVENTS[case]
+    found = run(bend, start=SIDE, pull=np.zeros(3), reference=still)
+    assert found.faults[fault] <= 0.5
+    assert found.share < 0.8
+    assert np.linalg.norm(np.diff(found.hand, axis=0), axis=1).max() < 0.0006  # 0.6 m/s
+
+
+@pytest.mark.parametrize("called", [True, False])
+def test_after_a_protective_stop_the_arm_goes_on_without_a_leap(
+    robot: RobotModel, border_data: BorderData, starts, called: bool
+) -> None:
+    """Frozen for 0.3 s, and moved meanwhile; `reset` makes the new place the one to stay at."""
+    loop, plant = ControlLoop(robot, border_data), Kinematic(robot)
+    plant.reset(np.zeros(3), starts[SIDE])
+    hand = RobotState(robot)
+    hand.update_kinematics(plant.measure())
+    stay = still(0.0, hand.T_world_ee.copy())
+    fastest = 0.0
+    for k in range(1200):
+        if k == 300:
+            plant.reset(np.zeros(3), starts[SIDE] + 0.2)
+            if called:
+                loop.reset()
+        frozen = at_rest(robot, starts[SIDE]) if 50 <= k < 300 else plant.measure()
+        command = loop.step(frozen, stay)
+        if not 50 <= k < 300:
+            plant.step(command.u_a, command.base_velocity, np.zeros(3))
+            fastest = max(fastest, float((np.abs(plant.measure().qd_m) / robot.qd_max).max()))
+    assert fastest < 0.5
+
+
+@pytest.mark.parametrize("turns", [-2.0 * np.pi, 2.0 * np.pi])
+def test_a_wrapped_joint_turns_on_without_a_jump(
+    robot: RobotModel, border_data: BorderData, turns: float
+) -> None:
+    """A joint with limits beyond half a turn, whose driver wraps it."""
+    wide = RobotModel(robot.description)
+    wide.q_lower[6], wide.q_upper[6] = -9.0, 9.0
+    wide.q_limits[:, 6] = -9.0, 9.0
+    q, speed = np.array(robot.description.arm.ready_position), 0.5 * np.sign(turns)
+    q[6] = np.pi * np.sign(turns) - 0.05 * np.sign(turns)
+    loop = ControlLoop(wide, border_data)
+    for k in range(300):
+        angle = q[6] + 0.001 * k * speed
+        wrapped = np.append(q[:6], np.angle(np.exp(1j * angle)))
+        m = at_rest(wide, wrapped)._replace(qd_m=np.append(np.zeros(6), speed))
+        command = loop.step(m)
+        assert "jump" not in command.faults
+    assert float(command.step.q_m[6]) == pytest.approx(angle, abs=1e-3)
+
+
+def test_a_load_is_estimated_named_and_carried_when_stated(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    mass, ready = 2.0, np.array(robot.description.arm.ready_position)
+    fell = {}
+    for stated in (False, True):
+        loop, plant, seen = ControlLoop(robot, border_data), Kinematic(robot), RobotState(robot)
+        if stated:
+            loop.configure(Config().changed({"payload.mass": mass}))
+        plant.reset(np.zeros(3), ready)
+        faults, load = set(), []
+        for _ in range(300):
+            command = loop.step(plant.measure())
+            faults |= set(command.faults)
+            load.append(command.load)
+            plant.step(command.u_a, command.base_velocity, np.array([0.0, 0.0, -9.81 * mass]))
+        seen.update_kinematics(plant.measure())
+        fell[stated] = float(seen.p_ee[2])
+        assert ("load" in faults) != stated
+        assert load[150] == pytest.approx(0.0 if stated else mass, abs=0.3)
+    seen.update_kinematics(at_rest(robot, ready))
+    assert seen.p_ee[2] - fell[True] < 0.005 < seen.p_ee[2] - fell[False]
+
+
+def test_gravity_has_a_name(robot: RobotModel, border_data: BorderData) -> None:
+    ready = np.array(robot.description.arm.ready_position)
+    command = ControlLoop(robot, border_data).step(at_rest(robot, ready))
+    np.testing.assert_allclose(command.u_a, command.gravity, atol=1e-6)
+
+
+def test_a_fault_is_logged_once(robot: RobotModel, border_data: BorderData, caplog) -> None:
+    loop = ControlLoop(robot, border_data)
+    m = at_rest(robot, np.array(robot.description.arm.ready_position))._replace(qd_m=NAN)
+    for _ in range(5):
+        loop.step(m)
+    assert [r.levelname for r in caplog.records] == ["WARNING"]
+    assert "velocity" in caplog.text
