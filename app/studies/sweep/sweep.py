@@ -28,10 +28,11 @@ from app.studies.sweep.plan import (
     KINDS,
     Approach,
     Kind,
+    Start,
     SweepPlan,
     Trial,
 )
-from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.starts import StartFinder
 from app.system import write_whole
 
 _MOST_PIXELS = 20_000_000  # [-] of a map, which has two million
