@@ -23,7 +23,7 @@ from app.onboarding.request import Request, check_request
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.record import NewRobot
 
 _NAMES = {"d_b": "buffer_distance"}
 _OF_CHECK = {"buffer_distance": "border.d_b"}
