@@ -49,6 +49,7 @@ lint: $(VENV)/.installed-dev
 		$(BIN)/pyright --pythonpath $(BIN)/python \
 			--pythonplatform $$platform --pythonversion $$version || exit 1; \
 	done; done
+	$(BIN)/python -m tools.house --names
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

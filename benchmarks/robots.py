@@ -29,10 +29,11 @@ from app.studies.sweep.plan import (
     ERROR_LIMIT,
     Approach,
     Mode,
+    Start,
     SweepPlan,
     Trial,
 )
-from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.starts import StartFinder
 from app.studies.sweep.sweep import load, passes
 
 COMPARED = ("none", "dbb")

@@ -65,10 +65,16 @@ class Oracle:
         self._list_rows(data)
         self.estimate = Estimate(model.qd_max, self.n_b, dt)
         self.w: Any = SimpleNamespace(
-            d_b=np.nan, u_a=np.full(self.n_m, np.nan), q_posture=np.full(self.n_m, np.nan),
-            a_sum=np.zeros(self.n_b), t_sum=0.0, v_cmd=np.zeros(self.n_b),
-            v_before=np.zeros(self.n_b), failures=0, given_up=0,
-        )  # fmt: skip
+            d_b=np.nan,
+            u_a=np.full(self.n_m, np.nan),
+            q_posture=np.full(self.n_m, np.nan),
+            a_sum=np.zeros(self.n_b),
+            t_sum=0.0,
+            v_cmd=np.zeros(self.n_b),
+            v_before=np.zeros(self.n_b),
+            failures=0,
+            given_up=0,
+        )
         self.configure(config)
         self._take(at_rest(model, np.array(model.description.arm.ready_position)))
 
@@ -203,13 +209,16 @@ class Oracle:
         """[m] signed, the least of all shapes, by coal."""
         return min(
             coal.distance(
-                one, coal.Transform3s(T_a.rotation, T_a.translation),
-                other, coal.Transform3s(T_b.rotation, T_b.translation),
-                coal.DistanceRequest(), coal.DistanceResult(),
+                one,
+                coal.Transform3s(T_a.rotation, T_a.translation),
+                other,
+                coal.Transform3s(T_b.rotation, T_b.translation),
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
             )
             for one, (_, T_a) in row.a.placed(self._placed(row.a))[row.part]
             for other, (_, T_b) in row.b.placed(self._placed(row.b))
-        )  # fmt: skip
+        )
 
     def _points(self, row: Row) -> Array:
         T_a, T_b, blend = self._placed(row.a), self._placed(row.b), self.config.activation.blend
@@ -271,11 +280,13 @@ class Oracle:
         w.J_sca = np.vstack([base, w.J[links], *(J for J, _ in pushed)])  # (25)
         xdd_r = rep.k_p - rep.k_v * w.d_dot[links]  # (20)
         w.b_sca = np.concatenate([w.xdd_m, xdd_r - w.Jdqd[links], *(b for _, b in pushed)])  # (24)
-        w.B = np.concatenate([
-            np.full(n_b, w.beta_m) * (self.name == DBB),
-            w.beta[links] * (self.name in (DBB, REPULSIVE)),
-            np.repeat(w.beta[:n], 3) * (self.name == REPULSIVE),
-        ])  # fmt: skip  # (27)
+        w.B = np.concatenate(
+            [
+                np.full(n_b, w.beta_m) * (self.name == DBB),
+                w.beta[links] * (self.name in (DBB, REPULSIVE)),
+                np.repeat(w.beta[:n], 3) * (self.name == REPULSIVE),
+            ]
+        )  # (27)
         w.activation = w.B.max()
 
     def _pushed(self, i: int) -> tuple[Array, Array]:

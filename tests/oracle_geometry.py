@@ -74,8 +74,9 @@ class Body:
         return np.array(nodes), np.array(radii)
 
 
-def closest_points(a: list[Placed], corners: Array, b: list[Placed], core: tuple[Array, Array],
-                   blend: float) -> Array:  # fmt: skip
+def closest_points(
+    a: list[Placed], corners: Array, b: list[Placed], core: tuple[Array, Array], blend: float
+) -> Array:
     """p_a, p_b, n and the point of the core (4, 3) between the shapes a and b.
 
     The mean over the core of b, with weights exp(−d/τ); the normal is the mean of those of the

@@ -43,8 +43,9 @@ from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisio
 from app.onboarding.fit.postures import Side, line_from
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
-from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
+from app.onboarding.new_robot import compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
+from app.onboarding.record import NewRobot
 from app.onboarding.report import draw, report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from app.border import reach as reach_map
-from app.border.reach import FINE_SPACING, ReachMap, sample_reach_map
-from app.border.score import fit_reachability
+from app.border.reach import FINE_SPACING, ReachMap, fit_reachability, sample_reach_map
 from app.cli.main import main
 from app.robot.model import RobotModel
 

@@ -14,12 +14,13 @@ from app.border.reach import (
     FINE_SPACING,
     Chain,
     ReachMap,
+    fit_reachability,
     free_joints,
     lattice,
     reach_bodies,
     sample_reach_map,
 )
-from app.border.score import fit_reachability, radial_profile
+from app.border.score import radial_profile
 from app.errors import ConfigError
 from app.robot import assets
 from app.robot.description import load_robot

@@ -11,9 +11,10 @@ import trimesh
 
 from app.errors import RobotFileError
 from app.onboarding.fit.travel import filled
-from app.onboarding.new_robot import Parsed, parse
+from app.onboarding.new_robot import parse
 from app.onboarding.read.links import MOST_FACES, read_mesh
 from app.onboarding.read.package import open_package
+from app.onboarding.record import Parsed
 from app.onboarding.request import Request
 from app.onboarding.write import rebased_urdf
 from app.robot.assets import xml_text

@@ -13,8 +13,8 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.run import run_planned
-from app.studies.sweep.plan import Approach, Kind, SweepPlan, Trial
-from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.plan import Approach, Kind, Start, SweepPlan, Trial
+from app.studies.sweep.starts import StartFinder
 from app.studies.sweep.sweep import arrival, passes, sweep
 from benchmarks.robots import GUIDED_LIMIT
 

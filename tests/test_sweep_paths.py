@@ -13,8 +13,16 @@ from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.studies.sweep import starts
-from app.studies.sweep.plan import AXIS_OFFSETS, Approach, from_above, ring, way_out, wheel_axis
-from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.plan import (
+    AXIS_OFFSETS,
+    Approach,
+    Start,
+    from_above,
+    ring,
+    way_out,
+    wheel_axis,
+)
+from app.studies.sweep.starts import StartFinder
 
 D_B, DISTANCE = 0.15, 0.17  # [m]
 

@@ -1,6 +1,7 @@
 """Measures of the code's structure, with their limits: `python -m tools.house [--json]`.
 
-The status is 1 while a measure is beyond its limit.
+The status is 1 while a measure that binds is beyond its limit: it counts faults, and each can be
+mended where it stands. The limit of a size is an aim.
 """
 
 from __future__ import annotations
@@ -31,11 +32,18 @@ class Measure(NamedTuple):
         what: Is counted.
         value: Now.
         limit: The largest that is fine.
+        binds: Whether a value beyond the limit fails the check.
     """
 
     what: str
     value: int
     limit: int
+    binds: bool = True
+
+    @property
+    def beyond(self) -> bool:
+        """Whether the value is beyond the limit."""
+        return self.value > self.limit
 
 
 @cache
@@ -50,9 +58,9 @@ def trees() -> dict[str, ast.Module]:
 
 
 def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[str]:
-    """The modules of `known` that a module imports anywhere, but for annotations only."""
+    """The modules of `known` that a module imports anywhere, for annotations too."""
     found = set()
-    for node in _running(tree):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -60,15 +68,6 @@ def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[
                 inner = f"{node.module}.{alias.name}"
                 found.add(inner if inner in known else str(node.module))
     return frozenset(found & known - {name})
-
-
-def _running(node: ast.AST) -> Iterator[ast.AST]:
-    """All nodes below one, without what stands under `if TYPE_CHECKING:`."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
-            continue
-        yield child
-        yield from _running(child)
 
 
 def imports() -> Imports:
@@ -209,9 +208,9 @@ def measures(step: list[str]) -> list[Measure]:
     )
     return [
         Measure("files that one control step enters", len(step), 20),
-        Measure("modules of `app`", len(code), 200),
-        Measure("lines of `app`", sum(map(_lines, code)), 30_000),
-        Measure("modules with a single user", len(single_users(graph, packages)), 40),
+        Measure("modules of `app`", len(code), 200, binds=False),
+        Measure("lines of `app`", sum(map(_lines, code)), 30_000, binds=False),
+        Measure("modules with a single user", len(single_users(graph, packages)), 40, binds=False),
         Measure(f"functions over {LONG} lines", sum(lines_of(f) > LONG for _, f in functions()), 0),
         Measure(
             f"functions over {MANY} parameters",
@@ -240,7 +239,7 @@ def offenders() -> Iterator[str]:
 
 
 def main() -> int:
-    """Print the measures; 1 while one is beyond its limit."""
+    """Print the measures; 1 while one that binds is beyond its limit."""
     parser = argparse.ArgumentParser(prog="python -m tools.house", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object; status 0")
     parser.add_argument("--names", action="store_true", help="what is too long, too wide or round")
@@ -252,11 +251,11 @@ def main() -> int:
         print(json.dumps({"measures": table, "step": step}))
         return 0
     for measure in found:
-        mark = " " if measure.value <= measure.limit else "!"
+        mark = " " if not measure.beyond else "!" if measure.binds else "+"
         print(f"{mark} {measure.value:>7,} of {measure.limit:>7,}  {measure.what}")
     if options.names:
         print(*offenders(), sep="\n")
-    return int(any(measure.value > measure.limit for measure in found))
+    return int(any(measure.beyond and measure.binds for measure in found))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin
 
-from app.border.score import radial_profile
+from app.border.score import FLOOR, ReachFit, fit_parabola, radial_profile
 from app.errors import ConfigError, DescriptionError
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -218,6 +218,18 @@ def sample_reach_map(
         seed=seed,
         free_joints=tuple(model.description.arm.joints[chain.joints[i]] for i in free),
     )
+
+
+def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
+    """A, B, C of (9) for a map, where it is above a share of its peak; see `fit_parabola`.
+
+    Raises:
+        DescriptionError: The map does not rise and fall with the distance from the mount.
+    """
+    try:
+        return fit_parabola(reach_map.rho, reach_map.reach, share)
+    except ValueError as error:
+        raise DescriptionError(f"{reach_map.body}: (9) does not fit its map: {error}") from None
 
 
 def lattice(radius: float, spacing: float) -> Array:

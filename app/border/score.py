@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from app.errors import DescriptionError
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.strict import Array
-
-if TYPE_CHECKING:
-    from app.border.reach import ReachMap
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is bent to stay positive
 SHELL = 0.05  # [m] thickness of a shell
@@ -218,18 +215,6 @@ class ReachFit(NamedTuple):
     def at(self, rho: Array) -> Array:
         """(9) at distances rho [m], as printed: it may be negative."""
         return self.C - self.A_per_m2 * (np.asarray(rho) - self.B_m) ** 2
-
-
-def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """A, B, C of (9) for a map, where it is above a share of its peak; see `fit_parabola`.
-
-    Raises:
-        DescriptionError: The map does not rise and fall with the distance from the mount.
-    """
-    try:
-        return fit_parabola(reach_map.rho, reach_map.reach, share)
-    except ValueError as error:
-        raise DescriptionError(f"{reach_map.body}: (9) does not fit its map: {error}") from None
 
 
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:

@@ -156,8 +156,13 @@ def reach(
         seed: Seed of the joint positions; another one is another map.
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
     """
-    from app.border.reach import FINE_SAMPLES, FINE_SPACING, reach_bodies, sample_reach_map
-    from app.border.score import fit_reachability
+    from app.border.reach import (
+        FINE_SAMPLES,
+        FINE_SPACING,
+        fit_reachability,
+        reach_bodies,
+        sample_reach_map,
+    )
 
     options.check_seed(seed)
     model = load_model(robot)

@@ -24,7 +24,7 @@ from app.simulation.trace.words import number_text
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.record import NewRobot
 
 _NAMES = {"d_b": "buffer_distance"}
 _OF_CHECK = {"buffer_distance": "border.d_b"}

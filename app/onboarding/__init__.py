@@ -6,6 +6,8 @@ from importlib import import_module
 from app.jobs.pool import Workers
 from app.system import usable_cores
 
+ROOT = "floor_point"
+"""Link of the point on the floor below the middle between the wheels: the base's frame."""
 SIDES = ("guiding-lateral", "guiding-front")
 """Scenarios that lead the hand towards the base."""
 

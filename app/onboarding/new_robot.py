@@ -6,10 +6,9 @@ import logging
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -19,10 +18,9 @@ from app.border.config import SamplingConfig
 from app.errors import DbbError, RobotFileError
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
-from app.onboarding import SIDES
-from app.onboarding.fit.bodies import FittedBody
+from app.onboarding import ROOT, SIDES
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
-from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
+from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
     Place,
@@ -37,7 +35,6 @@ from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import Unit, make_units
 from app.onboarding.numbers import (
     Limits,
-    Reach,
     Sourced,
     base_numbers,
     completed,
@@ -45,18 +42,17 @@ from app.onboarding.numbers import (
     find_reach,
     read_limits,
 )
-from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
+from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.telescope import as_one_slide
-from app.onboarding.read.tree import ARM_ON_BASE, Arm, Tree, find_arm, make_tree
+from app.onboarding.read.tree import ARM_ON_BASE, Arm, find_arm, make_tree
 from app.onboarding.read.wheels import (
-    Steering,
-    Wheels,
     find_drive,
     stands_on_floor,
     with_rigid_suspensions,
 )
+from app.onboarding.record import NewRobot, Parsed
 from app.onboarding.request import Request, named, package_folders
 from app.onboarding.warn import (
     borne_push,
@@ -66,7 +62,6 @@ from app.onboarding.warn import (
     warnings_of,
 )
 from app.onboarding.write import (
-    ROOT,
     compiled,
     description,
     rebased_urdf,
@@ -86,50 +81,6 @@ PREFIX = "arm_"
 """Before the names of an arm's links and joints that the base has too."""
 _URDF = "robot.urdf"
 """The new one, in the robot's folder."""
-
-
-@dataclass(frozen=True)
-class Parsed:
-    """What the URDF itself says."""
-
-    tree: Tree
-    arm: Arm
-    geometry: dict[str, LinkGeometry]
-    wheels: Wheels
-    inertias: dict[str, LinkInertia]
-    limits: Limits
-    steering: Steering | None = None
-    changes: tuple[str, ...] = ()
-    """Sentences on differences from the URDF: shapes left out, telescopes."""
-
-
-@dataclass(frozen=True)
-class NewRobot:
-    """A robot that was made, before anything is written."""
-
-    request: Request
-    parsed: Parsed
-    urdf: str
-    """Text of the new URDF."""
-    content: dict[str, Any]
-    """The description, as `RobotDescription` takes it, its URDF by name."""
-    model: RobotModel
-    meetings: Meetings
-    bodies: list[FittedBody]
-    verdict: Verdict
-    """Of the grouping."""
-    unseen: Unseen
-    ready: Ready
-    reach: dict[str, Reach]
-    """By the name of the body."""
-    places: dict[str, Place]
-    """By the name of the scenario."""
-    lacking: dict[str, str]
-    """Why a scenario has no place."""
-    held: str
-    """A warning where the arm cannot hold its hand, or nothing."""
-    warnings: list[str]
-    """One sentence each."""
 
 
 def finish(

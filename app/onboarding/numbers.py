@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from app.border.reach import PEAK, ReachMap, reach_bodies, sample_reach_map
-from app.border.score import ReachFit, fit_reachability
+from app.border.reach import PEAK, ReachMap, fit_reachability, reach_bodies, sample_reach_map
+from app.border.score import ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
 from app.onboarding.read.tree import Arm, Joint

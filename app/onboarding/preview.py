@@ -15,7 +15,7 @@ from app.onboarding.warn import outside
 from app.robot.shapes import shape_mesh
 
 if TYPE_CHECKING:
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.record import NewRobot
 
 Array = np.ndarray
 Bare = Literal["design", "mistake"]

@@ -25,7 +25,7 @@ from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
 if TYPE_CHECKING:
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.record import NewRobot
 
 Array = np.ndarray
 

@@ -27,7 +27,7 @@ from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
 
 if TYPE_CHECKING:
-    from app.onboarding.new_robot import NewRobot, Parsed
+    from app.onboarding.record import NewRobot, Parsed
 
 Array = np.ndarray
 

@@ -19,6 +19,7 @@ import tomlkit
 from tomlkit.items import Item
 
 from app.config import Config
+from app.onboarding import ROOT
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
@@ -32,11 +33,9 @@ from app.system import temporary_folder, whole_folder, write_whole
 
 if TYPE_CHECKING:
     from app.onboarding.fit.bodies import FittedBody
-    from app.onboarding.new_robot import NewRobot, Parsed
+    from app.onboarding.record import NewRobot, Parsed
     from app.onboarding.request import Request
 
-ROOT = "floor_point"
-"""Link of the point on the floor below the middle between the wheels: the base's frame."""
 MESH_FOLDER = "meshes"
 """Where a robot's folder has the meshes that were written anew."""
 _ENDLESS = "1e6"  # [rad] limit of a joint that turns without end

@@ -15,7 +15,7 @@ import sys
 import sysconfig
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn, Protocol
 from xml.etree import ElementTree
 from xml.parsers import expat
 
@@ -24,9 +24,6 @@ import platformdirs
 from app.errors import AssetError, DescriptionError, RobotFileError, UnknownNameError, check_name
 from app.strict import content_of
 from app.system import cache_folders, home_folder, is_writable
-
-if TYPE_CHECKING:
-    from app.robot.description import RobotDescription
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _PROJECT = _PACKAGE.parent
@@ -146,7 +143,21 @@ def share_folders() -> list[Path]:
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]
 
 
-def urdf_path(description: RobotDescription) -> Path:
+class HasUrdf(Protocol):
+    """The part of a robot's description that says where its URDF is."""
+
+    @property
+    def name(self) -> str:
+        """Of the robot, and of its folder."""
+        ...
+
+    @property
+    def urdf(self) -> str:
+        """A file in that folder, or the address of one in a package."""
+        ...
+
+
+def urdf_path(description: HasUrdf) -> Path:
     """The robot's URDF file.
 
     Raises:
@@ -188,7 +199,7 @@ _ZERO_INERTIAL = (
 )
 
 
-def resolved_urdf(description: RobotDescription) -> str:
+def resolved_urdf(description: HasUrdf) -> str:
     """The robot's URDF with every mesh by its absolute path, and an inertia for each link.
 
     A link without one has none: pybullet would take it for 1 kg.
@@ -205,7 +216,7 @@ def resolved_urdf(description: RobotDescription) -> str:
     return ElementTree.tostring(tree, encoding="unicode")
 
 
-def shown_urdf(description: RobotDescription) -> str:
+def shown_urdf(description: HasUrdf) -> str:
     """The robot's URDF for other programs: meshes by their addresses on this machine.
 
     A shape whose mesh is not installed is left out.
@@ -227,7 +238,7 @@ def shown_urdf(description: RobotDescription) -> str:
     return ElementTree.tostring(tree, encoding="unicode")
 
 
-def bare_urdf(description: RobotDescription) -> str:
+def bare_urdf(description: HasUrdf) -> str:
     """The robot's URDF without shapes, so without meshes that may not be installed.
 
     Raises:
@@ -241,7 +252,7 @@ def bare_urdf(description: RobotDescription) -> str:
     return ElementTree.tostring(tree, encoding="unicode")
 
 
-def read_urdf(description: RobotDescription) -> ElementTree.Element:
+def read_urdf(description: HasUrdf) -> ElementTree.Element:
     """The robot's URDF with an inertia for each link.
 
     Raises:
@@ -375,7 +386,7 @@ def _mesh(reference: str, folder: Path) -> Path:
     return path
 
 
-def planar_urdf(description: RobotDescription) -> str:
+def planar_urdf(description: HasUrdf) -> str:
     """The resolved URDF on a root of two prismatic joints and a revolute one: x, y, yaw.
 
     pybullet knows no planar joint; in pinocchio the same root is `JointModelPlanar`.

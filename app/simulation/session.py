@@ -22,9 +22,8 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.plants import chosen_plant, make_physics
-from app.simulation.plants.door import OpenDoor
+from app.simulation.plants.door import DoorReading, OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
-from app.simulation.scenarios.leading import DoorReading
 from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz

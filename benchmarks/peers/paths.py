@@ -10,8 +10,8 @@ from app.errors import UnreachableError
 from app.robot.model import RobotModel
 from app.simulation.scenarios.line import StartedLine
 from app.simulation.scenarios.start import StartSolver
-from app.studies.sweep.plan import CLEAR, Approach
-from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.plan import CLEAR, Approach, Start
+from app.studies.sweep.starts import StartFinder
 
 DURATION = 15.0
 """[s] of each path; a cubic in time from rest to rest."""

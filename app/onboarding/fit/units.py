@@ -11,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 
+from app.onboarding import ROOT
 from app.onboarding.fit.convex import directions, hull_corners
 from app.onboarding.read.links import LinkGeometry
 from app.onboarding.read.tree import Arm
-from app.onboarding.write import ROOT
 from app.robot.model import RobotModel
 from app.robot.shapes import convex_hull
 

@@ -116,6 +116,19 @@ class Door:
         )
 
 
+class DoorReading(NamedTuple):
+    """How the opening of a door goes."""
+
+    angle: float
+    """[rad] how far the door is open."""
+    force: Array
+    """(3,) [N] that the hand exerts on it, in the world."""
+    radial_force: float
+    """[N] the part of it towards the hinge's true place."""
+    radial_error: float
+    """[rad] of the estimated radial direction, positive counter-clockwise."""
+
+
 class OpenDoor(NamedTuple):
     """A door and how far it is open at the start, `angle` [rad]."""
 

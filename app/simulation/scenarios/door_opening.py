@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 
 from app.control.tasks import Reference
-from app.simulation.plants.door import Door
-from app.simulation.scenarios.leading import DoorReading, Lead
+from app.simulation.plants.door import Door, DoorReading
+from app.simulation.scenarios.leading import Lead
 from app.simulation.session import Session
 from app.strict import Array
 

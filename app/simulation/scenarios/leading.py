@@ -18,25 +18,12 @@ if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is che
     from app.control.tasks import Reference
     from app.robot.model import RobotModel
     from app.simulation.people import Hold
-    from app.simulation.plants.door import OpenDoor
+    from app.simulation.plants.door import DoorReading, OpenDoor
     from app.simulation.session import Session
 
 SHORTEST = 0.01  # [s] of a scenario
 _DURATIONS = SHORTEST, 3600.0  # [s]
 _FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
-
-
-class DoorReading(NamedTuple):
-    """How the opening of a door goes."""
-
-    angle: float
-    """[rad] how far the door is open."""
-    force: Array
-    """(3,) [N] that the hand exerts on it, in the world."""
-    radial_force: float
-    """[N] the part of it towards the hinge's true place."""
-    radial_error: float
-    """[rad] of the estimated radial direction, positive counter-clockwise."""
 
 
 class Lead(NamedTuple):

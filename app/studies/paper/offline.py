@@ -12,9 +12,10 @@ from app.border.reach import (
     FINE_SPACING,
     PEAK,
     ReachMap,
+    fit_reachability,
     sample_reach_map,
 )
-from app.border.score import fit_reachability, radial_profile
+from app.border.score import radial_profile
 from app.robot.model import RobotModel
 from app.strict import Array
 from app.studies import style

@@ -19,7 +19,6 @@ from app.strict import Array, check_range
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
-    from app.studies.sweep.starts import Start
 
 Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
@@ -228,6 +227,22 @@ class SweepPlan:
             start.q_m,
         )
         return Planned(self.robot, line, self.config, trial.controller, self.physics, self.seed)
+
+
+class Start(NamedTuple):
+    """Where a path begins, or why it cannot."""
+
+    approach: Approach
+    q_m: tuple[float, ...] = ()
+    """(n_m,) the arm's joints [rad or m], empty where there is no clear start."""
+    p_ee: Point = (0.0, 0.0, 0.0)
+    """(3,) [m] the hand's origin."""
+    p_b: Point = (0.0, 0.0, 0.0)
+    """(3,) [m] closest point to the base on the arm."""
+    clearance: float = 0.0
+    """[m] its distance to the base."""
+    reason: str = ""
+    """Why there is no clear start, or an empty string."""
 
 
 class Trial(NamedTuple):

@@ -4,7 +4,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice, product, tee
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,10 +13,9 @@ from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
-from app.simulation.scenarios.line import Point
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
 from app.strict import Array
-from app.studies.sweep.plan import Approach, point_of, way_out
+from app.studies.sweep.plan import Approach, Start, point_of, way_out
 
 _Posture = tuple[Array, Array]  # (3,) [m] the hand's origin, (n_m,) the arm's joints
 
@@ -35,22 +33,6 @@ _DISTANCE_TOLERANCE = 1e-4  # [m] of the distance at the start
 _OFFSET_TOLERANCE = 1e-7  # [m] of p_b's place along the base, about that of the distances
 _OFFSET_TRIES = 40
 _NEARLY = 1e-4  # [m]
-
-
-class Start(NamedTuple):
-    """Where a path begins, or why it cannot."""
-
-    approach: Approach
-    q_m: tuple[float, ...] = ()
-    """(n_m,) the arm's joints [rad or m], empty where there is no clear start."""
-    p_ee: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] the hand's origin."""
-    p_b: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] closest point to the base on the arm."""
-    clearance: float = 0.0
-    """[m] its distance to the base."""
-    reason: str = ""
-    """Why there is no clear start, or an empty string."""
 
 
 class StartFinder:

@@ -26,10 +26,11 @@ from app.studies.sweep.plan import (
     KINDS,
     Approach,
     Kind,
+    Start,
     SweepPlan,
     Trial,
 )
-from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.starts import StartFinder
 from app.system import write_whole
 
 START_SHARE = 0.25  # [-] of the work that the search for starts is counted as

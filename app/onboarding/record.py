@@ -1,0 +1,61 @@
+"""Records of a new robot: the content of its URDF, and the robot made from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from app.onboarding.fit.bodies import FittedBody
+from app.onboarding.fit.collision_sampling import Meetings
+from app.onboarding.fit.grouping import Unseen, Verdict
+from app.onboarding.fit.postures import Place, Ready
+from app.onboarding.numbers import Limits, Reach
+from app.onboarding.read.links import LinkGeometry, LinkInertia
+from app.onboarding.read.tree import Arm, Tree
+from app.onboarding.read.wheels import Steering, Wheels
+from app.onboarding.request import Request
+from app.robot.model import RobotModel
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """What the URDF itself says."""
+
+    tree: Tree
+    arm: Arm
+    geometry: dict[str, LinkGeometry]
+    wheels: Wheels
+    inertias: dict[str, LinkInertia]
+    limits: Limits
+    steering: Steering | None = None
+    changes: tuple[str, ...] = ()
+    """Sentences on differences from the URDF: shapes left out, telescopes."""
+
+
+@dataclass(frozen=True)
+class NewRobot:
+    """A robot that was made, before anything is written."""
+
+    request: Request
+    parsed: Parsed
+    urdf: str
+    """Text of the new URDF."""
+    content: dict[str, Any]
+    """The description, as `RobotDescription` takes it, its URDF by name."""
+    model: RobotModel
+    meetings: Meetings
+    bodies: list[FittedBody]
+    verdict: Verdict
+    """Of the grouping."""
+    unseen: Unseen
+    ready: Ready
+    reach: dict[str, Reach]
+    """By the name of the body."""
+    places: dict[str, Place]
+    """By the name of the scenario."""
+    lacking: dict[str, str]
+    """Why a scenario has no place."""
+    held: str
+    """A warning where the arm cannot hold its hand, or nothing."""
+    warnings: list[str]
+    """One sentence each."""
