@@ -33,11 +33,13 @@ def test_a_module_of_one_user_is_counted_and_a_package_is_not() -> None:
         ("from app import b", {"app.b"}),
         ("from app.b import name", {"app.b"}),
         ("def f():\n    from app.b import name", {"app.b"}),
-        ("if TYPE_CHECKING:\n    from app.b import name", set()),
+        ("if TYPE_CHECKING:\n    from app.b import name", {"app.b"}),
         ("import numpy", set()),
     ],
 )
-def test_an_import_is_seen_unless_it_is_for_annotations(source: str, found: set[str]) -> None:
+def test_an_import_is_seen_wherever_it_stands_and_also_for_annotations(
+    source: str, found: set[str]
+) -> None:
     known = frozenset({"app", "app.a", "app.b"})
     assert house.imports_of("app.a", ast.parse(source), known) - {"app"} == found
 

@@ -51,9 +51,9 @@ def trees() -> dict[str, ast.Module]:
 
 
 def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[str]:
-    """The modules of `known` that a module imports anywhere, but for annotations only."""
+    """The modules of `known` that a module imports anywhere, for annotations too."""
     found = set()
-    for node in _running(tree):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -61,15 +61,6 @@ def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[
                 inner = f"{node.module}.{alias.name}"
                 found.add(inner if inner in known else str(node.module))
     return frozenset(found & known - {name})
-
-
-def _running(node: ast.AST) -> Iterator[ast.AST]:
-    """All nodes below one, without what stands under `if TYPE_CHECKING:`."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
-            continue
-        yield child
-        yield from _running(child)
 
 
 def imports() -> Imports:
