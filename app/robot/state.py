@@ -46,7 +46,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         MeasurementError: One of them is not that many numbers; the message names it.
     """
     for each, shapes in zip(measurement, model.reading_shapes, strict=True):
-        if type(each) is not Array or each.dtype is not _FLOAT or each.shape not in shapes:
+        if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
             break
     else:
         return measurement
