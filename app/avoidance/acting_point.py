@@ -192,20 +192,6 @@ class ActingPointFinder:
         """The acting point for p_b (3,) [m] at the distance d [m]; None if l_m has no border."""
         how = force.alpha_gain, force.alpha_min, force.alpha_max
         found = ActingPoint(
-            *_find(self._border.struct, 0, self._score, np.array(p_b, float), d, *how)
+            *find_acting_point(self._border.struct, 0, self._score, np.array(p_b, float), d, *how)
         )
         return None if math.isnan(found.alpha) else found
-
-
-@compiled()
-def _find(
-    border: Any,
-    pair: int,
-    score: Array,
-    p_b: Array,
-    d: float,
-    gain: float,
-    alpha_min: float,
-    alpha_max: float,
-) -> tuple[Array, Array, Array, Array, float]:
-    return find_acting_point(border, pair, score, p_b, d, gain, alpha_min, alpha_max)

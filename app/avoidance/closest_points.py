@@ -72,8 +72,9 @@ class DistanceMonitor:
         """The same as they move continuously, at the library's distances; τ [m] is `blend`."""
         self._distances.update_from(self._state.data)
         points = self._smooth.find(blend)
-        d, pairs = np.array(self._distances.distances_by_part()), self._distances.pairs
-        return Nearest(pairs, self._smooth.joints, self.rows, d, points)
+        d = np.empty(len(points))
+        self._distances.write_distances(d)
+        return Nearest(self._distances.pairs, self._smooth.joints, self.rows, d, points)
 
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""
@@ -159,6 +160,17 @@ class _Body(NamedTuple):
 
 
 @compiled()
+def _seen_by(T_a: Array, T_b: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and origin (3,) [m] of b in the frame of a; both are (4, 3) in the world."""
+    R, p = np.empty((3, 3)), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            p[i] += T_a[j, i] * (T_b[3, j] - T_a[3, j])
+            R[i, j] = T_a[0, i] * T_b[0, j] + T_a[1, i] * T_b[1, j] + T_a[2, i] * T_b[2, j]
+    return R, p
+
+
+@compiled()
 def _mean_nearest(
     a: Array,
     corners: Array,
@@ -172,13 +184,8 @@ def _mean_nearest(
     found: Array,
 ) -> None:
     """Of one pair, into (4, 3): of some shapes of a body with nodes, to a whole one with nodes."""
-    (R_a, p_a), (R_b, p_b), none = (T_a[:3], T_a[3]), (T_b[:3], T_b[3]), np.zeros(3)
-    R, p = np.empty((3, 3)), np.empty(3)
-    for i in range(3):  # of b, as a sees it
-        p[i] = 0.0
-        for j in range(3):
-            p[i] += R_a[j, i] * (p_b[j] - p_a[j])
-            R[i, j] = R_a[0, i] * R_b[0, j] + R_a[1, i] * R_b[1, j] + R_a[2, i] * R_b[2, j]
+    R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
+    R, p = _seen_by(T_a, T_b)
     count = len(nodes)
     for k in range(count):
         x, y, z = act(R, p, nodes[k, 0], nodes[k, 1], nodes[k, 2])

@@ -21,42 +21,21 @@ from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 from app.structs import assemble, struct_type
 
-
-class _Values(NamedTuple):
-    """The border as compiled functions take it: the `Table` of the offset, then the points."""
-
-    firsts: Array
-    heights: Array
-    vertices: Array
-    tangents: Array
-    shown: Array
-    spans: Array
-    as_points: bool
-    """Whether the points are searched."""
-    points: Array
-    """(N, 3) [m] of all pairs, those of each by ascending height."""
-    sampled: Array
-    """(pairs + 1,) the first point of each pair, and N."""
-    eps: float
-    """[m] ε of (3)."""
-
-
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
-BORDER = struct_type(
-    _Values,
-    {
-        "firsts": types.Array(_i8, 1, "C"),
-        "heights": types.Array(_f8, 1, "C"),
-        "vertices": types.Array(_c16, 2, "C"),
-        "tangents": types.Array(_c16, 2, "C"),
-        "shown": types.Array(_f8, 2, "C"),
-        "spans": types.Array(_f8, 2, "C"),
-        "as_points": types.b1,
-        "points": types.Array(_f8, 2, "C"),
-        "sampled": types.Array(_i8, 1, "C"),
-        "eps": _f8,
-    },
-)
+_BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
+    "firsts": types.Array(_i8, 1, "C"),
+    "heights": types.Array(_f8, 1, "C"),
+    "vertices": types.Array(_c16, 2, "C"),
+    "tangents": types.Array(_c16, 2, "C"),
+    "shown": types.Array(_f8, 2, "C"),
+    "spans": types.Array(_f8, 2, "C"),
+    "as_points": types.b1,  # whether the points are searched
+    "points": types.Array(_f8, 2, "C"),  # (N, 3) [m] of all pairs, each by ascending height
+    "sampled": types.Array(_i8, 1, "C"),  # (pairs + 1,) the first point of each pair, and N
+    "eps": _f8,  # [m] ε of (3)
+}
+_Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
+BORDER = struct_type(_Values, _BORDER)
 """The struct of a border, for signatures of compiled functions."""
 
 
@@ -135,11 +114,6 @@ def _nearest_offset(border: Any, p: Array) -> Array:
     )
 
 
-@compiled()
-def _nearest(border: Any, p: Array) -> tuple[Array, Array]:
-    return nearest_border(border, np.int64(0), p)
-
-
 class BorderSearch:
     """A border, as points where there are any, in the form that compiled functions take."""
 
@@ -154,7 +128,7 @@ class BorderSearch:
 
     def nearest(self, p: Array) -> Foot | None:
         """The point nearest to p, (3,) [m], at its height, of the first pair; None without any."""
-        foot = Foot(*_nearest(self.struct, np.ascontiguousarray(p, dtype=float)))
+        foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
         return None if math.isnan(foot.p[0]) else foot
 
 

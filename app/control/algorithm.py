@@ -1,9 +1,9 @@
 """Algorithm 2 on one page: measurement in, arm torques and base velocity command out.
 
-The number in the margin is the line of the paper's Algorithm 2; a number in brackets is an
-equation. `w` is the table of quantities (`app.control.quantities`): each formula takes arrays and
-returns arrays, and only this file says from where to where. With ``NUMBA_DISABLE_JIT=1`` the same
-code runs as plain Python.
+Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
+table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
+only this file says from where to where. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain
+Python.
 
 Two problems are solved, one after the other, because the base follows its commands late:
 
@@ -150,22 +150,48 @@ def algorithm_2(
             `BASE_AS_COMMANDED`.
         tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
     """
-    n_mob, n_b, found = robot.n_mob, robot.n_b, True
-    update_kinematics(robot, gains, w)  #                                                      2
-    for i in range(n_mob):
+    # fmt: off
+    update_kinematics(robot, gains, w)               # line 2
+    activate_pairs(gains, w)                         # lines 4 and 9, Fig. 10
+    push_base(robot, gains, border, w)               # lines 3 to 6, Algorithm 3, (12)-(18), (28)
+    stack_avoidance_task(robot, gains, w)            # lines 8 to 13, (20)-(25), (27)
+    stack_tasks(robot, gains, w, tracking)           # line 14, (26)
+    w.qp_open[()] = 0.0
+    if gains.hierarchy:
+        take_hierarchy(robot, gains, w, base_source)
+        return
+    command_base(robot, gains, slow, w)              # line 14, (29) of the base
+    if w.qp_open[()] != 0.0:
+        return
+    measure_base(robot, w, base_source)
+    accelerate_arm(robot, gains, w)                  # line 15, (29) of the arm
+    if w.qp_open[()] != 0.0:
+        return
+    put_commands(robot, gains, w)                    # line 15, (26), §4.1
+    # fmt: on
+
+
+@compiled()
+def activate_pairs(gains: Any, w: Any) -> None:
+    """Lines 4 and 9: the activation of each pair by its distance (Fig. 10)."""
+    for i in range(len(w.beta)):
+        w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
+
+
+@compiled()
+def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
+    """Lines 3 to 6: the acting points and forces of L_m, and the acceleration of the base."""
+    for i in range(robot.n_mob):
         fill(w.p_n[i], math.nan)
         fill(w.p_t[i], math.nan)
         fill(w.p_act[i], math.nan)
         fill(w.tangent[i], math.nan)
         w.alpha[i] = math.nan
         fill(w.f[i], 0.0)
-    for i in range(len(w.beta)):  #                                                      4, 9
-        w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)  #                        Fig. 10
-    for i in range(n_mob):  #                                                      3  L_m
         if w.beta[i] > 0.0:
             p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
             n = times(w.R_base.T, w.normal[i])
-            p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(
+            p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(  # line 5, Algorithm 3
                 border,
                 i,
                 robot.scores[i],
@@ -174,38 +200,41 @@ def algorithm_2(
                 gains.alpha_gain,
                 gains.alpha_min,
                 gains.alpha_max,
-            )  #                                                                        5, Alg. 3
+            )
             put(w.p_n[i], p_n)
             put(w.p_t[i], p_t)
             put(w.p_act[i], p_act)
             put(w.tangent[i], t)
-            if not math.isnan(p_act[0]):
-                f = avoidance_force(p_b, p_act, w.d[i], n, gains.f_max, w.d_b[()])  #         (14)
-                put(w.f[i], f)
-    put(w.xdd_m, generate_mob_acc(robot.A_b, resultant_force(w.f, w.p_act)))  #             6  (16)
-    w.beta_m[()] = mobile_activation(w.beta[:n_mob])  #                                        (28)
-    stack_avoidance_task(robot, gains, w)  #                                    8 to 13  (20)-(27)
-    stack_tasks(robot, gains, w, tracking)  #                                           14  (26)
-    w.qp_open[()] = 0.0
-    if gains.hierarchy:
-        take_hierarchy(robot, gains, w, base_source)
-        return
-    put(w.a_base_free, -gains.base_damping * w.base_velocity)  #                      14  a_free
-    if w.valid[()] != 0.0 and (tracking or gains.base_in_barrier):
-        m = set_up_free_base(robot, gains, slow, w)
-        qdd, found = solve(w, 0, m)
+            if not math.isnan(p_act[0]):  # (14)
+                put(w.f[i], avoidance_force(p_b, p_act, w.d[i], n, gains.f_max, w.d_b[()]))
+    put(w.xdd_m, generate_mob_acc(robot.A_b, resultant_force(w.f, w.p_act)))  # line 6, (16)
+    w.beta_m[()] = mobile_activation(w.beta[: robot.n_mob])  # (28)
+
+
+@compiled()
+def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
+    """The base's problem: a_free, the blend a_des of (29), and the commanded acceleration.
+
+    It ends early where a QP is left open.
+    """
+    n_b, found = robot.n_b, True
+    valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
+    a_rest = -gains.base_damping * w.base_velocity
+    a_free = a_rest
+    if valid and (tracking or gains.base_in_barrier):
+        qdd, found = solve(w, 0, set_up_free_base(robot, gains, slow, w))
         if w.qp_open[()] != 0.0:
             return
         if found:
-            put(w.a_base_free, times(robot.J_m, qdd[:n_b]))
+            a_free = times(robot.J_m, qdd[:n_b])
         else:
             w.given_up[()] += 1.0
             fill(w.B[:n_b], 0.0)
-    put(w.a_base_des, blend_base(w.a_base_free, w.xdd_m, w.B[0]))  #                         (29)
+    put(w.a_base_free, a_free)
+    put(w.a_base_des, blend_base(a_free, w.xdd_m, w.B[0]))
     put(w.a_base_cmd, undragged(robot, gains, w))
-    if w.valid[()] != 0.0 and tracking and found:
-        m = set_up_room(robot, gains, slow, w)
-        qdd, found = solve(w, 1, m)
+    if valid and tracking and found:
+        qdd, found = solve(w, 1, set_up_room(robot, gains, slow, w))
         if w.qp_open[()] != 0.0:
             return
         if found:
@@ -213,21 +242,24 @@ def algorithm_2(
             put(w.a_base_cmd, w.a_base_cmd + change)
         else:
             w.given_up[()] += 1.0
-            put(w.a_base_des, -gains.base_damping * w.base_velocity)
-            put(w.a_base_cmd, w.a_base_des)
-    if w.valid[()] != 0.0:
+            put(w.a_base_des, a_rest)
+            put(w.a_base_cmd, a_rest)
+    if valid:
         put(w.a_base_cmd, clip(w.a_base_cmd, -robot.a_max, robot.a_max))
-    measure_base(robot, w, base_source)
+
+
+@compiled()
+def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
+    """The arm's problem; it ends early where its QP is left open."""
     w.solved[()] = 0.0
-    if w.valid[()] != 0.0:
-        m = set_up_arm(robot, gains, w)  #                                            15  (29)
-        qdd, found = solve(w, 2, m)
-        if w.qp_open[()] != 0.0:
-            return
+    if w.valid[()] == 0.0:
+        return
+    m = set_up_arm(robot, gains, w)
+    qdd, found = solve(w, 2, m)
+    if w.qp_open[()] == 0.0:
         w.n_limits[()] = m
         w.solved[()] = found
         put(w.qdd, qdd)
-    put_commands(robot, gains, w)
 
 
 @compiled()
@@ -271,7 +303,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
     put_rows(w.core, points[:, 3])
     J, Jdqd, d_dot = distance_motions(
         w.J_pin, robot.T_J_m, w.twists, w.biases, robot.pair_joints, w.core, w.normal
-    )  #                                                                                      (21)
+    )  # (21)
     put_rows(w.J, J)
     put(w.Jdqd, Jdqd)
     put(w.d_dot, d_dot)
@@ -282,17 +314,15 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
     """T_sca: the base's rows, those between links, and T_rep of the compared method."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
     b_r, beta_r = np.empty(links), np.zeros(links)
-    for j in range(
-        links
-    ):  #                                                                8  L_m^c
+    for j in range(links):  # line 8, L_m^c
         i = n_mob + j
-        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  #         10  (20)
+        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  # line 10, (20)
         beta_r[j] = w.beta[i] if gains.link_rows else 0.0
     J_r = w.J[n_mob : n_mob + links]
     beta_m = w.beta_m[()] if gains.base_rows else 0.0
     generate_avoidance_task(
         robot.base_rows, w.xdd_m, beta_m, J_r, b_r, beta_r, w.J_sca, w.b_sca, w.B
-    )  #                                                                              13  (24), (25)
+    )  # line 13, (24), (25)
     first = n_b + links
     fill(w.B[first:], 0.0)
     for i in range(n_mob if gains.arm_rows else 0):
@@ -566,7 +596,7 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 def put_commands(robot: Any, gains: Any, w: Any) -> None:
     """Torques and base velocity of q̈, or the fallback command where q̈ has not been solved for."""
     if w.solved[()] != 0.0:
-        u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  #                           (26)
+        u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  # (26)
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
         w.failures[()] += 1.0
         u = w.u_free

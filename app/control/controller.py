@@ -208,7 +208,7 @@ class Controller:
             self.state.drive = measurement.drive
             pin.computeAllTerms(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
-        w.d[:] = self._distances.distances_by_part()
+        self._distances.write_distances(w.d)
         if reference is not None:
             pose, w.v_ref[:], w.a_ref[:] = reference
             w.x_ref[:3], w.x_ref[3] = pose.rotation.T, pose.translation

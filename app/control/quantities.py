@@ -10,6 +10,7 @@ Frames: `world` has its floor at z = 0; `base` is fixed to the base's centre on 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -251,9 +252,14 @@ class ControlStep:
         self.pinocchio: object = None
         """The owner of the memory that the views show; it lives as long as they."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
-        for each in QUANTITIES:
-            shape = [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
-            setattr(self, each.name, np.zeros(shape))
+        shapes = [
+            [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
+            for each in QUANTITIES
+        ]
+        ends = np.cumsum([math.prod(shape) for shape in shapes])
+        parts = np.split(np.zeros(ends[-1]), ends[:-1])  # one block: neighbours share cache lines
+        for each, shape, part in zip(QUANTITIES, shapes, parts, strict=True):
+            setattr(self, each.name, part.reshape(shape))
         self.__dict__.update(pinocchio)
         self.struct = _make(_Values(**{name: getattr(self, name) for name in _Values._fields}))
         """The same memory for compiled functions."""

@@ -137,9 +137,11 @@ class PairDistances:
         """[m] signed distances of all pairs."""
         return tuple(self.distance(i) for i in range(len(self.pairs)))
 
-    def distances_by_part(self) -> list[float]:
+    def write_distances(self, into: Array) -> None:
         """[m] the same, then those of each part of a body `a` by itself, where it has several."""
-        return [_nearest(results).min_distance for results in self._by_part]
+        for k, results in enumerate(self._by_part):
+            nearest = results[0] if len(results) == 1 else _nearest(results)
+            into[k] = nearest.min_distance
 
     def sampled(self, q_m: Array) -> Array:
         """(N, pairs) [m] signed distances at joint positions (N, n_m), the base at the origin."""
@@ -166,7 +168,7 @@ class PairDistances:
 
 
 def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
-    return results[0] if len(results) == 1 else min(results, key=lambda r: r.min_distance)
+    return min(results, key=lambda r: r.min_distance)
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:

@@ -38,6 +38,7 @@ class RobotModel:
         n_b: Degrees of freedom of the base.
         n_d: How many numbers the base's drive has beside its velocity.
         n_m: Degrees of freedom of the arm.
+        reading_shapes: Shapes that each array of a measurement may have, in its order.
         J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
         J_m_inv: (n_b, n_b) its inverse.
         base_rows: (n_b, n) [J_m O], by which (16) and the limits of the base act on q̈.
@@ -66,6 +67,8 @@ class RobotModel:
         base = description.base
         self.n_b, self.n_d = base.n_b, len(base.drive_at_rest())
         self.n = self.n_b + self.n_m
+        sizes = (3,), (self.n_b,), (self.n_m,), (self.n_m,), (self.n_d, 0)
+        self.reading_shapes = tuple(tuple((size,) for size in each) for each in sizes)
         self.J_m = base.J_m
         self.J_m_inv = np.linalg.inv(self.J_m)
         self.base_rows = np.hstack([self.J_m, np.zeros((self.n_b, self.n_m))])

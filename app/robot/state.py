@@ -46,14 +46,13 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     Raises:
         MeasurementError: One of them is not that many numbers; the message names it.
     """
-    n_d = model.n_d if np.size(measurement.drive) else 0
-    sizes = (3, model.n_b, model.n_m, model.n_m, n_d)
-    for each, size in zip(measurement, sizes, strict=True):
-        if type(each) is not Array or each.dtype is not _FLOAT or each.shape != (size,):
+    for each, shapes in zip(measurement, model.reading_shapes, strict=True):
+        if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
             break
     else:
         return measurement
-    found: dict[str, Array] = {}
+    n_d = model.n_d if np.size(measurement.drive) else 0
+    sizes, found = (3, model.n_b, model.n_m, model.n_m, n_d), dict[str, Array]()
     for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
         try:
             array = np.asarray(each, dtype=float)
