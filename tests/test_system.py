@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -285,6 +286,18 @@ def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:
             assert not system.claim(second)
     with path.open("a+b") as third:
         assert system.claim(third)
+
+
+def test_a_folder_waits_for_whoever_looks_whether_it_is_abandoned(tmp_path: Path) -> None:
+    folder = tmp_path / f"{system._BEGUN}robot"
+    folder.mkdir()
+    looks = os.open(folder, os.O_RDONLY)
+    assert system.claim(looks)
+    release = threading.Timer(0.2, os.close, [looks])
+    release.start()
+    with system.begun_folder(tmp_path, "robot") as begun:
+        assert begun == folder
+    release.join()
 
 
 KILLED = """
