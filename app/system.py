@@ -212,27 +212,37 @@ def _claimed(folder: Path) -> int:
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
         with suppress(FileNotFoundError):  # whoever had it claimed has just removed it
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            found = os.fstat(lock)
-            free = found.st_uid == os.geteuid() and claim(lock) is not False
-            with suppress(FileNotFoundError):
-                if free and os.path.samestat(found, folder.lstat()):
-                    return lock
-            os.close(lock)
-            if not free and time.monotonic() > end:
-                raise OutputError(f"{folder.parent}: another process works on the same result")
-            time.sleep(_LOOK_EVERY)  # whoever removes abandoned folders locks each of them shortly
+            lock = _locked(folder)
+            if lock is not None:
+                return lock
+        if time.monotonic() > end:
+            raise OutputError(f"{folder.parent}: another process works on the same result")
+        time.sleep(_LOOK_EVERY)  # whoever removes abandoned folders locks each of them shortly
+
+
+def _locked(folder: Path, *, surely: bool = False) -> int | None:
+    """The number of a file that locks a folder of this user's; None if another process has it.
+
+    Where the file system has no locks it is open, but not `surely` locked.
+    """
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    found = os.fstat(lock)
+    with suppress(FileNotFoundError):
+        free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
+        # Another one of the same name may have come into its place before it was locked.
+        if free and os.path.samestat(found, folder.lstat()):
+            return lock
+    os.close(lock)
+    return None
 
 
 def remove_abandoned(place: Path) -> None:
     """Remove the unfinished results in a folder that killed processes of this user have left."""
     for folder in place.glob(f"{_BEGUN}*"):
         with suppress(OSError):
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            try:
-                if os.fstat(lock).st_uid == os.geteuid() and claim(lock):
-                    shutil.rmtree(folder, ignore_errors=True)
-            finally:
+            lock = _locked(folder, surely=True)
+            if lock is not None:
+                shutil.rmtree(folder, ignore_errors=True)
                 os.close(lock)
 
 

@@ -300,6 +300,22 @@ def test_a_folder_waits_for_whoever_looks_whether_it_is_abandoned(tmp_path: Path
     release.join()
 
 
+def test_a_folder_that_has_come_into_the_place_of_an_abandoned_one_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, claim = tmp_path / f"{system._BEGUN}robot", system.claim
+    folder.mkdir()
+
+    def replaced(lock: int) -> bool | None:
+        folder.rename(tmp_path / "elsewhere")
+        folder.mkdir()
+        return claim(lock)
+
+    monkeypatch.setattr(system, "claim", replaced)
+    system.remove_abandoned(tmp_path)
+    assert folder.is_dir()
+
+
 KILLED = """
 import os, sys
 from pathlib import Path
