@@ -208,8 +208,13 @@ def from_toml(text: str) -> dict[str, Any]:
 
 
 def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
+    return within_budget(_loaded, loads, text, size=size)
+
+
+def _loaded(loads: Callable[[str], Any], text: str) -> Any:
+    """The content of a text; an error names the slip that explains it, within the same budget."""
     try:
-        return within_budget(loads, text, size=size)
+        return loads(text)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
     except ValueError as error:
@@ -235,11 +240,11 @@ def text_of(content: bytes) -> str:
 
 _SLIPS = {
     r"[“”„‘’‚«»]": 'is a typographic quote; write "',
-    r"[:=\[]\s*-?\d+,\d+\s*[,}\]]?\s*(#|$)": "has a decimal comma; write a point",
+    r"[:=\[]\s*-?\d+,\d+\s*([,}\]]\s*)?(#|$)": "has a decimal comma; write a point",
     r"[\u00a0\u2007\u202f]": "is a space of a special kind; write a plain one",
     r"[−–—]": "is no minus sign of a keyboard; write -",
 }
-"""What word processors and spreadsheets make of such files."""
+"""What word processors and spreadsheets make of such files, in patterns of linear time."""
 
 
 def _slip(text: str) -> str:

@@ -17,6 +17,7 @@ import stat
 import sys
 import tempfile
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -34,6 +35,8 @@ _SPARE = 3  # [-] cores from which on one that is never given up leaves enough t
 _BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
 _BEGUN = ".dbb~"  # prefix of folders that hold unfinished results
+_PATIENCE = 1.0  # [s] for another process to release such a folder
+_LOOK_EVERY = 0.02  # [s]
 _MOST_LINKS = 40  # [-] that lead to one another, as the system has it
 _ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
@@ -205,29 +208,41 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 def _claimed(folder: Path) -> int:
     """The number of a file by which a folder of this user's is claimed."""
+    end = time.monotonic() + _PATIENCE
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
         with suppress(FileNotFoundError):  # whoever had it claimed has just removed it
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            found = os.fstat(lock)
-            if found.st_uid != os.geteuid() or claim(lock) is False:
-                os.close(lock)
-                raise OutputError(f"{folder.parent}: another process works on the same result")
-            with suppress(FileNotFoundError):
-                if os.path.samestat(found, folder.lstat()):
-                    return lock
-            os.close(lock)
+            lock = _locked(folder)
+            if lock is not None:
+                return lock
+        if time.monotonic() > end:
+            raise OutputError(f"{folder.parent}: another process works on the same result")
+        time.sleep(_LOOK_EVERY)  # whoever removes abandoned folders locks each of them shortly
+
+
+def _locked(folder: Path, *, surely: bool = False) -> int | None:
+    """The number of a file that locks a folder of this user's; None if another process has it.
+
+    Where the file system has no locks it is open, but not `surely` locked.
+    """
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    found = os.fstat(lock)
+    with suppress(FileNotFoundError):
+        free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
+        # Another one of the same name may have come into its place before it was locked.
+        if free and os.path.samestat(found, folder.lstat()):
+            return lock
+    os.close(lock)
+    return None
 
 
 def remove_abandoned(place: Path) -> None:
     """Remove the unfinished results in a folder that killed processes of this user have left."""
     for folder in place.glob(f"{_BEGUN}*"):
         with suppress(OSError):
-            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            try:
-                if os.fstat(lock).st_uid == os.geteuid() and claim(lock):
-                    shutil.rmtree(folder, ignore_errors=True)
-            finally:
+            lock = _locked(folder, surely=True)
+            if lock is not None:
+                shutil.rmtree(folder, ignore_errors=True)
                 os.close(lock)
 
 

@@ -121,7 +121,7 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     choose_file(tab, zipped(tmp_path, good))
     see(tab, "Choose its links.")
     tab.click("Create robot")
-    see(tab, "toy is made")
+    see(tab, "is ready: choose it")
     report = tmp_path / "robots" / "toy" / "report.html"
     report.write_text(FOREIGN + report.read_text(encoding="utf-8"), encoding="utf-8")
     tab.click("Report")

@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +31,13 @@ from app.errors import (
     OutputError,
     RobotFileError,
 )
+from app.jobs.bounded import SMALL, within_budget
+from app.onboarding.read.links import is_foreign
 from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.strict import from_toml, text_of
+from app.strict import from_toml, parsed, text_of
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -243,6 +246,29 @@ EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
         "22000 rows to be drawn are too many",
     ),
 }
+
+
+SLOW = {
+    "a decimal comma before blanks": (
+        from_toml,
+        "a = 1,1" + " " * 60_000 + "x",
+        "Expected newline",
+    ),
+    "one in JSON": (partial(parsed, json.loads), "[:1,1" + " " * 60_000 + "x", "Expecting value"),
+}
+"""Texts whose slips are sought; why each is refused, if that takes no longer than its budget."""
+
+
+@pytest.mark.parametrize(("read", "text", "why"), SLOW.values(), ids=SLOW)
+def test_why_a_text_is_refused_is_found_within_its_budget(read, text, why):
+    with pytest.raises(ValueError, match=why):
+        within_budget(read, text, size=SMALL + 1)
+
+
+def test_the_unit_of_a_mesh_is_found_within_its_budget(tmp_path):
+    path = tmp_path / "a.dae"
+    path.write_bytes(b"<unit " * 20_000)
+    assert not within_budget(is_foreign, path, size=SMALL + 1)
 
 
 @pytest.mark.parametrize(("read", "why"), EXPANDING.values(), ids=EXPANDING)

@@ -385,6 +385,15 @@ def test_an_argument_is_asked_for_only_where_one_is_missing(
         parse(asked)
 
 
+def test_a_xacro_that_makes_far_more_than_a_robot_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    text = TOY.replace('radius="0.1"', """radius="${len('x' * 2 * 10**9)}\"""")
+    text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    path = write(tmp_path, text, "toy.urdf.xacro")
+    with pytest.raises(RobotFileError, match="xacro cannot expand it"):
+        parse(Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made"))
+
+
 def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_place(
     tmp_path: Path,
 ) -> None:

@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -285,6 +286,34 @@ def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:
             assert not system.claim(second)
     with path.open("a+b") as third:
         assert system.claim(third)
+
+
+def test_a_folder_waits_for_whoever_looks_whether_it_is_abandoned(tmp_path: Path) -> None:
+    folder = tmp_path / f"{system._BEGUN}robot"
+    folder.mkdir()
+    looks = os.open(folder, os.O_RDONLY)
+    assert system.claim(looks)
+    release = threading.Timer(0.2, os.close, [looks])
+    release.start()
+    with system.begun_folder(tmp_path, "robot") as begun:
+        assert begun == folder
+    release.join()
+
+
+def test_a_folder_that_has_come_into_the_place_of_an_abandoned_one_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, claim = tmp_path / f"{system._BEGUN}robot", system.claim
+    folder.mkdir()
+
+    def replaced(lock: int) -> bool | None:
+        folder.rename(tmp_path / "elsewhere")
+        folder.mkdir()
+        return claim(lock)
+
+    monkeypatch.setattr(system, "claim", replaced)
+    system.remove_abandoned(tmp_path)
+    assert folder.is_dir()
 
 
 KILLED = """

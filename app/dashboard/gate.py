@@ -13,7 +13,6 @@ import gzip
 import http
 import ipaddress
 import math
-import re
 import socket
 import struct
 import threading
@@ -39,7 +38,6 @@ LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half 
 LARGEST_PICTURE = 32 * 2**20  # [bytes] which only a page that was asked for one may send
 _MOST_PIXELS = 2**24  # [-] of such a picture
 _MOST_WAITING = 2  # [-] messages of a viewer that have come and are not taken yet
-_MOST_PARTS = 10_000  # [-] in which a message may come; each costs memory even if it is empty
 _SLOWEST = 10.0  # [s] from the first part of a message to its last
 _MOST_VIEWERS = 32  # [-] connections at a time
 DENSITY = "fixedDpr"
@@ -133,17 +131,14 @@ class GarbageError(RefusedError):
 class Gate:
     """What stands between a server of viser and whoever connects to it."""
 
-    def __init__(
-        self, own_names: Collection[str], largest_upload: int, read_link: ReadLink
-    ) -> None:
+    def __init__(self, names: Collection[str], largest_upload: int, read_link: ReadLink) -> None:
         """Prepare.
 
-        `own_names` are those by which browsers may reach the server, `largest_upload` [bytes] of
-        one file, 0 if there is nothing to upload.
+        `names` are those by which browsers may reach the server, `largest_upload` [bytes] of one
+        file, 0 if there is nothing to upload.
         """
-        self._own_names = frozenset(name.lower() for name in own_names)
-        self._largest_upload = largest_upload
-        self._read_link = read_link
+        self._own_names = {name.lower() for name in names}
+        self._largest_upload, self._read_link = largest_upload, read_link
         self._uploads: set[Uploads] = set()  # of each viewer who is there
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Finds the widget of a page, by the page's connection and the widget's name."""
@@ -216,7 +211,7 @@ class Gate:
         elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_names):
             status = http.HTTPStatus.FORBIDDEN
             why = "this page is not allowed to connect to this server"
-            more = _WAY_OUT.format(name=escape(_named(headers.get("Host"))))
+            more = _WAY_OUT.format(name=escape(headers.get("Host", "NAME").partition(":")[0]))
         elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
@@ -232,7 +227,7 @@ class Gate:
             # Relative, for a server that a proxy has below a path.
             status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
             more = f'<p>Without what is wrong: <a href="{address}">{address}</a></p>'
-        body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode()
+        body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
         kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
         return Response(status.value, status.phrase, fields, body)
@@ -274,18 +269,16 @@ class _Checked:
                 self._gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """The next message; `websockets` counts its bytes while they arrive, this its parts."""
-        parts, late, abort = [], None, self._connection.transport.abort
+        """The next message; `websockets` limits its bytes while they arrive, this its time."""
+        message, late, abort = bytearray(), None, self._connection.transport.abort
         try:
             async for part in self._connection.recv_streaming(decode=False):
                 late = late or get_running_loop().call_later(_SLOWEST, abort)
-                parts.append(part)
-                if len(parts) > _MOST_PARTS:
-                    abort()
+                message += part
         finally:
             if late is not None:
                 late.cancel()
-        return b"".join(parts)
+        return bytes(message)
 
 
 def read_no_link(query: str) -> tuple[str, str]:
@@ -305,12 +298,6 @@ def with_script(page: bytes, encoding: str) -> bytes:
 def draws_in_software(request: Request | None) -> bool:
     """Whether the page that opened a connection has said that it has no GPU to draw with."""
     return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
-
-
-def _named(host: str | None) -> str:
-    """The name in a header `Host`, as an option would have it."""
-    name = re.match(r"[A-Za-z0-9_.-]{1,253}", host or "")
-    return name[0].rstrip(".") if name else "NAME"
 
 
 def is_allowed(origin: str | None, host: str | None, own_names: Collection[str]) -> bool:

@@ -53,12 +53,12 @@ from benchmarks.fuzz.expand import expanded
 from benchmarks.fuzz.mutate import mutated, mutated_bytes
 from tests.logs import random_snapshots, trace_of
 
-_LONGEST = 20.0  # [s] for one file, on a busy machine
+_LONGEST = 20.0  # [s] of a core, after which a file is given up
+_SILENT = 300.0  # [s] without an answer, after which the process that reads hangs
 _SECONDS = 2.0  # [s] of a core that one may take
 _READER = 4.0  # [s] that a process of its own may take beside, if one reads it: it imports much
 _GROWTH = 300.0  # [MiB] beyond what the process had before
 _EXPANDED = 0.1  # [-] share of files that are made to become large
-_STARTING = 300.0  # [s] for the process that reads: it imports much
 _MEMORY = 6 * 2**30  # [bytes] of address space, of which the libraries take one half
 _numbers = itertools.count()
 _ROBOT = ASSETS / "husky_panda"
@@ -333,13 +333,13 @@ def fuzz_files(
     spent, k, share = 0.0, 0, 0.0
     while share < 1.0:
         with tempfile.TemporaryDirectory() as folder, Child(_take_many, seed, folder) as child:
-            _answered(child, _STARTING)
+            _answered(child)
             lost = False
             while share < 1.0 and not lost:
                 name = list(KINDS)[k % len(KINDS)]
                 begin = time.monotonic()
                 child.sender.send((name, k))
-                result, text, lost = _answered(child, _LONGEST + 5.0)
+                result, text, lost = _answered(child)
                 tally[name][result] += 1
                 if text and f"{name}: {text}" not in findings:
                     findings[f"{name}: {text}"] = _kept(Path(folder) / KINDS[name].name, keep, k)
@@ -350,10 +350,10 @@ def fuzz_files(
     return {**{name: dict(counts) for name, counts in tally.items()}, "findings": findings}
 
 
-def _answered(child: Child, patience: float) -> Outcome:
+def _answered(child: Child) -> Outcome:
     """What the process that reads says, or that it says nothing."""
     try:
-        if child.receiver.poll(patience):
+        if child.receiver.poll(_SILENT):
             return child.receiver.recv()
     except EOFError:
         return Outcome("finding", "the process that reads has ended", True)
@@ -372,7 +372,7 @@ def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> 
     """What the process that reads does: file k of a kind at a time, as it is asked."""
     folder = Path(at)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    signal.signal(signal.SIGALRM, _too_long)
+    signal.signal(signal.SIGPROF, _too_long)
     right = {}
     for name, kind in KINDS.items():
         path = folder / f"right-{kind.name}"
@@ -410,7 +410,7 @@ def _times() -> np.ndarray:
 
 
 def _outcome(kind: Kind, path: Path) -> Outcome:
-    signal.setitimer(signal.ITIMER_REAL, _LONGEST)
+    signal.setitimer(signal.ITIMER_PROF, _LONGEST)
     try:
         kind.take(path)
     except (DbbError, DamagedFileError) as error:
@@ -424,7 +424,7 @@ def _outcome(kind: Kind, path: Path) -> Outcome:
         where = "" if place is None else f" at {place.tb_frame.f_code.co_name}"
         return Outcome("finding", f"{type(error).__name__}: {str(error)[:120]}{where}")
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
     return Outcome("right")
 
 

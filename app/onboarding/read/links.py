@@ -208,7 +208,7 @@ def _joined(scene: trimesh.Scene) -> trimesh.Trimesh | None:
 
 
 _ARCHIVES = ("3mf",)
-_UNIT = re.compile(rb"""<unit\s[^>]*?meter\s*=\s*["']([^"']+)""")
+_UNIT = re.compile(rb"""<unit\s[^<>]*?meter\s*=\s*["']([^"']+)""")
 _UP = re.compile(rb"<up_axis>\s*[XY]_UP")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from urllib.parse import unquote
@@ -12,6 +13,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError, did_you_mean
+from app.jobs.bounded import within_budget
 from app.robot.assets import (
     floats,
     package_roots,
@@ -20,6 +22,7 @@ from app.robot.assets import (
     share_folders,
     xml_text,
 )
+from app.strict import LARGEST_TEXT
 
 MESHES = (".stl", ".dae", ".obj")
 """Ends of the names of meshes that pybullet reads."""
@@ -260,17 +263,14 @@ def _ros_folders() -> list[Path]:
 
 def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
     """A xacro file's URDF; packages are looked for as those of meshes are."""
-    try:
-        from xacrodoc import XacroDoc
-        from xacrodoc import packages as known
-    except ImportError:
+    if find_spec("xacrodoc") is None:
         raise RobotFileError(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
-        ) from None
-    refuse_entities(path.read_bytes(), path)
-    known.update_package_cache(_around(path) | {name: str(at) for name, at in packages.items()})
+        )
+    refuse_entities(xml_text(path), path)
+    known = _around(path) | {name: str(at) for name, at in packages.items()}
     try:
-        document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
+        return within_budget(_urdf_of, path, known, dict(arguments), size=LARGEST_TEXT)
     except Exception as error:  # xacro has no common base of its errors
         why = " ".join(str(error).split())
         if missing := re.search(r"Package not found: (\S+)", why):
@@ -283,6 +283,15 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
         lacking = "substitution arg" in why  # a property, or old syntax, no option can mend
         helps = "give it by --xacro NAME=VALUE" if lacking else "mend it until xacro FILE takes it"
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
+
+
+def _urdf_of(path: Path, packages: Mapping[str, str], arguments: Mapping[str, str]) -> str:
+    """A xacro's URDF by its library; macros can make any amount of text, and compute for ever."""
+    from xacrodoc import XacroDoc
+    from xacrodoc import packages as known
+
+    known.update_package_cache(packages)
+    document = XacroDoc.from_file(str(path), subargs=arguments, resolve_packages=False)
     return document.to_urdf_string()
 
 
