@@ -1,4 +1,4 @@
-"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--count 200]`.
+"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--count 200] [--json]`.
 
 Takes URDFs of real robots and changes each in one way that users' files are known for: names,
 encodings, units, addresses, kinds of joints, limits, placeholders, namespaces, origins, formats. A
@@ -17,7 +17,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -26,6 +26,7 @@ import pinocchio as pin
 import trimesh
 import tyro
 
+from app.cli.common import print_json
 from app.errors import DbbError
 from app.onboarding.new_robot import parse
 from app.onboarding.request import Request
@@ -534,13 +535,23 @@ def _compared(mutant: Mutant, expected: dict[str, Array], home: Path, base: str)
     return "same" if worst <= AGREE else f"FAULT: {where} is {worst:.4f} m elsewhere"
 
 
-def main(count: int = 200, seed: int = 0, robots: Sequence[str] = tuple(ROBOTS)) -> None:
+OUTCOMES = ("same", "refused", "FAULT")
+"""Of a mutant: read as the original, refused with one line, or anything else."""
+
+
+def main(
+    count: int = 200,
+    seed: int = 0,
+    robots: Sequence[str] = tuple(ROBOTS),
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
     """Try mutants, and say of each class how many are read alike and how many are refused.
 
     Args:
         count: Mutants.
         seed: Of the choice of link, joint or mesh that is changed.
         robots: Names of robots that are changed.
+        json: Print one JSON object; the mutants go to standard error.
     """
     rng, table = random.Random(seed), Counter[tuple[str, str]]()
     changes = [(kind, name, c) for kind, each in CHANGES.items() for name, c in each.items()]
@@ -553,9 +564,12 @@ def main(count: int = 200, seed: int = 0, robots: Sequence[str] = tuple(ROBOTS))
             mutant = mutate(originals[which], kind, change, top / f"m{k}", rng)
             said = verdict(mutant, expected[which], top / f"made{k}")
             table[kind, said.partition(":")[0]] += 1
-            print(f"{robots[which]:12} {kind}: {name}: {said.replace(folder, '')}", flush=True)
-    for kind in CHANGES:
-        row = {outcome: table[kind, outcome] for outcome in ("same", "refused", "FAULT")}
+            line = f"{robots[which]:12} {kind}: {name}: {said.replace(folder, '')}"
+            print(line, flush=True, file=sys.stderr if json else sys.stdout)
+    rows = {kind: {each: table[kind, each] for each in OUTCOMES} for kind in CHANGES}
+    if json:
+        print_json(rows)
+    for kind, row in () if json else rows.items():
         print(f"{kind:13} " + "  ".join(f"{key} {number:3}" for key, number in row.items()))
     if any(outcome == "FAULT" for _, outcome in table):
         sys.exit(1)

@@ -443,6 +443,18 @@ def trust_table(found: Figures) -> str:
     return grid(["what", "how often", "what became of it"], rows)
 
 
+def mutants_table(found: Figures) -> str:
+    """A line a class of changes to robots' files."""
+    rows = [
+        [kind, *(f"{row[key]:,}" for key in ("same", "refused", "FAULT"))]
+        for kind, row in found["mutants"].items()
+    ]
+    totals = [f"{sum(int(row[k]) for row in rows):,}" for k in (1, 2, 3)]
+    return grid(
+        ["what is changed", "read alike", "refused in a line", "faults"], [*rows, ["all", *totals]]
+    )
+
+
 _SENT = ("taken", "refused", "garbage")
 _TOLD = {
     "messages": {each: each for each in _SENT},
@@ -561,6 +573,12 @@ SETS: dict[str, ResultSet] = {
         },
         keep_all,
         trust_table,
+        default=False,
+    ),
+    "mutants": ResultSet(
+        {"mutants": ("benchmarks.urdf_mutants", "--count", "200", "--json")},
+        keep_all,
+        mutants_table,
         default=False,
     ),
     "peers": ResultSet(
