@@ -1,4 +1,4 @@
-"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--count 200] [--json]`.
+"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--json]`.
 
 Takes URDFs of real robots and changes each in one way that users' files are known for: names,
 encodings, units, addresses, kinds of joints, limits, placeholders, namespaces, origins, formats. A
