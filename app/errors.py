@@ -151,6 +151,7 @@ def extras_named() -> Iterator[None]:
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the closest of the choices, or an empty string."""
-    close = difflib.get_close_matches(name, list(choices), n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+    """` (did you mean 'x'?)` for the closest of the choices in any case, or an empty string."""
+    known = {choice.casefold(): choice for choice in choices}
+    close = difflib.get_close_matches(name.casefold(), known, n=1)
+    return f" (did you mean {known[close[0]]!r}?)" if close else ""

@@ -1,4 +1,4 @@
-"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--count 200]`.
+"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--json]`.
 
 Takes URDFs of real robots and changes each in one way that users' files are known for: names,
 encodings, units, addresses, kinds of joints, limits, placeholders, namespaces, origins, formats. A
@@ -17,7 +17,8 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+from unicodedata import normalize
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -26,6 +27,7 @@ import pinocchio as pin
 import trimesh
 import tyro
 
+from app.cli.common import print_json
 from app.errors import DbbError
 from app.onboarding.new_robot import parse
 from app.onboarding.request import Request
@@ -237,6 +239,12 @@ def _times(factor: float) -> Callable[[str], str]:
     return lambda text: " ".join(repr(factor * float(word)) for word in text.split())
 
 
+def _moments_in_mm(robot: Element, _: random.Random) -> None:
+    for element in robot.iterfind("link/inertial/inertia"):
+        for key, value in element.attrib.items():
+            element.set(key, _times(1e6)(value))
+
+
 def _above(kind: str) -> Change:
     """Another link above the robot, on a joint of a kind."""
 
@@ -334,7 +342,7 @@ def _moved_to(name: str, escape: bool = False) -> Change:
         target = path.parent.parent / name / path.name
         target.parent.mkdir(exist_ok=True)
         shutil.copy(path, target)
-        written = name.replace(" ", "%20") if escape else name
+        written = normalize("NFC", name.replace(" ", "%20")) if escape else name
         element.set("filename", f"{written}/{path.name}")
 
     return _mesh(change)
@@ -382,6 +390,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "says utf-16": _encoded("utf-8", "utf-16"),
         "says nothing": _encoded("latin-1", ""),
         "says what is not": _encoded("utf-8", "martian"),
+        "blanks around": _text(lambda text: f"\n\n{text}\0\0"),
         "lines of Windows": _text(lambda text: text.replace("\n", "\r\n")),
         "pointer": _text(lambda _: POINTER),
         "page": _text(lambda _: b"<!DOCTYPE html><html><body>404</body></html>"),
@@ -396,6 +405,8 @@ CHANGES: dict[str, dict[str, Change]] = {
         "joints in inches": _of_all("joint/origin", "xyz", _times(39.37)),
         "angles in degrees": _of_all("joint/origin", "rpy", _times(57.29578)),
         "limits in degrees": _of_all("joint/limit", "upper", _times(57.29578)),
+        "centres of mass in millimetres": _of_all("link/inertial/origin", "xyz", _times(1000.0)),
+        "moments of inertia in kg mm²": _tree(_moments_in_mm),
         "grams": _of_all("link/inertial/mass", "value", _times(1000.0)),
     },
     "addresses": {
@@ -405,6 +416,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "blanks around": _address(lambda _, name: f" {name} "),
         "dots": _address(lambda _, name: f"./meshes/../{name}"),
         "package": _address(lambda path, name: f"package://{path.parent.parent.name}/{name}"),
+        "two slashes": _address(lambda path, name: f"package://{path.parent.parent.name}//{name}"),
         "no package": _address(lambda _, name: f"package://nobody_has_it/{name}"),
         "the web": _address(lambda _, name: f"https://a.b/{name}"),
         "Windows": _address(lambda _, name: f"C:\\robots\\{name}"),
@@ -412,6 +424,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "a blank": _moved_to("my meshes"),
         "escaped": _moved_to("my meshes", escape=True),
         "unicode": _moved_to("网格"),
+        "accents": _moved_to("A\u0308", escape=True),
         "per cent": _moved_to("100%"),
     },
     "joints": {
@@ -534,28 +547,44 @@ def _compared(mutant: Mutant, expected: dict[str, Array], home: Path, base: str)
     return "same" if worst <= AGREE else f"FAULT: {where} is {worst:.4f} m elsewhere"
 
 
-def main(count: int = 200, seed: int = 0, robots: Sequence[str] = tuple(ROBOTS)) -> None:
+OUTCOMES = ("same", "refused", "FAULT")
+"""Of a mutant: read as the original, refused with one line, or anything else."""
+
+
+def main(
+    count: int = 200,
+    first: int = 0,
+    seed: int = 0,
+    robots: Sequence[str] = tuple(ROBOTS),
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
     """Try mutants, and say of each class how many are read alike and how many are refused.
 
     Args:
         count: Mutants.
+        first: Number of the first one; each is the same wherever a call begins.
         seed: Of the choice of link, joint or mesh that is changed.
         robots: Names of robots that are changed.
+        json: Print one JSON object; the mutants go to standard error.
     """
-    rng, table = random.Random(seed), Counter[tuple[str, str]]()
+    table = Counter[tuple[str, str]]()
     changes = [(kind, name, c) for kind, each in CHANGES.items() for name, c in each.items()]
     with tempfile.TemporaryDirectory() as folder:
         top = Path(folder)
         originals = [copied(name, top / name) for name in robots]
         expected = [supports(each.urdf, each.base) for each in originals]
-        for k in range(count):
+        for k in range(first, first + count):
             which, (kind, name, change) = k % len(originals), changes[k % len(changes)]
+            rng = random.Random(f"{seed} {k}")
             mutant = mutate(originals[which], kind, change, top / f"m{k}", rng)
             said = verdict(mutant, expected[which], top / f"made{k}")
             table[kind, said.partition(":")[0]] += 1
-            print(f"{robots[which]:12} {kind}: {name}: {said.replace(folder, '')}", flush=True)
-    for kind in CHANGES:
-        row = {outcome: table[kind, outcome] for outcome in ("same", "refused", "FAULT")}
+            line = f"{robots[which]:12} {kind}: {name}: {said.replace(folder, '')}"
+            print(line, flush=True, file=sys.stderr if json else sys.stdout)
+    rows = {kind: {each: table[kind, each] for each in OUTCOMES} for kind in CHANGES}
+    if json:
+        print_json(rows)
+    for kind, row in () if json else rows.items():
         print(f"{kind:13} " + "  ".join(f"{key} {number:3}" for key, number in row.items()))
     if any(outcome == "FAULT" for _, outcome in table):
         sys.exit(1)

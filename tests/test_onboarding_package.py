@@ -130,6 +130,11 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     ),
     "mesh of the net": ({"toy.urdf": with_mesh(TOY, "http://a.b/m.stl")}, "outside of the package"),
     "mesh missing": ({"toy.urdf": with_mesh(TOY, "meshes/m.stl")}, "no such file in the zip"),
+    "mesh of another case": (
+        {"toy.urdf": with_mesh(TOY, "Hand.STL"), "hand.stl": cube()},
+        "(did you mean 'hand.stl'?)",
+    ),
+    "mesh of a NUL": ({"toy.urdf": with_mesh(TOY, "a%00.stl")}, "no such file in the zip"),
     "mesh no mesh": ({"toy.urdf": with_mesh(TOY, "m.stl"), "m.stl": b"solid"}, "m.stl"),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -109,13 +110,22 @@ def test_the_unit_of_a_mesh_holds_in_bodies_and_in_the_file_that_engines_read(
 
 @pytest.mark.parametrize(
     "address",
-    ["file://{}/my%20robot/m.stl", "{}/my robot/m.stl", ".\\my robot\\m.stl", " my%20robot/m.stl"],
+    [
+        "file://{}/my%20robot/m.stl",
+        "{}/my robot/m.stl",
+        ".\\my robot\\m.stl",
+        " my%20robot/m.stl",
+        "package://my%20robot//m.stl",
+        "my robot/A\u0308.stl",
+        "my robot/\u00c4.stl",
+    ],
 )
 def test_addresses_of_meshes_are_read_as_their_writers_mean_them(
     tmp_path: Path, address: str
 ) -> None:
     (tmp_path / "my robot").mkdir()
-    (tmp_path / "my robot" / "m.stl").write_bytes(cube())
+    for name in ("m", "\u00c4" if "\u0308" in address else "A\u0308"):
+        (tmp_path / "my robot" / f"{name}.stl").write_bytes(cube())
     assert extents(parsed(tmp_path, with_mesh(TOY, address.format(tmp_path)))) == pytest.approx(
         HAND
     )
@@ -128,12 +138,21 @@ def test_addresses_of_meshes_are_read_as_their_writers_mean_them(
         ("C:\\robots\\m.stl", "a path of another machine, of Windows"),
         ("file:///C:/robots/m.stl", "a path of another machine, of Windows"),
         ("m.STL", "there is no file"),
+        ("hand.stl", "(did you mean 'Hand.STL'?)"),
     ],
 )
 def test_an_address_that_leads_nowhere_says_why(tmp_path: Path, address: str, cause: str) -> None:
+    for name in ("Hand.STL", "nan.stl"):
+        (tmp_path / name).write_bytes(cube())
     with pytest.raises(RobotFileError) as caught:
         parsed(tmp_path, with_mesh(TOY, address))
     assert cause in str(caught.value)
+
+
+@pytest.mark.parametrize("before", ["\n\n", " ", "\ufeff\n"])
+@pytest.mark.parametrize("after", ["", "\n\0\0"])
+def test_blanks_around_a_urdf_do_not_matter(tmp_path: Path, before: str, after: str) -> None:
+    assert "hand" in parsed(tmp_path, before + TOY + after).tree.links
 
 
 def test_a_mesh_by_a_path_from_the_packages_top_is_found(tmp_path: Path) -> None:
@@ -144,7 +163,17 @@ def test_a_mesh_by_a_path_from_the_packages_top_is_found(tmp_path: Path) -> None
     assert extents(made) == pytest.approx(HAND)
 
 
-@pytest.mark.parametrize(("code", "name"), [("gbk", "爪"), ("shift_jis", "ソ"), ("cp1252", "Grün")])
+@pytest.mark.parametrize(
+    ("code", "name"),
+    [
+        ("gbk", "爪"),
+        ("shift_jis", "ソ"),
+        ("euc-jp", "手"),
+        ("cp866", "рука"),
+        ("koi8-r", "рука"),
+        ("cp1252", "Grün"),
+    ],
+)
 def test_a_zip_may_have_names_of_another_code_page(tmp_path: Path, code: str, name: str) -> None:
     import zipfile
 
@@ -178,6 +207,7 @@ def test_a_zip_may_have_names_of_another_code_page(tmp_path: Path, code: str, na
         ('xyz="0 0 0.34"', 'xyz="0 0 13.4"', ["inches or centimetres"]),
         ('xyz="0 0 0.34"', 'xyz="0 0 340"', ["millimetres"]),
         ('<mass value="2"/>', '<mass value="2000"/>', ["grams"]),
+        ("<inertial>", '<inertial><origin xyz="0 0 100"/>', ["link 'base'", "millimetres"]),
     ],
 )
 def test_numbers_in_other_units_name_the_unit(
@@ -189,6 +219,22 @@ def test_numbers_in_other_units_name_the_unit(
     assert all(cause in str(caught.value) for cause in causes), caught.value
 
 
+@pytest.mark.parametrize("factor", [1e6, 1e9])
+def test_moments_of_inertia_in_another_unit_are_named(tmp_path: Path, factor: float) -> None:
+    text = re.sub(r'(i[xyz]{2})="([\d.]+)"', lambda m: f'{m[1]}="{factor * float(m[2]):g}"', TOY)
+    with pytest.raises(RobotFileError, match="looks like kg mm²"):
+        parsed(tmp_path, text)
+
+
+@pytest.mark.parametrize("unit", ["0", "-1", "0,001", "mm", ""])
+def test_a_unit_that_is_none_is_refused(tmp_path: Path, unit: str) -> None:
+    pytest.importorskip("collada")
+    text = collada(trimesh.creation.box(HAND), 1.0).replace('meter="1.0"', f'meter="{unit}"')
+    (tmp_path / "m.dae").write_text(text)
+    with pytest.raises(RobotFileError, match="should be a number above zero"):
+        parsed(tmp_path, with_mesh(TOY, "m.dae"))
+
+
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, kind: str) -> None:
     text = TOY.replace("</robot>", ABOVE.format(kind) + "</robot>")
@@ -198,13 +244,23 @@ def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, 
         parsed(tmp_path, text, base="map")
 
 
-@pytest.mark.parametrize("shape", ['<box size="0 0 0"/>', '<sphere radius="0"/>'])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        '<box size="0 0 0"/>',
+        '<box size="0.1 0 0.1"/>',
+        '<sphere radius="0"/>',
+        '<cylinder radius="0.1" length="0"/>',
+        '<mesh filename="m.stl" scale="1 1 0"/>',
+    ],
+)
 def test_a_placeholder_of_size_0_is_left_out_and_said(tmp_path: Path, shape: str) -> None:
     tag = link("tag", f"<collision><geometry>{shape}</geometry></collision>")
     mount = joint("tag_joint", "fixed", "wrist_link", "tag")
     made = parsed(tmp_path, TOY.replace("</robot>", tag + mount + "</robot>"))
     assert "a collision of tag is left out" in made.changes[0]
-    assert 'size="0 0 0"' not in rebased_urdf(made, name="toy", header="")
+    assert not made.geometry["tag"].shapes
+    assert shape not in rebased_urdf(made, name="toy", header="").replace(" />", "/>")
 
 
 def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(tmp_path: Path) -> None:

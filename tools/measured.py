@@ -59,6 +59,10 @@ TRUST = {
 """What is done long: how many parts, each of a seed of its own, and the command of a part."""
 
 
+MUTANTS = ("--count", "50", "--json")
+"""How many of the 200 changed robots' files a part has."""
+
+
 class ResultSet(NamedTuple):
     """What one file of docs/results holds, and one table shows.
 
@@ -443,6 +447,21 @@ def trust_table(found: Figures) -> str:
     return grid(["what", "how often", "what became of it"], rows)
 
 
+def mutants_table(found: Figures) -> str:
+    """A line a class of changes to robots' files."""
+    sums: dict[str, Counter[str]] = {}
+    for part in found.values():
+        for kind, counts in part.items():
+            for row in (kind, "all"):
+                sums.setdefault(row, Counter()).update(counts)
+    sums["all"] = sums.pop("all")
+    rows = [[kind, *(f"{row[key]:,}" for key in _OUTCOMES)] for kind, row in sums.items()]
+    return grid(["what is changed", "read alike", "refused in a line", "faults"], rows)
+
+
+_OUTCOMES = ("same", "refused", "FAULT")
+
+
 _SENT = ("taken", "refused", "garbage")
 _TOLD = {
     "messages": {each: each for each in _SENT},
@@ -561,6 +580,15 @@ SETS: dict[str, ResultSet] = {
         },
         keep_all,
         trust_table,
+        default=False,
+    ),
+    "mutants": ResultSet(
+        {
+            f"from {first}": ("benchmarks.urdf_mutants", "--first", f"{first}", *MUTANTS)
+            for first in range(0, 200, 50)
+        },
+        keep_all,
+        mutants_table,
         default=False,
     ),
     "peers": ResultSet(

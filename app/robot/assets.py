@@ -329,6 +329,7 @@ def xml_text(path: Path) -> str:
     except (LookupError, ValueError) as error:
         how = "the encoding that it declares" if declared else "UTF-8, and it declares no other"
         raise RobotFileError(f"{path}: it is not in {how}: {error}; save it as UTF-8") from None
+    text = text.strip("\ufeff\0 \t\r\n")  # other readers pass over blanks before <?xml
     refuse_entities(text, path)
     return text
 

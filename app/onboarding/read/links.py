@@ -17,7 +17,7 @@ from scipy.spatial import QhullError
 from app.errors import RobotFileError
 from app.onboarding.read.source import MESHES, mesh_path
 from app.onboarding.read.tree import Arm, Tree, numbers, origin, unit_of
-from app.robot.assets import refuse_placeholder
+from app.robot.assets import floats, refuse_placeholder
 from app.robot.shapes import hull_mesh
 
 Array = np.ndarray
@@ -37,6 +37,7 @@ ARM_DENSITY = 1200.0
 """[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
 """[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
+_MOST_MOMENT = 1e4  # [-] of m r², above which the unit is another; careless guesses have 1e3
 _ROUNDING = 1e-5  # [-] by which two moments of inertia have to be more than the third
 _TINY = 1e-9  # [kg] or [kg m²] of nothing
 
@@ -153,8 +154,6 @@ def urdf_mesh(
         if not (address := shape.get("filename")):
             raise RobotFileError(f"{where}: a mesh has no filename")
         scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
-        if not scale.all():
-            raise RobotFileError(f"{where}: a scale of its mesh is zero")
         return load(mesh_path(address), where).copy().apply_scale(scale), None
     if shape.tag not in ("sphere", "cylinder", "capsule"):
         raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
@@ -177,8 +176,11 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
     end, joined = path.suffix[1:].lower() or "stl", path.stat().st_size < _HEAVY
     try:
         with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
+            begin = file.read(1 << 16)
             if end not in _ARCHIVES:
-                refuse_placeholder(file.read(1024), name)
+                refuse_placeholder(begin, name)
+            if end == "dae":
+                _unit(begin, name)
             file.seek(0)
             scene = trimesh.load(
                 file, file_type=end, force="scene", skip_materials=True, process=joined
@@ -192,7 +194,7 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
         why = " ".join(str(error).split())
         raise RobotFileError(f"{name}: it cannot be read: {why}") from None
     if mesh is None:
-        raise RobotFileError(f"{name}: it has no triangles")
+        raise RobotFileError(f"{name}: it has no triangles, or is no .{end} file")
     return mesh
 
 
@@ -208,8 +210,21 @@ def _joined(scene: trimesh.Scene) -> trimesh.Trimesh | None:
 
 
 _ARCHIVES = ("3mf",)
+<<<<<<< HEAD
 _UNIT = re.compile(rb"""<unit\s[^<>]*?meter\s*=\s*["']([^"']+)""")
+=======
+_UNIT = re.compile(rb"""<unit\s[^>]*?meter\s*=\s*["']([^"']*)""")
+>>>>>>> robots
 _UP = re.compile(rb"<up_axis>\s*[XY]_UP")
+
+
+def _unit(asset: bytes, where: str) -> float:
+    """[m] the unit that a COLLADA file states; a metre where it states none."""
+    found = _UNIT.search(asset)
+    stated = floats(found[1].decode("latin-1"), 1) if found else (1.0,)
+    if not stated or stated[0] <= 0.0:
+        raise RobotFileError(f"{where}: the meter of its <unit> should be a number above zero")
+    return stated[0]
 
 
 def is_foreign(path: Path) -> bool:
@@ -218,8 +233,7 @@ def is_foreign(path: Path) -> bool:
     if end == ".dae":
         with path.open("rb") as file:
             asset = file.read(1 << 16)
-        unit = _UNIT.search(asset)
-        if (unit and float(unit[1]) != 1.0) or _UP.search(asset):
+        if _unit(asset, str(path)) != 1.0 or _UP.search(asset):
             return True
     return end not in MESHES or path.stat().st_size > _HEAVY
 
@@ -292,6 +306,7 @@ def read_inertias(
                 f"link {link!r}: a mass of {each.mass:g} kg in {1e3 * volume:.3g} l looks like "
                 "grams; masses of a URDF are in kilograms, moments of inertia in kg m²"
             )
+    _check_moments(stated, geometry)
     moving = [link for segment in arm.segments[1:] for link in segment]
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
@@ -308,6 +323,23 @@ def read_inertias(
         if sum(found[link].inertia.mass for link in links) <= _TINY:
             found |= {link: chosen(link, None) for link in links}
     return found
+
+
+def _check_moments(
+    stated: Mapping[str, pin.Inertia | None], geometry: Mapping[str, LinkGeometry]
+) -> None:
+    """Refuse a robot whose moments of inertia are in another unit, as most of its links show."""
+    ratios = [
+        np.abs(each.inertia).max()
+        / (each.mass * np.linalg.norm(geometry[link].corners - each.lever, axis=1).max() ** 2)
+        for link, each in stated.items()
+        if each and each.mass > _TINY and geometry[link].volume > _FLAT
+    ]
+    if (most := float(np.median(ratios)) if ratios else 0.0) > _MOST_MOMENT:
+        raise RobotFileError(
+            f"the links' moments of inertia are {most:.1g} times m r² (median; r: the farthest "
+            "point of the link), which looks like kg mm²; a URDF's are in kg m²"
+        )
 
 
 _FLAT = 1e-10  # [m³] of a hull that has no inertia

@@ -11,13 +11,17 @@ import stat
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from encodings.aliases import aliases
+from functools import lru_cache
 from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path, PurePosixPath
 from typing import IO, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from app.errors import RobotFileError
+from app.errors import RobotFileError, did_you_mean
 from app.onboarding.read.source import FORMATS, read_source, spellings, split_address
 from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities
@@ -246,30 +250,33 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     """The file of the zip that a mesh in a URDF of a folder names."""
     scheme, path = split_address(reference)
     own = scheme == "" and not path.startswith("/")
-    if not own and scheme not in ("package", "model"):
-        kept = []
-    else:
-        named = spellings(path.lstrip("/"))
-        named += [_as_stored(each.encode(code, "replace")) for each in named for code in _CODES]
-        places = [
-            place
-            for each in dict.fromkeys(named)
-            for place in ([folder / each] if own else _in_packages(each, root))
-        ]
-        kept = [place.resolve() for place in places if place.resolve().is_relative_to(root)]
+    named = spellings(path.lstrip("/")) if own or scheme in ("package", "model") else []
+    named += [_as_stored(each) for name in named for each in _encoded(name)]
+    places = [
+        place.resolve()
+        for each in filter(str.isprintable, dict.fromkeys(named))  # as all names in a zip are
+        for place in ([folder / each] if own else _in_packages(each, root))
+    ]
+    kept = [place for place in places if place.is_relative_to(root)]
+    if not kept:
+        raise RobotFileError(
+            f"mesh {reference}: outside of the package; refer to a file in the zip by "
+            "package://PACKAGE/PATH or by a path relative to the URDF"
+        )
     if (found := next(filter(isfile, kept), None)) is not None:
         return found
-    why = f"there is no such file in the zip; {', '.join(FORMATS[:-1])} are read"
-    if not kept:
-        why = (
-            "outside of the package; refer to a file in the zip by package://PACKAGE/PATH or by a "
-        )
-        why += "path relative to the URDF"
-    raise RobotFileError(f"mesh {reference}: {why}")
+    near = did_you_mean(Path(path).name, (each.name for each in root.rglob("*")))
+    raise RobotFileError(
+        f"mesh {reference}: there is no such file in the zip{near}; "
+        f"{', '.join(FORMATS[:-1])} are read"
+    )
 
 
-_CODES = ("utf-8", "gb18030", "cp932", "big5hkscs", "cp949", "cp1252", "cp1250", "cp1251", "cp850")
-"""Code pages of names in zips that do not say theirs."""
+def _encoded(name: str) -> Iterator[bytes]:
+    """A name in each of Python's encodings that has its characters; a zip may not say its own."""
+    for code in () if name.isascii() else sorted({*aliases.values()}):
+        with suppress(LookupError, ValueError):
+            yield name.encode(code)
 
 
 def _as_stored(name: bytes) -> str:
@@ -280,9 +287,15 @@ def _as_stored(name: bytes) -> str:
 def _in_packages(path: str, root: Path) -> list[Path]:
     """Where `package://PACKAGE/PATH` may be: in a folder of that name, or in the zip's top."""
     package, _, inner = path.partition("/")
+    return [place / inner for place in _package_folders(package, root)]
+
+
+@lru_cache(maxsize=1024)
+def _package_folders(package: str, root: Path) -> list[Path]:
+    """Where a package may lie in an unpacked zip; looked for once."""
     named = sorted(each for each in root.rglob("*") if each.is_dir() and each.name == package)
     tops = [each.parent for each in sorted(root.rglob("package.xml"))]
-    return [place / inner for place in (*named, *tops, root)]
+    return [*named, *tops, root]
 
 
 _MOST_URDFS = 20  # [-] that are looked into

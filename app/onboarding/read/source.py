@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import unicodedata
 from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from os.path import isdir, isfile  # False also for a name that is too long for a file
@@ -67,7 +68,7 @@ def read_robot(
 def _left_out(robot: Element) -> list[str]:
     """Take shapes out that are none, or that no library reads and nobody needs; says which.
 
-    A placeholder has the size 0. A visual mesh may have a format that is not read, if the link has
+    A placeholder has a size of 0. A visual mesh may have a format that is not read, if the link has
     a collision shape.
     """
     said = []
@@ -85,7 +86,7 @@ def _needless(shape: Element, link: Element, tag: str) -> str:
     """Why a shape is left out, or nothing."""
     sizes = [shape.get(key) for key in ("size", "radius", "length", "scale")]
     stated = [floats(size, len(size.split())) for size in sizes if size is not None]
-    if stated and not any(any(each or (1.0,)) for each in stated):
+    if not all(all(each or (1.0,)) for each in stated):
         return f"its {shape.tag} has the size 0"
     file = shape.get("filename", "")
     end = Path(file).suffix.lower()
@@ -143,7 +144,7 @@ def _unexpanded(robot: Element) -> str:
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
     """A mesh that a URDF in a folder names: by `package://…` if it is installed, else by its path.
 
-    Escapes such as `%20` and backslashes count as other writers mean them.
+    Escapes such as `%20`, backslashes and accents count as other writers mean them.
 
     Raises:
         RobotFileError: There is no such file.
@@ -162,18 +163,20 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
 
 
 def spellings(reference: str) -> list[str]:
-    """An address, and its forms without escapes and backslashes."""
+    """An address, its forms without escapes and backslashes, and Unicode's normal forms of them."""
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
-    return [*dict.fromkeys((plain, unquote(plain), slashed, unquote(slashed)))]
+    meant = (plain, unquote(plain), slashed, unquote(slashed))
+    normal = (unicodedata.normalize(form, each) for form in ("NFD", "NFC") for each in meant)
+    return [*dict.fromkeys((*meant, *normal))]
 
 
 def split_address(reference: str) -> tuple[str, str]:
-    """Scheme and path of an address; a drive of Windows is no scheme."""
+    """Scheme and path of an address; a drive of Windows is no scheme, two slashes are one."""
     scheme, mark, rest = reference.partition(":")
     if not mark or len(scheme) == 1:
         return "", reference
-    path = rest.removeprefix("//")
+    path = re.sub("//+", "/", rest.removeprefix("//"))
     return scheme.lower(), path.removeprefix("localhost") if scheme == "file" else path
 
 

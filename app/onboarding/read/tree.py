@@ -22,7 +22,7 @@ FREE = ("planar", "floating")
 ARM_ON_BASE = "arm_on_base"
 """The joint by which an arm of a file of its own is fixed to the base."""
 _MOST_NAMES = 40  # [-] that a message lists
-_FARTHEST = 10.0  # [m] between neighbouring links
+_FARTHEST = 10.0  # [m] of an origin: of a joint, a shape or a centre of mass
 _LONGEST = 6.0  # [m] of an arm, joint by joint
 _PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
 _MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
@@ -197,11 +197,6 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
             raise RobotFileError(f"joint {name!r}: its {role} is {link!r}, which is no link")
         ends.append(link)
     T = origin(element, f"joint {name!r}")
-    if (far := float(np.abs(T.translation).max())) > _FARTHEST:
-        raise RobotFileError(
-            f"joint {name!r} stands {far:g} m from its parent: lengths of a URDF are in metres, "
-            f"these look like {unit_of(far)}"
-        )
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"joint {name!r}")
     length = float(np.linalg.norm(axis))
     if kind in MOVING and length < 1e-6:
@@ -254,7 +249,7 @@ def origin(element: Element, where: str) -> pin.SE3:
     """The `<origin>` of an element; the identity where there is none.
 
     Raises:
-        RobotFileError: It is not six numbers, or its angles are in degrees.
+        RobotFileError: It is not six numbers, or they are in degrees or another unit of length.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
@@ -264,7 +259,13 @@ def origin(element: Element, where: str) -> pin.SE3:
             f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
             "degrees are 1.5708"
         )
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), numbers(at, "xyz", (0.0, 0.0, 0.0), where))
+    xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
+    if (far := float(np.abs(xyz).max())) > _FARTHEST:
+        raise RobotFileError(
+            f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
+            f"like {unit_of(far)}"
+        )
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
