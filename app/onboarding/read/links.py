@@ -210,11 +210,7 @@ def _joined(scene: trimesh.Scene) -> trimesh.Trimesh | None:
 
 
 _ARCHIVES = ("3mf",)
-<<<<<<< HEAD
-_UNIT = re.compile(rb"""<unit\s[^<>]*?meter\s*=\s*["']([^"']+)""")
-=======
-_UNIT = re.compile(rb"""<unit\s[^>]*?meter\s*=\s*["']([^"']*)""")
->>>>>>> robots
+_UNIT = re.compile(rb"""<unit\s[^<>]*?meter\s*=\s*["']([^"']*)""")
 _UP = re.compile(rb"<up_axis>\s*[XY]_UP")
 
 
