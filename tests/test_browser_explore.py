@@ -5,7 +5,7 @@ import pytest
 
 from app.config import Config
 from app.dashboard.drag import GIZMO, SCALE
-from app.dashboard.panels.explorer import Explorer, Posture
+from app.dashboard.explorer import Explorer, Posture
 from app.dashboard.scene.borders import Borders, first_hit, probe_at, shell_faces
 from app.simulation.loop.commands import Pause, Reset
 from app.simulation.loop.ensemble import Ensemble

@@ -33,9 +33,9 @@ from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import CARDS, CLOSE, NEXT, SHOW
-from app.dashboard.panels.plots import plot_plans
 from app.dashboard.panels.run import machine_rows, pairs_html, scores_html, status_rows
 from app.dashboard.panels.why import header_html, why_html
+from app.dashboard.plans import plot_plans
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
 from app.dashboard.scene.canvas import (
     ANCHORS,

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from app.dashboard.panels.timeline import FRAME, MOST_MARKED, Timeline
 from app.dashboard.record import BIN, Strip
 from app.dashboard.scene.scene import SceneData
+from app.dashboard.timeline import FRAME, MOST_MARKED, Timeline
 from app.errors import ConfigError, LogError
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
@@ -161,7 +161,7 @@ def test_an_end_before_the_begin_takes_the_begin_away():
 @pytest.mark.parametrize("speed", [0.25, 1.0, 4.0])
 def test_the_past_plays_at_its_speed_up_to_now_and_stops_on_request(speed, monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr("app.dashboard.panels.timeline.monotonic", lambda: clock[0])
+    monkeypatch.setattr("app.dashboard.timeline.monotonic", lambda: clock[0])
     timeline = line_of(Past(12.0))
     timeline.play(speed)
     assert timeline.plays

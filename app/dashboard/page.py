@@ -21,7 +21,7 @@ from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
 from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.share import Link, SharePanel
-from app.dashboard.panels.timeline import Timeline, TimelinePanel
+from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.panels.why import WhyPanel
@@ -30,6 +30,7 @@ from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.legend import key_html, legend_html
 from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
+from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import judge
 from app.dashboard.view import PagePicture, View
 from app.dashboard.viser_compat import Channel, has_no_gpu

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 from app.border.dbb import Cloud
 from app.config import Config
-from app.dashboard.panels.explorer import Explorer
-from app.dashboard.panels.plots import plot_plans
+from app.dashboard.explorer import Explorer
+from app.dashboard.plans import plot_plans
 from app.dashboard.record import Course, Record, Strip
 from app.dashboard.robots import RobotBuild, RobotCheck, RobotSwitch, RunningRobot
 from app.dashboard.scene.robot import RobotParts

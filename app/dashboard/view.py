@@ -8,16 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from PIL import Image
 
 from app.dashboard.scene.legend import QUANTITIES
-from app.simulation.trace.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from app.dashboard.scene.scene import SceneData
 
 HIDDEN = "hidden"  # instead of a quantity: the border is not drawn
 CHOICES = (*reversed(QUANTITIES), HIDDEN)  # what a border may be coloured by
@@ -120,5 +116,6 @@ class Viewpoint(NamedTuple):
     target: np.ndarray
 
 
-PagePicture = Callable[["SceneData", list[Snapshot], Viewpoint, tuple[int, int]], Image.Image]
-"""Draws the whole page at the last of the snapshots, so many [px] wide and high."""
+PagePicture = Callable[..., Image.Image]
+"""Draws the whole page: of the data of a scene at the last of a list of snapshots, from a
+`Viewpoint`, a width and a height [px] in a tuple."""

@@ -193,8 +193,7 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        loads = self._loads()
-        pushes = (*person.pushes, *loads)
+        pushes = (*person.pushes, *self._loads())
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT

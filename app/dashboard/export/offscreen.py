@@ -358,10 +358,8 @@ def write_film(
                 process.stdin.close()
             if process.wait():
                 said.seek(0)
-                why = said.read().decode(errors="replace").strip().splitlines() or [
-                    "no reason given"
-                ]
-                raise OutputError(f"cannot write {path}: {why[-1]}")
+                why = said.read().decode(errors="replace").strip() or "no reason given"
+                raise OutputError(f"cannot write {path}: {why.splitlines()[-1]}")
         finally:
             process.kill()
             process.wait()

@@ -18,9 +18,9 @@ from app.simulation.loop.commands import Pause, StepOnce
 if TYPE_CHECKING:
     from app.dashboard.drag import Grip
     from app.dashboard.job import Job
-    from app.dashboard.panels.timeline import Timeline
     from app.dashboard.scene.camera import Camera
     from app.dashboard.shared import SharedState
+    from app.dashboard.timeline import Timeline
     from app.dashboard.verdict import Verdict
     from app.dashboard.view import PagePicture, View
     from app.dashboard.viser_compat import Channel
