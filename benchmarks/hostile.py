@@ -39,6 +39,7 @@ _ALONE = 20.0  # [s] of the viewer before the attacks
 _TURN = 10.0  # [s] of an attack
 _SETTLED = 30.0  # [s] after the attacks, until memory is measured
 _PLACES = 31  # [-] connections beside the viewer
+_PAGE = 10.0  # [s] for the widgets of a page
 _HALF = 300  # [-] requests that are begun at once
 _PATIENCE = 90.0  # [s] for the server to start, or a page to be sent
 _MIB = 2**20  # [bytes]
@@ -180,9 +181,10 @@ class _Client:
         view = {"near": 0.01, "far": 100.0, "image_height": 900, "image_width": 1600}
         to = {"look_at": (0.0, 0.0, 0.4), "up_direction": (0.0, 0.0, 1.0)}
         self.send(_messages.ViewerCameraMessage(**eye, **view, **to))
-        end = time.monotonic() + _TURN
-        while time.monotonic() < end and not self.named("GuiUploadButtonMessage"):
-            self._take(self._connection.recv(timeout=_TURN))
+        end = time.monotonic() + _PAGE
+        with suppress(TimeoutError):
+            while time.monotonic() < end and not self.named("GuiUploadButtonMessage"):
+                self._take(self._connection.recv(timeout=_PAGE))
 
     def _take(self, data: bytes | str) -> None:
         size, packed = struct.unpack_from("<QQ", bytes(data))
