@@ -85,7 +85,9 @@ def estimate_arm(
     continued = steps > 0 and not jumped
     if continued:
         samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
-        share = max(1.0 / max(samples[()], 1.0), -math.expm1(-steps * dt / gains.noise_window))
+        share = max(
+            1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / gains.noise_window)
+        )
         _learn(variances, last, known, q, qd, share, dt)
     else:
         for i in range(len(q)):

@@ -213,7 +213,8 @@ PINOCCHIO = {
 columns of its rotation and its origin [m], in the world."""
 
 _Values: Any = NamedTuple(  # type: ignore[misc]
-    "_Values", [(each, Any) for each in (*PINOCCHIO, *(q.name for q in QUANTITIES))]
+    "_Values",
+    [(each, Any) for each in (*PINOCCHIO, *(q.name for q in QUANTITIES))],  # pyright: ignore
 )
 STEP = struct_type(
     _Values,

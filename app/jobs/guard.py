@@ -70,4 +70,5 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:4]), float(sys.argv[4]))
+    first, second, third = map(int, sys.argv[1:4])
+    main(first, second, third, float(sys.argv[4]))

@@ -303,7 +303,7 @@ def parse(request: Request) -> Parsed:
             "<collision> or <visual>, or another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, base, tip, arm.joints[0].child)
+        arm = find_arm(tree, str(base), str(tip), arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)

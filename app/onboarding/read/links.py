@@ -185,6 +185,7 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
             scene = trimesh.load(
                 file, file_type=end, force="scene", skip_materials=True, process=joined
             )
+        assert isinstance(scene, trimesh.Scene)
         mesh = _joined(scene)
     except RobotFileError:
         raise

@@ -173,7 +173,7 @@ def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
         raise LogError(f"column {missing[0]!r} is missing{more}")
 
 
-def _check_times(times: Sequence[float]) -> None:
+def _check_times(times: np.ndarray) -> None:
     gaps = np.diff(times)
     if not (gaps > 0.0).all():
         k = int(np.argmin(gaps > 0.0))
