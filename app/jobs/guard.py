@@ -70,5 +70,5 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
 
 
 if __name__ == "__main__":
-    first, second, third = map(int, sys.argv[1:4])
-    main(first, second, third, float(sys.argv[4]))
+    heard, lives, pid, patience = sys.argv[1:]
+    main(int(heard), int(lives), int(pid), float(patience))
