@@ -87,6 +87,8 @@ faults | | 10 | 1 | | readings | 1 for each of `readings.FAULTS` that the readin
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: periods by which the readings are late
 ratio | | | 1 | | readings | memory: way of a joint by the integral of its velocities
+agreed | | | 1 | | readings | memory: intervals in a row that agree on another ratio
+stride | | | 1 | | readings | memory: periods between the two newest readings
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not belong to the positions
 rested | | | 1 | | readings | memory: readings of a robot at rest that were the same
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities

@@ -8,7 +8,8 @@ late is one and the same case. Three quantities are found in the readings themse
 - **The lag**, by which the accelerations that torques and base make appear in the positions: the
   one that leaves the smallest third differences unexplained.
 - **The period**: the way of a joint, divided by its velocities' integral over the stated period,
-  is 1; twice another ratio in a row, and the loop does not run at that period.
+  is 1; three times another ratio in a row, while the readings come at regular intervals, and the
+  loop does not run at that period.
 - **Velocities** that no period explains, for their ratio is out of all proportion, are not used.
 """
 
@@ -50,6 +51,7 @@ _STILL = 1e-7  # [rad] of predicted motion in a period with which a robot may be
 _FARTHEST = 10.0  # [-] of the base's way at its top speed; else its pose has jumped
 _LEAST_WAY = 0.002  # [rad] over which the period is measured
 _NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
+_AGREED = 2  # intervals that agree with the first one on another ratio
 _MOST_LAG = 24  # periods
 _CLEARLY = 0.25  # [-] of the unexplained motion, with which another lag is right
 _LEAST_LOAD = 0.3  # [kg] that is reported
@@ -230,7 +232,9 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     `w.ratio` is 1 where both agree; `w.no_velocity` is 1 where no period can explain it.
     """
-    if w.known[()] == 0.0:  # a gap
+    irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
+    if w.known[()] == 0.0 or irregular:  # a gap, or lost readings
+        w.agreed[()] = 0.0
         _measure_from(w, q)
         return
     far, most = -1, 1.0
@@ -252,7 +256,8 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         w.no_velocity[()] = 0.0
     if not 0.8 < ratio < 1.25:
         agrees = abs(ratio - w.ratio[()]) < 0.15 * ratio
-        w.faults[PERIOD] = 1.0 if agrees else 0.0
+        w.agreed[()] = w.agreed[()] + 1.0 if agrees else 0.0
+        w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
         w.samples[()] = 0.0  # the readings themselves, until this is clear
     w.ratio[()] = ratio
     _measure_from(w, q)
