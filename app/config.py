@@ -145,7 +145,7 @@ class EstimateConfig(Strict):
 
 
 class PayloadConfig(Strict):
-    """What the gripper holds, as far as the controller knows; its size is no part of it."""
+    """Load in the gripper that the controller knows: mass and centre, without its shape."""
 
     mass: Annotated[float, Shown("payload")] = Field(default=0.0, ge=0.0, le=20.0)
     """[kg] of the load."""

@@ -40,7 +40,7 @@ FAULTS = {
     "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
     "load": "a force straight down acts on the end-effector: state a load as `payload.mass`",
 }
-"""What can be wrong with the readings of a step, by name, in the order of `ControlStep.faults`."""
+"""Possible faults of the readings of a step, by name, in the order of `ControlStep.faults`."""
 
 INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD = range(10)
 
@@ -157,7 +157,7 @@ def _implausible(q: Array, limits: Array) -> bool:
 
 @compiled()
 def _recall(w: Any, ago: int, count: int) -> Array:
-    """(count, n_m) the accelerations of as many periods, the last of them so many periods ago."""
+    """(count, n_m) accelerations of `count` periods; the last of them is `ago` periods old."""
     found = np.empty((count, w.history.shape[1]))
     for k in range(count):
         put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])

@@ -1,4 +1,4 @@
-"""A posture of the robot, and what the controller answers there, while the simulation pauses."""
+"""A posture of the robot, and the controller's answer there, while the simulation pauses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -32,7 +32,7 @@ class Explorer:
     """Asks the control law about postures, by one control step from rest; for one thread."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
-        """Prepare for a robot, as it is in a snapshot."""
+        """Begin with the posture of a snapshot."""
         pairs = [(Pair(*pair.name.split("-")), pair.mobile) for pair in snapshot.pairs]
         found = LinkPairs(
             tuple(pair for pair, mobile in pairs if mobile),
@@ -51,7 +51,7 @@ class Explorer:
         self._answer = snapshot
 
     def ask(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """A snapshot with the robot in a posture, else with what holds in another one."""
+        """A snapshot with the robot in a posture; all else is that of another snapshot."""
         asked = (
             posture.base_pose.tobytes(),
             posture.q_m.tobytes(),

@@ -18,7 +18,7 @@ _THRESHOLD = "#98a0ab"
 
 
 class PlotPlan(NamedTuple):
-    """What a plot shows."""
+    """Content of a plot."""
 
     title: str
     """With the unit."""
@@ -33,7 +33,7 @@ class PlotPlan(NamedTuple):
     dashed: int = 0
     """How many of the last lines are thresholds."""
     hints: tuple[str, ...] = ()
-    """What the pointer over each line's name says: symbol, unit, range and equation."""
+    """Hints at the lines' names: symbol, unit, range and equation."""
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
@@ -93,7 +93,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 
 
 def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
-    """Distances of some pairs beside d_b, so many pixels high."""
+    """Distances of some pairs beside d_b; the height is in pixels."""
     apart = "signed distance d [m] of the convex bodies, negative where they overlap"
     d_b = tunable("border.d_b")
     curves = [
@@ -115,7 +115,7 @@ def _distances(title: str, model: RobotModel, names: list[str], height: int) -> 
 
 
 def _about_torques(model: RobotModel) -> tuple[str, ...]:
-    """What is said of the lines of the joints' torques."""
+    """Hints at the lines of the joints' torques."""
     return tuple(
         f"{name}: u_a over its limit of {most:g} N m, −1 to 1, (26)"
         for name, most in zip(model.description.arm.joints, model.tau_max, strict=True)

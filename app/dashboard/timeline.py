@@ -84,7 +84,7 @@ class Timeline:
         self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go on (or back, if negative) by so many seconds, within what is kept."""
+        """Go forward by a time [s], or back if it is negative, within the stored interval."""
         self.go_to(self.shown().t + seconds)
 
     def go_live(self) -> None:
@@ -103,7 +103,7 @@ class Timeline:
     def mark_end(self) -> None:
         """The marked interval ends at the instant that is shown.
 
-        Where no earlier begin is marked it begins with what is kept.
+        Without a marked start, the interval starts with the oldest stored snapshot.
         """
         with self._lock:
             at = self.shown().t
@@ -126,7 +126,7 @@ class Timeline:
         """The snapshots of the marked interval, or all of the last 60 s, oldest first.
 
         Raises:
-            LogError: There is a single one, of which there is nothing to tell.
+            LogError: The interval has a single snapshot.
         """
         self.shown()
         with self._lock:
@@ -150,7 +150,7 @@ class Timeline:
         return [*(s for s in tuple(self._strip.past) if s.t < kept[0].t), *kept]
 
     def _hold(self) -> None:
-        """Keep what is new of an interval whose end is open; a long one ends by itself."""
+        """Store the new snapshots of an interval whose end is open; a long one ends by itself."""
         self._marked += self._loop.history(self._marked[-1].t)
         if self.begin is not None and self._marked[-1].t - self.begin > MOST_MARKED:
             self._cut(self.begin + MOST_MARKED)

@@ -19,7 +19,7 @@ from app.robot.model import RobotModel
 
 @dataclass(frozen=True)
 class Parsed:
-    """What the URDF itself says."""
+    """Values that the URDF states."""
 
     tree: Tree
     arm: Arm

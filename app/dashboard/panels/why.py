@@ -213,7 +213,7 @@ def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """What is near what; with the buffer d_b [m] if there is one."""
+    """The pair that is near, and its distance; with the buffer d_b [m] if there is one."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
