@@ -292,7 +292,7 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """Readings of the sensors, once a control step; without disturbances they are the true values.
+        """Readings of the sensors in a control step; the true values without disturbances.
 
         Each joint's position has white noise added. Its velocity is then no reading of its own: as
         on a robot with encoders only, it is made from the noisy positions by `VelocityTracking`.

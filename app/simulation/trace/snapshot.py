@@ -265,7 +265,7 @@ def _door() -> Quantity:
 
 
 def _force_bound() -> Quantity:
-    """Largest force that a person may exert on the arm in all directions; computed at 50 Hz."""
+    """Smallest of the bounds on a person's force on the arm; computed at 50 Hz."""
 
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _least_force_bound(session, step),)
