@@ -127,11 +127,12 @@ def try_to_connect(server, of_page):
     return asyncio.run(attempt())
 
 
-def get(server, path, host="127.0.0.1"):
+def get(server, path, host=""):
     """Status, headers and text of a page, of a server that is reached by some name."""
     address = f"http://127.0.0.1:{server.get_port()}{path}"
+    headers = {"Host": host} if host else {}
     try:
-        answer = urllib.request.urlopen(urllib.request.Request(address, headers={"Host": host}))
+        answer = urllib.request.urlopen(urllib.request.Request(address, headers=headers))
     except urllib.error.HTTPError as error:
         answer = error
     return answer.status, answer.headers, answer.read()

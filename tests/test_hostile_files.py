@@ -37,7 +37,7 @@ from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.strict import from_toml, parsed, text_of
+from app.strict import file_text, from_toml, parsed
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -70,7 +70,7 @@ def test_a_text_far_longer_than_any_is_refused_before_it_is_read(tmp_path):
     long = tmp_path / "robot.toml"
     long.write_bytes(b" " * 10_000_001)
     with pytest.raises(ValueError, match="more than"):
-        text_of(long)
+        file_text(long)
 
 
 def test_a_plain_array_is_no_file_of_a_border(tmp_path):
@@ -214,7 +214,7 @@ def test_a_log_whose_columns_have_no_names_in_utf8_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(random_snapshots(2, 3)))
     path.write_bytes(path.read_bytes().replace(b'"t_s"', b'"t\xff_s"', 1))
-    with pytest.raises(LogError, match=r"log\.csv: .*utf-8"):
+    with pytest.raises(LogError, match=r"log\.csv: .*UTF-8"):
         read_trace(path)
 
 

@@ -255,9 +255,8 @@ def test_what_others_leave_in_a_urdf_is_refused_with_what_helps(
 
 def test_a_mesh_of_another_case_or_scale_is_told(tmp_path: Path) -> None:
     (tmp_path / "m.stl").write_bytes(cube())
-    for mesh, why in (("M.stl", "(did you mean 'm.stl'?)"), ('m.stl" scale="1 0 1', "is zero")):
-        with pytest.raises(RobotFileError, match=re.escape(why)):
-            parse(request(tmp_path, with_mesh(TOY, mesh)))
+    with pytest.raises(RobotFileError, match=re.escape("(did you mean 'm.stl'?)")):
+        parse(request(tmp_path, with_mesh(TOY, "M.stl")))
     mirrored = parse(request(tmp_path, with_mesh(TOY, 'm.stl" scale="1 -1 1')))
     plain = parse(request(tmp_path, with_mesh(TOY, "m.stl")))
     sizes = [made.geometry["hand"].volume for made in (mirrored, plain)]

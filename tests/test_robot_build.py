@@ -312,7 +312,7 @@ def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
         assert made.built == "toy", made.problem
         assert made.package is None
         assert not archive.exists()
-        wait_for(lambda: "is made" in own.status.text.content, what="the good news")
+        wait_for(lambda: "is ready" in own.status.text.content, what="the good news")
 
 
 def test_of_options_the_page_speaks_as_of_its_questions() -> None:

@@ -414,7 +414,8 @@ def write_limits(
         robot: `ROBOT`.
         gains: `GAINS`, whose rates say how fast limits may be approached.
         w: `STEP`.
-        barrier: Whether the distances of all pairs have a barrier.
+        barrier: Whether distances have a barrier: those of L_m, and of all pairs in a method whose
+            base keeps the barrier too.
         link_buffers: Whether links of the arm have their buffer as a barrier too.
         for_arm: For the arm's QP: within the torques of this step, with external forces, and no
             joint demands more than its own torque can achieve. Else any torque may act.
@@ -441,7 +442,9 @@ def write_limits(
     torque_rows(w.M, w.h, u_min, u_max, w.C, w.l, w.u)
     joints = slice(n_m, 2 * n_m)
     joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
-    count = len(robot.convex) if barrier or link_buffers else 0
+    count = robot.n_convex_mob if barrier else 0
+    if link_buffers or (barrier and gains.base_in_barrier):
+        count = len(robot.convex)
     rows, least = robot.convex[:count], np.empty(count)
     for k in range(count):
         i = rows[k]

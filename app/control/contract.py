@@ -14,7 +14,7 @@ from app.parameters import Parameter
 from app.robot.model import RobotModel
 from app.strict import Array
 
-SHORTEST, LONGEST = 2e-4, 0.02  # [s] of the control periods that are possible
+SHORTEST, LONGEST = 1e-4, 0.02  # [s] of the control periods that are possible
 _ROUNDING = 1e-4  # [-] of a rotation matrix in single precision
 _FASTEST = 0.6  # [-] largest gain [1/s] times the control period
 

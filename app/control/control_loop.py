@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
@@ -16,7 +15,7 @@ from app.control.readings import FAULTS, JUMP, LOCALISATION
 from app.control.references import References
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, checked
+from app.robot.state import Measurement
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
@@ -127,7 +126,7 @@ class ControlLoop:
                 first reading is that of another pose or unit.
         """
         if reference is not None:
-            reference = self._reference(checked_reference(reference), measured)
+            reference = self._reference(checked_reference(reference))
         elif self._tracked:
             self._end_reference()
         self._tracked = reference is not None
@@ -139,16 +138,13 @@ class ControlLoop:
                 self._end_reference()
         return command
 
-    def _reference(self, sent: Reference, measured: Measurement) -> Reference:
+    def _reference(self, sent: Reference) -> Reference:
         """The reference of this step: interpolated, unless that is switched off."""
         if self._references is None:
             return sent
-        here = None
-        if self._references.is_new:
-            here = end_effector_pose(self.controller.state.model, measured)
         self._references.dt = self.controller.dt
         speed = self.controller.config.task.ee_speed
-        return self._references.next(sent, here, speed)
+        return self._references.next(sent, speed)
 
     def _report(self, command: Command) -> None:
         """Log each fault of the readings once until `reset`."""
@@ -160,13 +156,3 @@ class ControlLoop:
                     "period": f" ({self.controller.dt * 1000:.2f} ms)",
                 }
                 logger.warning("readings, %s: %s%s", name, FAULTS[name], more.get(name, ""))
-
-
-def end_effector_pose(model: RobotModel, measured: Measurement) -> pin.SE3 | None:
-    """Pose of the end-effector in the world, or None where a reading is not finite."""
-    pose, _, q_m, *_ = checked(measured, model)
-    if not np.isfinite(pose.sum() + q_m.sum()):
-        return None
-    data = model.pin.createData()
-    pin.framesForwardKinematics(model.pin, data, model.configuration(pose, q_m))
-    return data.oMf[model.ee_frame].copy()

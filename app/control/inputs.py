@@ -102,7 +102,7 @@ _GAINS: dict[str, Any] = {
     "base_rows": _FLAG,  # the method moves the base by (16)
     "link_rows": _FLAG,  # the method separates links of the arm by (20)
     "arm_rows": _FLAG,  # the method pushes the arm away from the base (T_rep)
-    "barrier": _FLAG,  # the distances of all pairs have a barrier
+    "barrier": _FLAG,  # distances have a barrier
     "base_in_barrier": _FLAG,  # the base takes part in these barriers
     "lookahead": _FLAG,  # the base makes room for the arm's distances
     "hierarchy": _FLAG,  # q̈ solves the printed hierarchy, `app.control.hqp`

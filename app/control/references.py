@@ -5,7 +5,8 @@ end-effector begins a polynomial of fifth degree, from its present reference pos
 acceleration to the sample and the velocity of the way since the last one, within two mean intervals
 of samples: a steady motion stays steady, and jitter is bridged. Where no further sample comes it
 comes to rest at the last one. A sample that is farther away than the correction speed allows, such
-as the first one after a stall, is approached at that speed. References without leaps pass as sent.
+as the first one after a stall, is approached at that speed. The first reference, and references
+without leaps, pass as sent: the law itself limits the correction speed towards them.
 """
 
 from __future__ import annotations
@@ -33,33 +34,23 @@ class References:
         self.reset()
 
     def reset(self) -> None:
-        """Start again: the next reference is approached from the end-effector's pose."""
+        """Start again: the next reference is the first one."""
         self._raw: Reference | None = None  # the last one that was sent
         self._way: Array | None = None  # (6, 6) coefficients of the polynomial, while it is in use
         self._since, self._interval = 0.0, 0.0
 
-    @property
-    def is_new(self) -> bool:
-        """Whether there has been no reference since `reset`."""
-        return self._raw is None
-
-    def next(self, sent: Reference, here: pin.SE3 | None, speed: float) -> Reference:
+    def next(self, sent: Reference, speed: float) -> Reference:
         """The reference of this step.
 
         Args:
             sent: The newest one.
-            here: Pose of the end-effector.
             speed: [m/s and rad/s] largest speed towards a sample that is far away.
         """
         last, self._raw = self._raw, sent
         self._since += self.dt
         if last is None:
-            if here is None or not self._leaps(Reference(here, *sent[1:]), sent):
-                return sent
-            last = Reference(here, np.zeros(6), np.zeros(6))
-            self._begin(last)
-            self._aim(sent, np.zeros(6), speed)
-        elif self._leaps(last, sent):
+            return sent
+        if self._leaps(last, sent):
             between, self._since = self._since, 0.0
             if self._way is None:
                 self._begin(last)

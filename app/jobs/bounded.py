@@ -71,7 +71,11 @@ def _limited_read(
     """The result, pickled within the budget, because pickling costs time and memory too."""
     _limited.set()
     with limited(*budget):
-        return pickle.dumps(read(*args), pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
+        result = read(*args)
+        try:
+            return pickle.dumps(result, pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
+        except RecursionError:
+            raise ValueError("its brackets or tables nest too deeply") from None
 
 
 def _ignore(*_: object) -> None:

@@ -285,7 +285,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 _PLACEHOLDERS = (
     (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
     (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
-    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page (HTML); download the file itself"),
+    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
     (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
     (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),
     (rb"\x1f\x8b|PK\x03\x04|7z\xbc\xaf|Rar!", "an archive; unpack it"),

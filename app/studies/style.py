@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 METHOD_COLOURS = {
     "dbb": "#0072B2",
-    "hqp": "#E69F00",
+    "hqp": "#C9B400",
     "points": "#56B4E9",
     "repulsive": "#D55E00",
     "barrier": "#CC79A7",
