@@ -65,7 +65,7 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
         second.page.keyboard.press("Delete")
         second.page.keyboard.type(wrong)
         second.page.keyboard.press("Tab")
-        named = f"“{wrong}”" if wrong else "an empty box"
+        named = f"“{wrong}”" if wrong else "nothing"
         line = f"d_b [m] takes a number from 0.06 to 0.3, not {named}; it stays at 0.225."
         wait_for(lambda line=line: said[-1:] == [line], what=line)
         assert box(second, "d_b [m]").input_value() == "0.225"
