@@ -118,6 +118,7 @@ class Session:
         self._distances = DistanceMonitor(self._own_state, pairs)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
+        self._weights = self._weights_of(config)
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
@@ -149,6 +150,7 @@ class Session:
         self._people.config = config.hand
         self._watch.config = config
         self._disturb(config.disturbance)
+        self._weights = self._weights_of(config)
 
     @property
     def controller(self) -> Controller:
@@ -193,7 +195,7 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._loads())
+        pushes = (*person.pushes, *self._weights)
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
@@ -221,14 +223,14 @@ class Session:
         self.t += DT
         return step
 
-    def _loads(self) -> tuple[Push, ...]:
+    def _weights_of(self, config: Config) -> tuple[Push, ...]:
         """The weights of the payload and of the one that the controller does not know."""
-        known, model = self.config.payload, self.model
+        known, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
         loads = (
             (known.mass, (known.x, known.y, known.z)),
-            (self.config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
+            (config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
         )
         return tuple(
             Push(joint, at.act(np.array(centre)), mass * model.pin.gravity.linear)

@@ -6,7 +6,6 @@ import base64
 import contextlib
 import io
 import itertools
-import math
 import subprocess
 import tempfile
 from bisect import bisect_right
@@ -367,8 +366,7 @@ def write_film(
 
 
 def _ghost(s: Snapshot) -> GhostReading:
-    near = min((pair.d for pair in s.pairs if pair.mobile), default=math.inf)
-    return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, near)
+    return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, s.clearance)
 
 
 def label(

@@ -176,15 +176,14 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     """At a place (3,) [m] of each of several bases what its controller does, and its distance."""
-    apart = any(not coincides(ghost, snapshot) for ghost in snapshot.ghosts)
-    robots = [
-        (snapshot.controller, snapshot.base_pose, min(p.d for p in snapshot.pairs if p.mobile))
-    ]
-    robots += [(ghost.controller, ghost.base_pose, ghost.clearance) for ghost in snapshot.ghosts]
-    for i, (name, (x, y, phi), d) in enumerate(robots if apart else ()):
+    if all(coincides(ghost, snapshot) for ghost in snapshot.ghosts):
+        return
+    for i, robot in enumerate((snapshot, *snapshot.ghosts)):
+        x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
-        near = "touches" if d < 0.0 else f"{millimetres(d)} to its base"
-        canvas.label(f"/names/{i}", place, f"{METHODS.get(name, name)}: {near}")
+        near = "touches" if robot.clearance < 0 else f"{millimetres(robot.clearance)} to its base"
+        name = METHODS.get(robot.controller, robot.controller)
+        canvas.label(f"/names/{i}", place, f"{name}: {near}")
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:

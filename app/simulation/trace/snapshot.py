@@ -449,6 +449,11 @@ class Snapshot:
         return min(self.pairs, key=lambda pair: pair.d)
 
     @property
+    def clearance(self) -> float:
+        """[m] the least distance of the arm from the base; infinite without a pair of L_m."""
+        return min((pair.d for pair in self.pairs if pair.mobile), default=math.inf)
+
+    @property
     def touches(self) -> bool:
         """Whether the plant reports any contact."""
         door = self.door is not None and self.door.contact
