@@ -775,7 +775,7 @@ def test_a_door_has_a_plot_that_comes_with_it(loop, robot):
     first, *others = snapshot.pairs
     opened = (first, *others, first._replace(name=data.of_door, d=0.42))
     plan = plot_plans(robot, data.pairs, data.of_door)[1]
-    assert [curve.label for curve in plan.curves] == ["door – base", "d_b"]
+    assert [curve.label for curve in plan.curves] == ["door – base", "buffer d_b"]
     assert len(plan.colours) == len(plan.hints) == len(plan.curves)
     assert plan.curves[0].value(replace(snapshot, pairs=opened)) == 0.42
     assert np.isnan(plan.curves[0].value(snapshot))

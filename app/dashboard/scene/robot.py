@@ -35,6 +35,8 @@ CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded 
 GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] of a label at the top, which stands above its place
+_AT_TOP = 0.01  # [m] below the highest place
+_DARKEST = 60  # [-] of the brightest channel of a colour, so that a part can be seen on a dark page
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
@@ -103,8 +105,9 @@ class RobotParts:
         self.extent = self._extent(robot.description)
         """(N, 3) [m] corners of all that a camera has to show, in the base's frame: the links in
         the ready pose, and the borders' place around the base."""
-        self.crown = self.extent[self.extent[:, 2].argmax()] - _BELOW
-        """(3,) [m] a place at the top of the arm in its ready pose, in the base's frame."""
+        top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
+        self.crown = self.extent[top].mean(axis=0) - _BELOW
+        """(3,) [m] the top of the arm in its ready pose, in the base's frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:
@@ -197,7 +200,8 @@ def _colour(material: Element | None, materials: Mapping[str | None, Element], w
     for each in (material, materials.get(material.get("name"), material)):
         if (colour := each.find("color")) is not None:
             r, g, b, _ = (255 * numbers(colour, "rgba", (0.0,) * 4, where)).round().astype(int)
-            return int(r), int(g), int(b)
+            lift = max(_DARKEST - max(r, g, b), 0)
+            return int(r + lift), int(g + lift), int(b + lift)
     return GREY
 
 
