@@ -334,7 +334,7 @@ def side_by_side(films: Sequence[Iterable[Image.Image]]) -> Iterator[Image.Image
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """In plain words: the method, what leads the hand, how near the arm is, what base and hand do."""
+    """In plain words: method, what leads the hand, how near the arm is, how far the base went."""
     method = METHODS.get(shown.controller, shown.controller)
     near = f"arm {millimetres(shown.clearance)} from its own base"
     touches = ("the arm hits its own base", CONTACT)
