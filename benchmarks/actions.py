@@ -51,6 +51,13 @@ _CONTROLS = """() => [...document.querySelectorAll(
   .map(([e, b]) => [(e.innerText || e.ariaLabel || e.value || '').trim().slice(0, 60),
     e.matches('input') && !e.readOnly && e.type !== 'checkbox',
     b.left + b.width * 0.5, b.top + b.height * 0.5])"""
+_PAUSE = """(on) => {
+  const button = document.querySelector("#dbb-row button");
+  const paused = button.innerText === "Continue";
+  if (paused !== on) button.click();
+  return paused;
+}"""
+"""Has the simulation paused, or go on, whatever lies over the button; whether it was paused."""
 _AT = "([n, p]) => dbbTest.place(n, p)"
 
 
@@ -60,7 +67,7 @@ class Actions:
 
     actions: int = 20_000
     """[-] of both viewers together."""
-    robots: tuple[str, ...] = ("frankie_omni", "husky_ur5", "husky_panda")
+    robots: tuple[str, ...] = ("husky_ur5", "frankie", "husky_panda")
     """Changed to, one after the other, at equal numbers of actions."""
     checks: int = 40
     """[-] pauses at which robot and gizmo are compared."""
@@ -239,17 +246,14 @@ class _Run:
         """Pause, and compare hand and gizmo in both pages once they rest."""
         for tab in self._tabs:
             self._calm(tab)
-        pause = self._tabs[0].page.locator("#dbb-row button").first
-        paused = pause.inner_text() == "Continue"
-        if not paused:
-            pause.click()
+        paused = self._tabs[0].page.evaluate(_PAUSE, True)
         offs = [self._settled(tab) for tab in self._tabs]
         self._off = max(self._off, *offs)
         self._memory.append((self._robot, self._server.megabytes))
         text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
         print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)
         if not paused:
-            pause.click()
+            self._tabs[0].page.evaluate(_PAUSE, False)
 
     def _settled(self, tab: DashboardTab) -> float:
         """[m] between drawn hand and gizmo, as soon as they agree, or after 10 s."""
