@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -121,6 +122,8 @@ class _Run:
         self._memory: list[tuple[str, float]] = []
         self._off = 0.0
         self._failed: list[str] = []
+        self._apart: list[str] = []
+        self._last: deque[str] = deque(maxlen=30)
         self._use("husky_panda")
 
     def all(self) -> dict[str, Any]:
@@ -144,6 +147,7 @@ class _Run:
             "page_errors": [error for tab in self._tabs for error in tab.errors],
             "server_exceptions": self._server.exceptions,
             "actions_that_failed": self._failed,
+            "apart_after": self._apart,
             "largest_distance_of_hand_and_gizmo_mm": 1000.0 * self._off,
             "pauses": len(self._memory),
             "megabytes_by_robot": megabytes,
@@ -154,6 +158,7 @@ class _Run:
             (self._click, self._key, self._type, self._drag_scene, self._pull, self._scroll),
             (10, 4, 3, 3, 2, 2),
         )[0]
+        self._last.append(f"{self._tabs.index(tab)} {act.__name__}")
         try:
             act(tab)
         except Exception as error:  # a control that went away meanwhile is no fault of the page
@@ -166,11 +171,14 @@ class _Run:
 
     def _click(self, tab: DashboardTab) -> None:
         if controls := self._controls(tab):
-            _, _, x, y = self._random.choice(controls)
+            name, _, x, y = self._random.choice(controls)
+            self._last[-1] += f" {name}"
             tab.page.mouse.click(x, y)
 
     def _key(self, tab: DashboardTab) -> None:
-        tab.page.keyboard.press(self._random.choice(_KEYS))
+        key = self._random.choice(_KEYS)
+        self._last[-1] += f" {key}"
+        tab.page.keyboard.press(key)
 
     def _type(self, tab: DashboardTab) -> None:
         if boxes := [each for each in self._controls(tab) if each[1]]:
@@ -209,15 +217,8 @@ class _Run:
         tab.page.mouse.wheel(0, self._random.choice((-300, -60, 60, 300)))
 
     def _change(self, robot: str) -> None:
-        """Choose another robot in the first page, and wait until both have it."""
-        tab = self._tabs[0]
-        self._calm(tab)
-        tab.page.evaluate("() => dbbPanels.open('Robot')")
-        list_ = tab.row("Robot").locator("input").first
-        list_.wait_for(timeout=60_000)
-        list_.click()
-        tab.page.get_by_role("option").filter(has_text=robot).first.click()
-        tab.click("Use this robot")
+        """Open a link to another robot in the first page, and wait until both have it."""
+        self._tabs[0].page.goto(f"{self._server.address}/?fixedDpr=0.5&robot={robot}")
         self._use(robot)
         for each in self._tabs:
             each.wait("n => dbbPage.has(n)", self._hand[0], 900.0)
@@ -249,6 +250,8 @@ class _Run:
         paused = self._tabs[0].page.evaluate(_PAUSE, True)
         offs = [self._settled(tab) for tab in self._tabs]
         self._off = max(self._off, *offs)
+        if max(offs) >= AGREES:
+            self._apart.append(f"{count} actions, pages {offs}: {', '.join(self._last)}")
         self._memory.append((self._robot, self._server.megabytes))
         text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
         print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)

@@ -75,7 +75,11 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
 
     tab.open_tab("Plots")
     assert tab.page.locator(".uplot canvas").count() == 3
-    for title in ("distance [m]", "activation of the avoidance β_m", "avoidance acceleration of the base, β ẍ"):
+    for title in (
+        "distance [m]",
+        "activation of the avoidance β_m",
+        "avoidance acceleration of the base, β ẍ",
+    ):
         wait_for(lambda title=title: tab.plot(title).shape[1] > 5, what=title)
     for pair, line in zip(served.loop.latest().pairs, tab.plot("distance [m]")[1:], strict=False):
         np.testing.assert_allclose(line, pair.d, atol=1e-5, err_msg=pair.name)
