@@ -19,7 +19,6 @@ from app.dashboard.markup import (
     chip,
     framed,
     mark,
-    minus,
     reading,
     readings,
     row,
@@ -51,7 +50,7 @@ _SIZE = "font-size:.82em"
 LATE = 0.05
 """[-] share of late steps, and of real time that is missed, from which on the machine is slow."""
 _SCORES = (
-    ("least distance to base [mm]", "clearance", lambda d: millimetres(d)[:-3], max),
+    ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("hand error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
     ("base travel [m]", "base_path", lambda d: f"{d:.2f}", None),
@@ -233,9 +232,15 @@ def _marked(
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
     first = text(best(candidates)) if best and candidates and len(set(texts)) > 1 else None
     return [
-        cell(minus(f"✓ {each}" if each == first and good else each), RIGHT, ONE_LINE)
+        cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
         for each, good in zip(texts, valid, strict=True)
     ]
+
+
+def _distance(d: float) -> str:
+    """A distance [m] in millimetres, on the colour of contact where bodies overlap."""
+    text = millimetres(d)[:-3]
+    return text if d >= 0.0 else state_chip(text, "contact")
 
 
 def compared_html(scores: tuple[Score, ...], course: Course) -> str:
@@ -383,12 +388,11 @@ def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) ->
     colour = css(COLOURS[state])
     share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
     limit = min(d_b, BAR_RANGE) / BAR_RANGE
-    distance = millimetres(pair.d)[:-3]
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
         cell(bar(share, colour, limit), "width:34%"),
-        cell(state_chip(distance, state) if state == "contact" else distance, RIGHT),
+        cell(_distance(pair.d), RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
         f"the stroke is d_b = {millimetres(d_b)}; activation β is 0 at d_b and 1 at d_full",
