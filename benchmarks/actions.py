@@ -281,9 +281,11 @@ def main(args: Actions) -> None:
         server.process.wait(60.0)
     if args.json:
         print(json_module.dumps(result, indent=2))
-        return
-    for key, value in result.items():
-        print(f"{key:40} {value}")
+    else:
+        for key, value in result.items():
+            print(f"{key:40} {value}")
+    if result["page_errors"] or result["server_exceptions"] or result["apart_after"]:
+        sys.exit(1)
 
 
 if __name__ == "__main__":

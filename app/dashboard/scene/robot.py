@@ -36,7 +36,6 @@ GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] of a label at the top, which stands above its place
 _AT_TOP = 0.01  # [m] below the highest place
-_DARKEST = 60  # [-] of the brightest channel of a colour, so that a part can be seen on a dark page
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
@@ -200,8 +199,7 @@ def _colour(material: Element | None, materials: Mapping[str | None, Element], w
     for each in (material, materials.get(material.get("name"), material)):
         if (colour := each.find("color")) is not None:
             r, g, b, _ = (255 * numbers(colour, "rgba", (0.0,) * 4, where)).round().astype(int)
-            lift = max(_DARKEST - max(r, g, b), 0)
-            return int(r + lift), int(g + lift), int(b + lift)
+            return int(r), int(g), int(b)
     return GREY
 
 
