@@ -221,7 +221,7 @@ class _Run:
         self._tabs[0].page.goto(f"{self._server.address}/?fixedDpr=0.5&robot={robot}")
         self._use(robot)
         for each in self._tabs:
-            each.wait("n => dbbPage.has(n)", self._hand[0], 900.0)
+            each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._hand[0], 900.0)
             each.wait_for_scene()
 
     def _use(self, name: str) -> None:
@@ -252,6 +252,7 @@ class _Run:
         self._off = max(self._off, *offs)
         if max(offs) >= AGREES:
             self._apart.append(f"{count} actions, pages {offs}: {', '.join(self._last)}")
+            print(self._apart[-1], file=sys.stderr, flush=True)
         self._memory.append((self._robot, self._server.megabytes))
         text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
         print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)

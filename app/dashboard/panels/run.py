@@ -39,7 +39,7 @@ from app.simulation.trace.words import METHODS, kept, millimetres, outcome
 FREE = "Free: pull the robot yourself"  # choice of no scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 """Entries of the list of scenarios, by their names."""
-_ABOUT = {each.name: each.about for each in SCENARIOS.values()}
+_ABOUT = {each.name: f"{each.about[:1].upper()}{each.about[1:]}." for each in SCENARIOS.values()}
 OFF = "off"  # choice of no further robot
 METHOD_TITLES = {name: f"{name}: {METHODS[name]}" for name in CONTROLLERS}
 """Entries of the lists of controllers, by their names."""
@@ -113,8 +113,11 @@ class RunPanel(Panel):
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
         beside = () if course.running or newest.busy else newest.scores[1:]
-        told = course_html(course, newest.busy) + small(outcomes_html(beside))
-        self._course.content = notice_html(newest) + told
+        self._course.content = (
+            notice_html(newest)
+            + course_html(course, newest.busy)
+            + (small(outcomes_html(beside)) if beside else "")
+        )
         self.follow(self._controller, METHOD_TITLES[newest.controller])
         self._pairs.content = pairs_html(shown, verdict, self._shared.spoken)
 
@@ -274,10 +277,11 @@ def notice_html(newest: Snapshot) -> str:
 def course_html(course: Course, busy: str) -> str:
     """Preparation, progress or result of the scenario; empty at the free start."""
     if busy:
-        return banner("notice", f"{capital(busy)} …", "The simulation waits until it is ready.")
+        title = f"{busy[:1].upper()}{busy[1:]} …"
+        return banner("notice", title, "The simulation waits until it is ready.")
     if not course.name:
         return ""
-    about = f"{capital(_ABOUT[course.name])}." if course.name in _ABOUT else ""
+    about = _ABOUT.get(course.name, "")
     if course.running:
         share = min(course.until / max(course.duration, STEP), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
@@ -285,25 +289,16 @@ def course_html(course: Course, busy: str) -> str:
     title = f"{course.name} {f'stopped at {course.until:.1f} s' if course.stopped else 'ended'}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
-    figures = course_figures(course) | {"base travel": f"{course.path:.2f} m"}
+    figures = {
+        "least distance": millimetres(course.least),
+        "largest pull": f"{course.pull:.0f} N",
+        "peak hand speed": f"{course.speed:.2f} m/s",
+        "base travel": f"{course.path:.2f} m",
+    }
     return framed(
         f"<b>{title}: {result}</b><br>{about}{readings(figures)}",
         css(COLOURS["contact" if met else "clear"]),
     )
-
-
-def course_figures(course: Course) -> dict[str, str]:
-    """Figures of a scenario."""
-    return {
-        "least distance": millimetres(course.least),
-        "largest pull": f"{course.pull:.0f} N",
-        "peak hand speed": f"{course.speed:.2f} m/s",
-    }
-
-
-def capital(text: str) -> str:
-    """The text as a sentence begins."""
-    return text[:1].upper() + text[1:]
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
@@ -370,7 +365,7 @@ def pairs_html(
     head = row(
         cell(),
         cell("link pair"),
-        cell("distance d [mm]", RIGHT, ONE_LINE, span=2),
+        cell("distance [mm]", RIGHT, ONE_LINE, span=2),
         cell("activation β", RIGHT, ONE_LINE),
         style=FAINT,
     )
@@ -391,7 +386,7 @@ def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) ->
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
-        cell(bar(share, colour, limit), "width:34%"),
+        cell(bar(share, colour, limit), "width:26%"),
         cell(_distance(pair.d), RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "

@@ -136,7 +136,8 @@ def _bar_html(legend: Legend) -> str:
     texts, factor = tick_texts(legend.low, legend.high)
     share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
-    unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
+    unit = factor + legend.unit
+    unit = f' <span style="{ONE_LINE}">[{unit}]</span>' if unit else ""
     gradient = f"background:linear-gradient(to right,{viridis_css()})"
     return small(
         f"<b>{legend.title}{unit}</b>"
