@@ -33,6 +33,7 @@ from app.robot.model import RobotModel
 from tests.browser import DashboardTab, wait_for
 
 AGREES = 0.001  # [m] between the drawn hand and the gizmo
+PATIENCE = 60.0  # [s] until they do
 _SIZES = (1280, 720), (820, 1180)  # [px] of the two pages
 _KEYS = (
     *"BFNRLH1234567?",
@@ -146,6 +147,7 @@ class _Run:
             "seconds": round(time.monotonic() - began),
             "page_errors": [error for tab in self._tabs for error in tab.errors],
             "server_exceptions": self._server.exceptions,
+            "server_says": self._server.lines[1:][-20:],
             "actions_that_failed": self._failed,
             "apart_after": self._apart,
             "largest_distance_of_hand_and_gizmo_mm": 1000.0 * self._off,
@@ -247,6 +249,8 @@ class _Run:
         """Pause, and compare hand and gizmo in both pages once they rest."""
         for tab in self._tabs:
             self._calm(tab)
+        for tab in self._tabs:
+            tab.wait_for_scene()
         paused = self._tabs[0].page.evaluate(_PAUSE, True)
         offs = [self._settled(tab) for tab in self._tabs]
         self._off = max(self._off, *offs)
@@ -260,9 +264,13 @@ class _Run:
             self._tabs[0].page.evaluate(_PAUSE, False)
 
     def _settled(self, tab: DashboardTab) -> float:
-        """[m] between drawn hand and gizmo, as soon as they agree, or after 10 s."""
-        deadline = time.monotonic() + 10.0
+        """[m] between drawn hand and gizmo, as soon as they agree, or after a while.
+
+        A page whose connection was closed connects anew by itself, and has no scene until then.
+        """
+        deadline = time.monotonic() + PATIENCE
         node, point = self._hand
+        tab.wait("() => document.querySelector('#dbb-row button')?.innerText === 'Continue'")
         while True:
             drawn = np.array(tab.page.evaluate(_AT, [node, point.tolist()]))
             off = float(np.linalg.norm(drawn - tab.position(GIZMO)))
