@@ -177,8 +177,9 @@ def test_words_for_strangers_say_method_cause_distance_and_way(run: list[Snapsho
     assert texts[2] == "the arm hits its own base"
 
 
-def test_films_side_by_side_are_as_long_as_each_of_them() -> None:
-    wholes = list(side_by_side([grey(3), reversed(list(grey(3)))]))
+def test_pictures_stand_side_by_side_in_their_order() -> None:
+    pairs = zip(grey(3), reversed(list(grey(3))), strict=True)
+    wholes = [side_by_side(pair) for pair in pairs]
     assert [whole.size for whole in wholes] == [(2 * SIZE[0], SIZE[1])] * 3
     assert [(w.getpixel((0, 0))[0], w.getpixel((SIZE[0], 0))[0]) for w in wholes] == [
         (0, 80),

@@ -186,7 +186,7 @@ def _film(
         if how.side_by_side:
             everything = [snapshot for each in found for snapshot in each]
             films = [drawn(each, *everything) for each in (*found[1:], found[0])]
-            pictures = side_by_side(films)
+            pictures = (side_by_side(each) for each in zip(*films, strict=True))
         else:
             films = [pictures := drawn(with_ghosts(found[0], found[1:]))]
         with progress_bar(out.name, len(times)) as on_progress, ExitStack() as stack:

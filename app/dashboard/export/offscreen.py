@@ -323,14 +323,13 @@ def film_pictures(
                 yield captioned(picture, shown, model.body_names, look)
 
 
-def side_by_side(films: Sequence[Iterable[Image.Image]]) -> Iterator[Image.Image]:
-    """The pictures of several films of one size, one beside the other."""
-    for pictures in zip(*films, strict=True):
-        width, height = pictures[0].size
-        whole = Image.new("RGB", (len(pictures) * width, height))
-        for k, picture in enumerate(pictures):
-            whole.paste(picture, (k * width, 0))
-        yield whole
+def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Pictures of one size, one beside the other."""
+    width, height = pictures[0].size
+    whole = Image.new("RGB", (len(pictures) * width, height))
+    for k, picture in enumerate(pictures):
+        whole.paste(picture, (k * width, 0))
+    return whole
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
