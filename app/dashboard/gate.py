@@ -226,7 +226,7 @@ class Gate:
                 return None
             # Relative, for a server that a proxy has below a path.
             status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
-            more = f'<p>Without what is wrong: <a href="{address}">{address}</a></p>'
+            more = f'<p>Without that: <a href="{address}">{escape(rest) or "the page"}</a></p>'
         body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
         kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})

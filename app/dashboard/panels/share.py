@@ -131,18 +131,18 @@ class Link(NamedTuple):
 
 
 def read_link(query: str) -> tuple[str, str]:
-    """Why a link is wrong, or an empty text, and its query without what is."""
-    why, kept = "", []
+    """All that is wrong with a link, or an empty text, and its query without that."""
+    why, kept = [], []
     words = dict(parse_qsl(query, keep_blank_values=True))
     # The time of a scenario comes after its name.
     for word in sorted(words.items(), key=lambda word: word[0] == "at"):
         try:
             Link.read(urlencode([*kept, word]))
         except DbbError as error:
-            why = why or str(error)
+            why.append(str(error))
         else:
             kept.append(word)
-    return why, urlencode(kept, safe=",") if why else query
+    return "; ".join(why), urlencode(kept, safe=",") if why else query
 
 
 def camera_text(eye: Array, target: Array) -> str:
