@@ -42,6 +42,8 @@ from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
 
+pytestmark = pytest.mark.budget
+
 PROJECT = Path(__file__).resolve().parent.parent
 HOSTILE = {
     "deep": "[" * 100_000 + "]" * 100_000,
