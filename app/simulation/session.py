@@ -28,6 +28,7 @@ from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
 _BANDWIDTH = 250.0  # [rad/s] of the loop that makes velocities of noisy positions; about 40 Hz
+_NO_DISTURBANCE = DisturbanceConfig()
 _ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may seem beyond
 LEAD = -1  # number of the person whose pull a scenario gives
 
@@ -195,7 +196,8 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights)
+        weights = self._weights[self.t >= self.config.disturbance.begins]
+        pushes = (*person.pushes, *weights)
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
@@ -223,20 +225,18 @@ class Session:
         self.t += DT
         return step
 
-    def _weights_of(self, config: Config) -> tuple[Push, ...]:
-        """The weights of the payload and of the one that the controller does not know."""
-        known, model = config.payload, self.model
+    def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
+        """The weight of the payload; the same and that of the load that is not known."""
+        payload, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
-        loads = (
-            (known.mass, (known.x, known.y, known.z)),
-            (config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
-        )
-        return tuple(
-            Push(joint, at.act(np.array(centre)), mass * model.pin.gravity.linear)
-            for mass, centre in loads
-            if mass > 0.0
-        )
+
+        def weight(mass: float, *centre: float) -> tuple[Push, ...]:
+            force = mass * model.pin.gravity.linear
+            return (Push(joint, at.act(np.array(centre)), force),) if mass > 0.0 else ()
+
+        known = weight(payload.mass, payload.x, payload.y, payload.z)
+        return known, known + weight(config.disturbance.unknown_load, 0.0, 0.0, 0.0)
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
@@ -313,6 +313,8 @@ class Disturbances:
         """The readings that the controller has: late, repeated, or the last ones for those lost."""
         c, dt = self.config, self._dt
         self._sent.append(sent)
+        if self._steps * dt < c.begins:
+            c = _NO_DISTURBANCE
         due = self._steps % max(round(c.sensor_period / dt), 1) == 0
         lost = c.dropped > 0.0 and self._rng.random() < c.dropped
         self._steps += 1
