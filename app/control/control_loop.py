@@ -86,8 +86,6 @@ class ControlLoop:
         """Algorithm 2."""
         self.reported: set[str] = set()
         """Names of all faults of the readings since `reset`."""
-        self._sent: Reference | None = None  # the last one, and the same as arrays
-        self._checked: Reference | None = None
         self._references = References(dt) if interpolate else None
 
     def joint_order(self, names: Sequence[str]) -> JointOrder:
@@ -130,9 +128,7 @@ class ControlLoop:
         if reference is None:
             self._end_reference()
         else:
-            if reference is not self._sent:
-                self._sent, self._checked = reference, checked_reference(reference)
-            reference = self._reference(self._checked)
+            reference = self._reference(checked_reference(reference))
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
         if np.count_nonzero(step.faults):

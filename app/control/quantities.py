@@ -100,8 +100,8 @@ periods | | | 1 | | readings | memory: the newest row of the ring
 known | | | 1 | | readings | memory: rows of the ring since the last gap
 read_before | | 3 n_m | rad | joints | readings | memory: positions of the last three readings
 read_ages | | 3 | 1 | | readings | memory: periods since them
-evidence | | 27 | 1 | | readings |
-    memory: readings that speak for each lag, for a longer one, and for none
+evidence | | 26 | 1 | | readings |
+    memory: readings that speak for each lag, and for a longer one
 travel | | 2 n_m | rad | joints | readings |
     memory: positions from which the period is measured, and the integral of the velocities
 since | | | 1 | | readings | memory: readings in that integral

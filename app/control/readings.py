@@ -5,8 +5,7 @@ to the newest reading; torques and base have moved the robot since then, and the
 predicted from that, over the reading's age. So a reading that is repeated, dropped or known to be
 late is one and the same case. Three quantities are found in the readings themselves:
 
-- **The lag**, by which the accelerations that torques and base make appear in the positions: the
-  one that leaves the smallest third differences unexplained.
+- **The lag**, by which the accelerations that torques and base make appear in the positions.
 - **The period**: the way of a joint, divided by its velocities' integral over the stated period,
   is 1; three times another ratio in a row, while the readings come at regular intervals, and the
   loop does not run at that period.
@@ -53,8 +52,8 @@ _LEAST_WAY = 0.002  # [rad] over which the period is measured
 _NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
 _AGREED = 2  # intervals that agree with the first one on another ratio
 _MOST_LAG = 24  # periods
-_CLEARLY = 0.6  # [-] of the squared error of the lag in use, by which a better one is below it
-_CONVINCING = 15.0  # readings that speak for another lag; more than the periods of the longest one
+_CLEARLY = 10.0  # [-] squared errors of other predictions, in that of a lag that is right
+_CONVINCING = 10.0  # readings that must speak for another lag
 _LEAST_LOAD = 0.3  # [kg] that is reported
 _LOAD_BEGINS = 0.03  # [s] in which a load is there
 _LOAD_TIME = 0.15  # [s] from its begin, until which its mass must stay the same
@@ -216,9 +215,9 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     """Measure by how many periods the readings are late, in `w.lag`.
 
     Each lag predicts how far the newest reading lies from the parabola through the three before
-    it. A lag that predicts it better than the one in use gains evidence, another one loses it (the
-    sums of a CUSUM test). A reading counts for one at most, so that no single event decides; and
-    the lag must be better than no prediction at all.
+    it. A lag gains evidence where it predicts that far better than the one in use, and than no
+    prediction at all; else it loses some (the sums of a CUSUM test). A reading counts for one at
+    most, so that no single event decides.
     """
     ages = w.read_ages
     for k in range(3):
@@ -229,7 +228,7 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
             measured[i] -= weights[k] * w.read_before[k, i]
         size += measured[i] ** 2
     count = int(ages[2]) + len(w.evidence)
-    if count <= min(int(w.known[()]), HISTORY) and size > _LEAST_CURVE:
+    if size > _LEAST_CURVE and count <= min(int(w.known[()]), HISTORY):
         _weigh_lags(w, weights, measured, _explained(w, gains.dt, count), size)
     for k in (2, 1):
         put(w.read_before[k], w.read_before[k - 1])
@@ -249,22 +248,20 @@ def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: floa
         ways: (k, n_m) [rad] of `_explained`.
         size: [rad²] squared length of `measured`: the error without any prediction.
     """
-    none = len(w.evidence) - 1
-    errors = np.zeros(none + 1)
-    errors[none] = size
-    for lag in range(none):
+    errors = np.zeros(len(w.evidence))
+    for lag in range(len(errors)):
         for i in range(len(measured)):
             error = measured[i] - ways[lag, i]
             for k in range(3):
                 error += weights[k] * ways[lag + int(w.read_ages[k]), i]
             errors[lag] += error**2
-    used = errors[int(w.lag[()])]
-    for k in range(none + 1):
-        gained = _CLEARLY * used - (2.0 - _CLEARLY) * errors[k]
-        gained /= used + errors[k] + _LEAST_CURVE
-        w.evidence[k] = max(w.evidence[k] + gained, 0.0)
+    others = min(errors[int(w.lag[()])], size)
+    for lag in range(len(errors)):
+        error = _CLEARLY * errors[lag]
+        gained = (others - error) / (others + error + _LEAST_CURVE)
+        w.evidence[lag] = max(w.evidence[lag] + gained, 0.0)
     best = int(np.argmax(w.evidence))
-    if best <= _MOST_LAG and w.evidence[best] > _CONVINCING + w.evidence[none]:
+    if best <= _MOST_LAG and w.evidence[best] > _CONVINCING:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)
