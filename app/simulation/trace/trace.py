@@ -267,7 +267,8 @@ class Recorder:
             seed=session.seed,
         )
         self._layout = Layout.of(meta, self._names)
-        self._rows = [QUANTITIES[name].row_of(meta) for name in self._names]
+        rows = (QUANTITIES[name].row for name in self._names)
+        self._rows = [row for row in rows if row is not None]
 
     def _draw(self, session: Session, step: Step) -> None:
         k = round(step.t / DT)
