@@ -266,6 +266,8 @@ class DisturbanceConfig(Strict):
     """[kg] load at the end-effector that the controller does not know; its weight alone."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller takes for true; 0.001 is."""
+    begins: float = Field(default=0.0, ge=0.0, le=60.0)
+    """[s] when the readings become poor and the unknown load is there."""
 
 
 class Config(Strict):

@@ -51,14 +51,15 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
             break
     else:
         return measurement
-    n_d = model.n_d if np.size(measurement.drive) else 0
-    sizes, found = (3, model.n_b, model.n_m, model.n_m, n_d), dict[str, Array]()
-    for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
+    found = dict[str, Array]()
+    fields = zip(Measurement._fields, measurement, model.reading_shapes, strict=True)
+    for name, each, shapes in fields:
         try:
             array = np.asarray(each, dtype=float)
         except (TypeError, ValueError):
             array = np.empty(0)
-        if array.shape != (size,):
+        if array.shape not in shapes:
+            size = shapes[0][0]
             raise MeasurementError(f"measurement.{name} must be {size} numbers, was {each!r}")
         found[name] = array
     return measurement._replace(**found)

@@ -195,7 +195,8 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights)
+        weights = self._weights[self.t >= self.config.disturbance.begins]
+        pushes = (*person.pushes, *weights)
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
@@ -223,20 +224,18 @@ class Session:
         self.t += DT
         return step
 
-    def _weights_of(self, config: Config) -> tuple[Push, ...]:
-        """The weights of the payload and of the one that the controller does not know."""
-        known, model = config.payload, self.model
+    def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
+        """The weight of the payload; the same and that of the load that is not known."""
+        payload, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
-        loads = (
-            (known.mass, (known.x, known.y, known.z)),
-            (config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
-        )
-        return tuple(
-            Push(joint, at.act(np.array(centre)), mass * model.pin.gravity.linear)
-            for mass, centre in loads
-            if mass > 0.0
-        )
+
+        def weight(mass: float, *centre: float) -> tuple[Push, ...]:
+            force = mass * model.pin.gravity.linear
+            return (Push(joint, at.act(np.array(centre)), force),) if mass > 0.0 else ()
+
+        known = weight(payload.mass, payload.x, payload.y, payload.z)
+        return known, known + weight(config.disturbance.unknown_load, 0.0, 0.0, 0.0)
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
@@ -293,6 +292,7 @@ class Disturbances:
         self._command_late = round(config.base_delay / self._dt)  # [-] steps
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)
+        self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
         """Begin the noise anew and forget all commands."""
@@ -322,11 +322,14 @@ class Disturbances:
     def _arrived(self, sent: Measurement) -> Measurement:
         """The readings that the controller has: late, repeated, or the last ones for those lost."""
         self._sent.append(sent)
-        due = self._steps % self._sensor_every == 0
-        lost = self._dropped > 0.0 and self._rng.random() < self._dropped
+        if self._steps < self._begins:
+            due, lost, late = True, False, 0
+        else:
+            due, late = self._steps % self._sensor_every == 0, self._sensor_late
+            lost = self._dropped > 0.0 and self._rng.random() < self._dropped
         self._steps += 1
         if self._seen is None or (due and not lost):
-            self._seen = self._sent[max(-1 - self._sensor_late, -len(self._sent))]
+            self._seen = self._sent[max(-1 - late, -len(self._sent))]
         return self._seen
 
     def arriving(self, command: Array) -> Array:

@@ -65,6 +65,8 @@ class TraceMeta(Strict):
     """Where and why a tracked hand stopped short at the end (`Stuck`), if it did."""
     left_way: dict[str, Any] | None = None
     """The same where it was farthest from its target, if that was more than 1 mm."""
+    faults: dict[str, float] = Field(default_factory=dict)
+    """[s] when the controller first reported each fault of the readings, by its name."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
