@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
@@ -86,7 +87,14 @@ class Tree:
 
     def children(self, link: str) -> list[Joint]:
         """The joints below a link."""
-        return [joint for joint in self.joints.values() if joint.parent == link]
+        return self._children.get(link, [])
+
+    @cached_property
+    def _children(self) -> dict[str, list[Joint]]:
+        found: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            found.setdefault(joint.parent, []).append(joint)
+        return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
         """The joints from one link out to another.
@@ -155,8 +163,9 @@ def make_tree(robot: Element) -> Tree:
                 "chain at one of them"
             )
         joint_of[joint.child] = joint
-    _hang_together(links, joint_of)
-    return Tree(robot, links, joints, joint_of)
+    tree = Tree(robot, links, joints, joint_of)
+    _hang_together(tree)
+    return tree
 
 
 def _once(robot: Element, tag: str) -> None:
@@ -167,21 +176,18 @@ def _once(robot: Element, tag: str) -> None:
             raise RobotFileError(f"the {tag} {name!r} stands {count} times; names must be unique")
 
 
-def _hang_together(links: dict[str, Element], joint_of: dict[str, Joint]) -> None:
-    if len(roots := [name for name in links if name not in joint_of]) > 1:
+def _hang_together(tree: Tree) -> None:
+    roots = [name for name in tree.links if name not in tree.joint_of]
+    if len(roots) > 1:
         raise RobotFileError(
             f"the links do not hang together: {_some(roots)} hang on no joint; "
             "a robot has one such link"
         )
-    checked: set[str] = set()  # no link is passed twice, however long the chain is
-    for name in links:
-        seen, link = set(), name
-        while link in joint_of and link not in checked:
-            if link in seen:
-                raise RobotFileError(f"closed chain: the link {link!r} hangs on itself")
-            seen.add(link)
-            link = joint_of[link].parent
-        checked |= seen
+    if lost := tree.links.keys() - {link for root in roots for link in tree.below(root)}:
+        link = min(lost)
+        for _ in lost:  # up into the chain, if it hangs below it
+            link = tree.joint_of[link].parent
+        raise RobotFileError(f"closed chain: the link {link!r} hangs on itself")
 
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
