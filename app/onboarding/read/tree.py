@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
+from app.robot.urdf import numbers, origin, unit_of
 
 Array = np.ndarray
 
@@ -23,10 +24,8 @@ FREE = ("planar", "floating")
 ARM_ON_BASE = "arm_on_base"
 """The joint by which an arm of a file of its own is fixed to the base."""
 _MOST_NAMES = 40  # [-] that a message lists
-_FARTHEST = 10.0  # [m] of an origin: of a joint, a shape or a centre of mass
 _LONGEST = 6.0  # [m] of an arm, joint by joint
 _PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
-_MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
 
 
 class Joint(NamedTuple):
@@ -244,49 +243,6 @@ def _mimic(element: Element, name: str) -> tuple[str, float, float] | None:
         for key, default in (("multiplier", 1.0), ("offset", 0.0))
     )
     return str(found.get("joint")), multiplier, offset
-
-
-def unit_of(length: float) -> str:
-    """The unit in which a length that is too large in metres may have been written."""
-    return "millimetres" if length >= 60.0 else "inches or centimetres"
-
-
-def origin(element: Element, where: str) -> pin.SE3:
-    """The `<origin>` of an element; the identity where there is none.
-
-    Raises:
-        RobotFileError: It is not six numbers, or they are in degrees or another unit of length.
-    """
-    at = element.find("origin")
-    rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
-    if np.abs(rpy).max() > _MOST_TURN:
-        words = " ".join(f"{angle:g}" for angle in rpy)
-        raise RobotFileError(
-            f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
-            "degrees are 1.5708"
-        )
-    xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
-    if (far := float(np.abs(xyz).max())) > _FARTHEST:
-        raise RobotFileError(
-            f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
-            f"like {unit_of(far)}"
-        )
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
-
-
-def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute, as many as the default has.
-
-    Raises:
-        RobotFileError: They are fewer, more or no numbers.
-    """
-    words = None if element is None else element.get(key)
-    if words is None:
-        return np.array(default)
-    values = floats(words, len(default))
-    if values is None:
-        raise RobotFileError(f"{where}: {key}={words!r} should be {len(default)} numbers")
-    return np.array(values)
 
 
 class Arm(NamedTuple):
