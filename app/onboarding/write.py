@@ -24,11 +24,11 @@ from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
-from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import FREE, MOVING, Joint, Tree
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
+from app.robot.urdf import mesh_path
 from app.system import temporary_folder, whole_folder, write_whole
 
 if TYPE_CHECKING:
