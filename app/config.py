@@ -99,7 +99,7 @@ class BarrierConfig(Strict):
 class EeHoldConfig(Strict):
     """Less base motion where the arm cannot compensate it at the end-effector."""
 
-    speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
+    min_speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
     )
     """[m/s] end-effector speed at maximum joint speeds below which the arm cannot compensate."""
