@@ -40,14 +40,14 @@ PATTERNS = {
         r"\b(as far as|otherwise than|none that|if need be|at (its|the) begin)\b": (
             "an everyday phrase: name the condition or the range"
         ),
-        r"\bas (it|they) (is|are|was|were|comes?|stands?)\b": (
+        r"(?<!soon )(?<!long )\bas (it|they) (is|are|was|were|comes?|stands?)\b": (
             "a comparison that names no state: name the state"
         ),
         r"\b(he|him|himself|his)\b": "a person is 'they'",
     }.items()
 }
 
-_END = re.compile(r"(?<=[a-z0-9)`”\"'])[.!?](?=\s+[A-Z`\[(*“]|\s*$)|\n\s*\n")
+_END = re.compile(r"(?<=[a-z0-9)`”\"'])[.!?](?=\s+[A-Z`\[(*“]|\s*$)|\n\s*\n|\s\|\s")
 _ITEM = re.compile(r"^\s*([-*]|\d+\.|#+|>|\|)\s")
 _CODE = re.compile(r"`[^`]*`|(?<=\])\([^)]*\)")
 _WORD = re.compile(r"\b[A-Za-z]{3,}\b")
