@@ -1,4 +1,4 @@
-"""Validated, frozen records shared by descriptions and configuration."""
+"""Validated, frozen records for descriptions and configurations."""
 
 import codecs
 import re
@@ -33,15 +33,15 @@ NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
 Array = np.ndarray
 
-MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
+MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MOST_PARTS = 500  # [-] dots and brackets of a line of TOML that is read in this process
-LARGEST_TEXT = 10_000_000  # [bytes] of a file of TOML, JSON or XML
-_MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
+_MOST_PARTS = 500  # [-] most dots and brackets of a TOML line that this process reads
+LARGEST_TEXT = 10_000_000  # [bytes] largest TOML, JSON or XML file
+_MOST_PROBLEMS = 8  # [-] most reported problems of a file
 
 
 class Strict(BaseModel):
-    """A frozen record that refuses fields it does not know; field docstrings are its help."""
+    """A frozen record that refuses unknown fields; the docstrings of fields are their help."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=False
@@ -49,10 +49,10 @@ class Strict(BaseModel):
 
 
 class Sourced(Strict):
-    """A record in which every number that is stated must have a line in `source`."""
+    """A record in which every stated number needs a line in `source`."""
 
     source: dict[str, str] = Field(default_factory=dict)
-    """Where each number comes from: one entry per numeric field, by the field's name."""
+    """The source of each number: one entry per numeric field, by the field's name."""
 
     @model_validator(mode="after")
     def _every_number_has_a_source(self) -> Self:
@@ -81,9 +81,9 @@ def explain(
     model: type[BaseModel],
     wanted: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
 ) -> str:
-    """A validation error, one `field: what would be right` a problem, on one line.
+    """A validation error on one line, with one `field: valid value` per problem.
 
-    `wanted` gives what would be right, from a problem's place and kind; None for pydantic's own
+    `wanted` gives the valid values from a problem's place and kind, or None for pydantic's own
     words.
     """
     problems = error.errors()
@@ -134,7 +134,7 @@ def _cut(text: str) -> str:
 
 
 def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """The records that may stand at a place."""
+    """The records that are possible at a place."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc:
         annotations = [
@@ -172,11 +172,11 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
 
 
 def content_of(path: Path) -> bytes:
-    """The bytes of a text file, by whoever wrote it.
+    """The bytes of an untrusted text file.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is larger than any that this program reads.
+        OSError: The file cannot be read.
+        ValueError: The file exceeds the largest size that this program reads.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
@@ -186,22 +186,22 @@ def content_of(path: Path) -> bytes:
 
 
 def file_text(path: Path) -> str:
-    """`text_of` a file; raises what it and `content_of` raise."""
+    """`text_of` a file; raises the errors of `text_of` and `content_of`."""
     return text_of(content_of(path))
 
 
 def parsed(loads: Callable[[str], Any], text: str) -> Any:
-    """What a text holds, by a reader of TOML or JSON, whoever wrote it.
+    """The content of an untrusted text, by a reader of TOML or JSON.
 
     Raises:
-        ValueError: It is none, or takes more than its budget to read, or nests too deeply, or an
-            integer in it has thousands of digits.
+        ValueError: The text is invalid, exceeds the reading budget, nests too deeply, or has an
+            integer with thousands of digits.
     """
     return _read(loads, text, len(text))
 
 
 def from_toml(text: str) -> dict[str, Any]:
-    """The tables of a text of TOML; raises what `parsed` does."""
+    """The tables of a TOML text; raises the errors of `parsed`."""
     # The work for a key, or for nested brackets, grows with the square of its parts.
     heavy = max(map(_parts, text.splitlines()), default=0) > _MOST_PARTS
     return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
@@ -212,7 +212,7 @@ def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
-    """The content of a text; an error names the slip that explains it, within the same budget."""
+    """The content of a text; an error names the probable slip, within the same budget."""
     try:
         return loads(text)
     except RecursionError:
@@ -222,12 +222,12 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def text_of(content: bytes) -> str:
-    """The text of a user's file: as UTF-8, or as UTF-16 where editors of Windows have written it.
+    """The text of a user's file: UTF-8, or UTF-16 from editors of Windows.
 
-    Without a byte order mark, and with line feeds alone at the ends of lines.
+    It has no byte order mark, and line feeds alone as line ends.
 
     Raises:
-        ValueError: It is of another encoding; names the line.
+        ValueError: The file has another encoding; names the line.
     """
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
@@ -244,11 +244,11 @@ _SLIPS = {
     r"[\u00a0\u2007\u202f]": "is a space of a special kind; write a plain one",
     r"[−–—]": "is no minus sign of a keyboard; write -",
 }
-"""What word processors and spreadsheets make of such files, in patterns of linear time."""
+"""Typical slips of word processors and spreadsheets, as patterns of linear time."""
 
 
 def _slip(text: str) -> str:
-    """Which of `_SLIPS` a text that cannot be read has, and where."""
+    """The slip of `_SLIPS` in an invalid text, and its line."""
     for number, line in enumerate(text.splitlines(), 1):
         for pattern, why in _SLIPS.items():
             if found := re.search(pattern, line.partition("#")[0] or line):
@@ -261,7 +261,7 @@ def _parts(line: str) -> int:
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number outside of [low, high], not-a-number included.
+    """Refuse a number outside of [low, high], or not-a-number.
 
     Raises:
         ConfigError: Names the option and its range.

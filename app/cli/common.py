@@ -69,8 +69,7 @@ def as_json(result: object) -> str:
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table of plain texts on standard output; its width does not depend on the
-    terminal."""
+    """Print a table of plain texts on standard output, independent of the terminal's width."""
     from rich.console import Console
     from rich.markup import escape  # otherwise a unit such as [m] is read as a style
     from rich.table import Table

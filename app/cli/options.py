@@ -26,8 +26,8 @@ Json = Annotated[
 ConfigOption = Annotated[
     Path | None,
     tyro.conf.arg(
-        help="TOML file of parameters, as written by `dbb config` or the dashboard; parameters that "
-        "are not in it have the robot's defaults, and other options override it.",
+        help="TOML file of parameters, as written by `dbb config` or the dashboard; parameters "
+        "that are not in it have the robot's defaults, and other options override it.",
         help_behavior_hint="",
     ),
 ]
