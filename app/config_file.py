@@ -36,7 +36,7 @@ def save_config(config: Config, name: str = "") -> str:
     """The text of a file with every parameter, its unit, range and meaning, and marked changes.
 
     Raises:
-            ConfigError: The name is too long or has unprintable characters.
+        ConfigError: The name is too long or has unprintable characters.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
@@ -57,8 +57,8 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
     """The parameters of a file's bytes; missing ones come from `usual`, or are the defaults.
 
     Raises:
-            ConfigError: The file is too large or not TOML, or has an unknown parameter or a value
-                out of its range.
+        ConfigError: The file is too large or not TOML, or has an unknown parameter or a value
+            out of its range.
     """
     if len(content) > MOST_BYTES:
         raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
@@ -82,7 +82,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
     """The parameters of a file; missing ones come from `usual`, or are the defaults.
 
     Raises:
-            ConfigError: As for `decode_config`, or the file cannot be read; names the file.
+        ConfigError: As for `decode_config`, or the file cannot be read; names the file.
     """
     try:
         with path.open("rb") as file:
@@ -99,7 +99,7 @@ def checked_name(name: str) -> str:
     """A file's own name without leading and trailing blanks.
 
     Raises:
-            ConfigError: The name is too long or has unprintable characters.
+        ConfigError: The name is too long or has unprintable characters.
     """
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
@@ -113,7 +113,7 @@ def checked_host(name: str) -> str:
     """The name of a host, in the form that browsers send.
 
     Raises:
-            ConfigError: The text is not a host name, or is an address with more than a name.
+        ConfigError: The text is not a host name, or is an address with more than a name.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()

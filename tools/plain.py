@@ -47,7 +47,10 @@ PATTERNS = {
     }.items()
 }
 
-_END = re.compile(r"(?<=[a-z0-9)`”\"'])[.!?](?=\s+[A-Z`\[(*“]|\s*$)|\n\s*\n|\s\|\s")
+_END = re.compile(
+    r"(?<=[a-z0-9)`”\"'])[.!?](?=\s+[A-Z`\[(*“]|\s*$)"  # the end of a sentence
+    r"|\n\s*\n|\s\|\s|\n(?=\s+\*{0,2}\w+: )"  # a paragraph, a cell, an argument
+)
 _ITEM = re.compile(r"^\s*([-*]|\d+\.|#+|>|\|)\s")
 _CODE = re.compile(r"`[^`]*`|(?<=\])\([^)]*\)")
 _WORD = re.compile(r"\b[A-Za-z]{3,}\b")

@@ -32,11 +32,11 @@ def reproduce(
     """Run the paper's experiments, draw its figures, check its claims.
 
     Args:
-            figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity for §4.3, or
-                departures;
-                default: all.
-            out: Folder for one PNG and CSVs per figure, `metrics.json` and `index.html`.
-            seed: Seed of all random numbers of the runs.
+        figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity for §4.3, or
+            departures;
+            default: all.
+        out: Folder for one PNG and CSVs per figure, `metrics.json` and `index.html`.
+        seed: Seed of all random numbers of the runs.
     """
     # Imported here: matplotlib and scipy would delay the start of every other command.
     from app.studies.paper import report
@@ -154,11 +154,11 @@ def study(
     continues the study, and a larger number of cases extends it.
 
     Args:
-            cases: Number of cases.
-            scheduler: Address of a running dask scheduler, whose workers have this project
-                installed;
-                default: processes on this machine.
-            out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
+        cases: Number of cases.
+        scheduler: Address of a running dask scheduler, whose workers have this project
+            installed;
+            default: processes on this machine.
+        out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MOST_CASES)
     chosen = asdict(options.Setup(**setup))

@@ -153,8 +153,8 @@ def reach(
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-            body: lEE, l3 or another body that at least three joints move; `all` for each of those.
-            seed: Seed of the joint positions; another seed gives another map.
+        body: lEE, l3 or another body that at least three joints move; `all` for each of those.
+        seed: Seed of the joint positions; another seed gives another map.
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
     """
     from app.border.reach import (
@@ -230,8 +230,8 @@ def config(
     Each has its unit, range and meaning.
 
     Args:
-            out: File to write instead of printing; an existing file is not overwritten.
-            robot: Robot whose defaults apply without a file; `dbb robots` lists them.
+        out: File to write instead of printing; an existing file is not overwritten.
+        robot: Robot whose defaults apply without a file; `dbb robots` lists them.
     """
     tuned = options.configured(robot, config)
     if out is not None:
@@ -263,8 +263,8 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-            no_border: Leave out the sampling of a new border, which takes half a minute.
-            seed: Seed of the plant and of the synthetic borders.
+        no_border: Leave out the sampling of a new border, which takes half a minute.
+        seed: Seed of the plant and of the synthetic borders.
     """
     options.check_seed(seed)
     try:

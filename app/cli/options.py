@@ -108,8 +108,8 @@ def configured(
     """The robot's defaults, overridden by the file of `--config`, then by the options.
 
     Raises:
-            ConfigError: The file cannot be read, has an unknown parameter, or a value out of range.
-            DbbError: The robot does not exist, or its description is invalid.
+        ConfigError: The file cannot be read, has an unknown parameter, or a value out of range.
+        DbbError: The robot does not exist, or its description is invalid.
     """
     asked = partial(_configured, file, given or {}, paths)
     asked(Config())
@@ -143,8 +143,8 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
     """A configuration with the parameters of the options that were set.
 
     Raises:
-            ConfigError: A value is out of range; names the option and the range.
-            UnknownNameError: A word is not one of the choices.
+        ConfigError: A value is out of range; names the option and the range.
+        UnknownNameError: A word is not one of the choices.
     """
     for name, value in given.items():
         about = tunable(paths[name])

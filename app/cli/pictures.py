@@ -192,7 +192,7 @@ def replay(
     The file needs no network.
 
     Args:
-            log: File of `dbb run --log` or `--out`, or the JSON file of a case.
+        log: File of `dbb run --log` or `--out`, or the JSON file of a case.
         out: The HTML file.
     """
     # Imported here: viser and pyarrow would delay the start of every other command.

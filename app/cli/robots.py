@@ -84,8 +84,8 @@ def check_robot(
 
     Args:
         name: Name of the robot; `dbb robots` lists them.
-            runs: Guide the end-effector towards the base too, which takes longest.
-            quick: Use the coarse border of `dbb new-robot --quick`.
+        runs: Guide the end-effector towards the base too, which takes longest.
+        quick: Use the coarse border of `dbb new-robot --quick`.
     """
     from app.border.config import QUICK
     from app.robot.description import load_robot
@@ -122,8 +122,8 @@ def new_robot(
     Writes either all files or none.
 
     Args:
-            quick: Sample a coarse border in seconds. The first `serve` refines it in the
-                background; every other command first samples the full border, which takes minutes.
+        quick: Sample a coarse border in seconds. The first `serve` refines it in the
+            background; every other command first samples the full border, which takes minutes.
     """
     asked = Request(**request)
     check_request(asked)

@@ -31,7 +31,7 @@ def wanted(word: str, setup: Given, config: Path | None) -> Planned:
     """The run of a scenario by its name, or of a case by its file.
 
     Raises:
-            DbbError: The scenario or case does not exist, or the case already sets an option.
+        DbbError: The scenario or case does not exist, or the case already sets an option.
     """
     # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot

@@ -51,8 +51,8 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     `read` is a function of a module; it, its arguments and its result must be picklable.
 
     Raises:
-            BudgetError: Reading exceeds the budget.
-            Exception: Any exception of `read`.
+        BudgetError: Reading exceeds the budget.
+        Exception: Any exception of `read`.
     """
     if size <= SMALL or _limited.is_set():
         return read(*args)

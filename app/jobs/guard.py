@@ -21,8 +21,8 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     """Run a guard of this process, or of its group, during the `with`.
 
     Yields:
-            The number of a file with the bytes that the guard copies; `heard` if no process can
-            start.
+        The number of a file with the bytes that the guard copies; `heard` if no process can
+        start.
     """
     passed = os.dup(heard)  # its own standard input takes the number 0
     lives, alive = os.pipe()

@@ -83,7 +83,7 @@ class Workers(AbstractContextManager["Workers"]):
         the end of a job counts.
 
         Raises:
-                LoopError: Each attempt at a job has ended its process, and there is no `lost`.
+            LoopError: Each attempt at a job has ended its process, and there is no `lost`.
         """
         shares = _Shares(len(jobs), on_progress)
         tasks = [_Task(function, job, tells, lost) for job in jobs]

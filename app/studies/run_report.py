@@ -99,7 +99,7 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
     """Parameters that differ from the defaults in any of the configurations.
 
     Returns:
-            Path as in `border.d_b`, default, and its values in order, joined if there are several.
+        Path as in `border.d_b`, default, and its values in order, joined if there are several.
     """
     changes = []
     for path, about in tunables().items():

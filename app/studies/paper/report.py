@@ -71,7 +71,7 @@ def reproduce(
         The content of `metrics.json`.
 
     Raises:
-            DbbError: A run is not possible.
+        DbbError: A run is not possible.
     """
     begin = perf_counter()
     experiments, sources = experiments_for(names), load_sources()

@@ -93,7 +93,7 @@ def load_sources(robot: str) -> StudySources:
 
     Raises:
         UnknownNameError: No such robot.
-            AssetError: The robot's URDF or a mesh is missing.
+        AssetError: The robot's URDF or a mesh is missing.
     """
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
@@ -189,7 +189,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     outside their buffers, another one is drawn from the same stream.
 
     Raises:
-            StudyError: The arm reaches no start at these heights.
+        StudyError: The arm reaches no start at these heights.
     """
     rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
     ranges = parameters.ranges

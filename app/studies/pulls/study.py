@@ -62,9 +62,9 @@ def study(
         The content of `study.json`.
 
     Raises:
-            StudyError: The folder has another study, the scheduler does not answer, or the ranges
-                have no part inside of the stated envelope.
-            DbbError: The robot cannot be loaded, or no case is possible.
+        StudyError: The folder has another study, the scheduler does not answer, or the ranges
+            have no part inside of the stated envelope.
+        DbbError: The robot cannot be loaded, or no case is possible.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
@@ -175,8 +175,8 @@ class Journal(AbstractContextManager["Journal"]):
         The identity is the JSON form of everything that determines the cases.
 
         Raises:
-                StudyError: The folder has another study, another process works on it, or a row
-                    cannot be read.
+            StudyError: The folder has another study, another process works on it, or a row
+                cannot be read.
         """
         self.rows: dict[int, Row] = {}
         """Rows by the number of the case."""
