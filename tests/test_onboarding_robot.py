@@ -278,7 +278,7 @@ def test_while_places_are_looked_for_progress_is_told_all_the_way(
     finished: tuple[NewRobot, BorderData], told: dict[str, list[float]]
 ) -> None:
     """Each side takes seconds: by whole sides it would stand still at 0, 50 and 100 %."""
-    shares = told["looking for places to guide the hand"]
+    shares = told["searching lines for guiding"]
     assert shares == sorted(shares)
     assert shares[0] < 0.01
     assert shares[-1] == 1.0

@@ -29,7 +29,7 @@ PATTERNS = {
         r"\bat (most|least)(?=[,.;:)]|$| (of|and|or|by|per|for)\b)": (
             "a bound as an adverb: say 'upper bound', 'lower bound', or 'at most 3'"
         ),
-        r"\bby (less|how much)\b": "a quantity as an adverb: name the quantity",
+        r"\bby (less(?! than)|how much)\b": "a quantity as an adverb: name the quantity",
         r", (above|at|below|by|for|from|in|of|on|to|with) (which|whose|whom)\b": (
             "a relative clause that starts with a preposition: start a new sentence"
         ),

@@ -37,9 +37,7 @@ class Planned(NamedTuple):
 
 
 class RunCase(Strict):
-    """A run that `dbb run`, `screenshot`, `film`, `report`, `replay`, `serve` or the page
-    repeats.
-    """
+    """The run of a case file, which `dbb run`, `film`, `serve` and other commands repeat."""
 
     dbb_case: Literal[1] = 1
     """Version of the file format."""
