@@ -49,7 +49,7 @@ PATTERNS = {
 
 _END = re.compile(
     r"(?<=[a-z0-9)`”\"'])[.!?](?=\s+[A-Z`\[(*“]|\s*$)"  # the end of a sentence
-    r"|\n\s*\n|\s\|\s|\n(?=\s+\*{0,2}\w+: )"  # a paragraph, a cell, an argument
+    r"|\n\s*\n|\s\|\s|\n(?=\s+(\*{0,2}\w+: |\S+ {2,}))"  # a paragraph, a cell, an argument
 )
 _ITEM = re.compile(r"^\s*([-*]|\d+\.|#+|>|\|)\s")
 _CODE = re.compile(r"`[^`]*`|(?<=\])\([^)]*\)")
@@ -95,7 +95,7 @@ def texts_of_python(source: str) -> Iterator[Text]:
             exact = node.end_lineno == node.lineno + text.count("\n")
         else:
             continue
-        if id(node) not in inner and len(text.split()) >= MESSAGE:
+        if id(node) not in inner and len(text.split()) >= MESSAGE and text.lstrip()[:1] != "<":
             yield Text(node.lineno, text, exact)
 
 
