@@ -1,9 +1,10 @@
-"""Every delivered robot on the same few hand paths: `python -m benchmarks.robots [--json]`.
+"""Every delivered robot on the same few paths of the end-effector: `python -m benchmarks.robots
+[--json]`.
 
-Each is pulled by its hand from the side and from the front, and tracks a path of 0.2 m at its side
-and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are searched,
-0.02 m outside of the buffer, of paths that lead into its inner half without avoidance; a robot
-that has none has a row that says so.
+Each is pulled by its end-effector from the side and from the front, and tracks a path of 0.2 m at
+its side and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are
+searched, 0.02 m outside of the buffer, of paths that lead into its inner half without avoidance; a
+robot that has none has a row that says so.
 """
 
 from __future__ import annotations
@@ -52,13 +53,13 @@ class Case(NamedTuple):
     """One row of the comparison, without numbers of any robot's own.
 
     Attributes:
-        name: As it is told.
+        name: The displayed name.
         mode: Whether the arm tracks the path, its orientation held, or a person pulls it there.
-        directions: [deg] from which the hand may come, counter-clockwise from the front, best
-            first.
+        directions: [deg] from which the end-effector may come, counter-clockwise from the front,
+            best first.
         on_axis: Whether p_b begins on the wheel axis, x = 0, and moves along it.
         length: [m] of the path, which begins 0.02 m outside of the buffer.
-        speed: [m/s] mean speed of the hand.
+        speed: [m/s] mean speed of the end-effector.
     """
 
     name: str
@@ -94,7 +95,8 @@ def robot_table(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Row:
-    """Lead each robot's hand towards its base from the side, the front and along the wheel axis.
+    """Move each robot's end-effector towards its base from the side, the front and along the wheel
+    axis.
 
     The start of each path is searched: the first height and direction from which the arm can begin
     clear of its buffers and, without avoidance, comes into their inner half. A robot that has none,

@@ -24,7 +24,7 @@ MESSAGE = 4  # [-] words of the shortest string that counts as a message
 PATTERNS = {
     re.compile(pattern, re.IGNORECASE): reason
     for pattern, reason in {
-        r"\bwhat\b(?![- ]if\b)": "a clause with 'what' as subject or object: use a noun",
+        r"\bwhat\b(?![- ]if\b|:)": "a clause with 'what' as subject or object: use a noun",
         r"\b(who|what|which)ever\b": "a clause with 'whoever' or 'whatever': use a noun",
         r"\bat (most|least)(?=[,.;:)]|$| (of|and|or|by|per|for)\b)": (
             "a bound as an adverb: say 'upper bound', 'lower bound', or 'at most 3'"
@@ -53,6 +53,7 @@ _END = re.compile(
 )
 _ITEM = re.compile(r"^\s*([-*]|\d+\.|#+|>|\|)\s")
 _CODE = re.compile(r"`[^`]*`|(?<=\])\([^)]*\)")
+_MARKUP = re.compile(r"^\s*<|=>")
 _WORD = re.compile(r"\b[A-Za-z]{3,}\b")
 
 
@@ -95,7 +96,7 @@ def texts_of_python(source: str) -> Iterator[Text]:
             exact = node.end_lineno == node.lineno + text.count("\n")
         else:
             continue
-        if id(node) not in inner and len(text.split()) >= MESSAGE and text.lstrip()[:1] != "<":
+        if id(node) not in inner and len(text.split()) >= MESSAGE and not _MARKUP.search(text):
             yield Text(node.lineno, text, exact)
 
 

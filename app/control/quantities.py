@@ -170,21 +170,29 @@ a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without t
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
 a_base_cmd |  | n_b | m/s², rad/s² | axes | algorithm.py |
     commanded base acceleration, input of the admittance law
-a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py | measured base acceleration, by the
-drive's model or the caller qdd | q̈ | n | rad/s², m/s² | joints | (29) | solution of the arm's QP;
-NaN with the fallback command u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque u_a |
-u | n_m | N m, N | joints | (26) | memory: commanded arm torque after the first measured posture;
-NaN before solved | | | 1 | | | 1 if the command solves the QP, 0 for the fallback command failures
-| | | 1 | | | memory: steps with the fallback command given_up | | | 1 | | | memory: steps in which
-the base's QP had no solution a_sum | | n_b | m/s, rad/s | axes | §4.1 | memory: a_base_cmd summed
-over the command period t_sum | | | s | | §4.1 | memory: time since the last velocity command
-command_due | | | 1 | | §4.1 | 1 if the velocity command is new v_before | | n_b | m/s, rad/s | axes
-| §4.1 | velocity command before it v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory:
-velocity command in force # A QP that ProxQP has to solve qp_open | | | 1 | | | 1 to 4: the problem
-for Python to solve; 0 none qp_x | | 4 n | | joints | | solutions of these problems by ProxQP; NaN:
-none qp_tried | | 4 | 1 | | | 1 where ProxQP was tried qp_H | | n n | | joints | | Hessian of the
-open QP qp_c | | n | | joints | | its linear term qp_fixed | | n_b | | joints | | its fixed first
-entries qp_rows | | | 1 | | | rows of its limits in C, l, u, slack_weight
+a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py |
+    measured base acceleration, by the drive's model or the caller
+qdd | q̈ | n | rad/s², m/s² | joints | (29) |
+    solution of the arm's QP; NaN with the fallback command
+u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
+u_a | u | n_m | N m, N | joints | (26) |
+    memory: commanded arm torque after the first measured posture; NaN before
+solved | | | 1 | | | 1 if the command solves the QP, 0 for the fallback command
+failures | | | 1 | | | memory: steps with the fallback command
+given_up | | | 1 | | | memory: steps in which the base's QP had no solution
+a_sum | | n_b | m/s, rad/s | axes | §4.1 | memory: a_base_cmd summed over the command period
+t_sum | | | s | | §4.1 | memory: time since the last velocity command
+command_due | | | 1 | | §4.1 | 1 if the velocity command is new
+v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command before it
+v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: velocity command in force
+# A QP that ProxQP has to solve
+qp_open | | | 1 | | | 1 to 4: the problem for Python to solve; 0 none
+qp_x | | 4 n | | joints | | solutions of these problems by ProxQP; NaN: none
+qp_tried | | 4 | 1 | | | 1 where ProxQP was tried
+qp_H | | n n | | joints | | Hessian of the open QP
+qp_c | | n | | joints | | its linear term
+qp_fixed | | n_b | | joints | | its fixed first entries
+qp_rows | | | 1 | | | rows of its limits in C, l, u, slack_weight
 """
 """Of each quantity: name | symbol | shape | unit | frame | source | meaning."""
 

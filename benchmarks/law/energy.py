@@ -23,8 +23,8 @@ Array = np.ndarray
 
 PLACES = "front", "wheel axis", "lateral"
 _RMS = 6.0  # [N] of the random force
-_SPRING = 40.0  # [N/m] keeps the hand near the border
-_INWARDS = 0.7  # [-] of the named pull, from its start to where the spring draws the hand
+_SPRING = 40.0  # [N/m] keeps the end-effector near the border
+_INWARDS = 0.7  # [-] of the named pull, from its start to where the spring draws the end-effector
 
 
 class Restless(NamedTuple):
@@ -37,7 +37,7 @@ class Restless(NamedTuple):
 
 
 def energy(options: Options, count: int = 2, seconds: float = 20.0) -> Report:
-    """Push the hand about near the border with random forces and count the person's work.
+    """Push the end-effector about near the border with random forces and count the person's work.
 
     Args:
         options: See `Options`.

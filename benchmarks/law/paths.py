@@ -56,7 +56,7 @@ def play(case: Tracking) -> dict[str, Any]:
 
 
 def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, Any]:
-    """What happens on a curve that is tracked from a posture (n_m,) of the arm."""
+    """The result of tracking a curve from a posture (n_m,) of the arm."""
     robot = load(options.robot)
     session = Session(robot.model, robot.data, robot.config, controller=options.controller)
     n = robot.n_mobile

@@ -1,7 +1,8 @@
 """People who wander: does anything touch while two of them take hand and links wherever they like?
 
-The lines of other measurements lead the hand to the base. Here one person takes the hand, another
-any link, both from place to place above and around the base, letting go now and then.
+The lines of other measurements lead the end-effector to the base. Here one person takes the
+end-effector, another any link, both from place to place above and around the base, letting go now
+and then.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _LET_GO = 0.25  # [-] of the places, instead of which the person lets go
 
 
 class Walk(NamedTuple):
-    """What two people do, drawn from seed and number alone; each pulls with up to `force` [N]."""
+    """Motions of two people, random by seed and number alone; each pulls with up to `force` [N]."""
 
     options: Options
     number: int
@@ -43,7 +44,7 @@ def wander(options: Options, count: int = 12, force: float = 50.0, first: int = 
     Args:
         options: See `Options`.
         count: Runs.
-        force: [N] of each of the two people at most.
+        force: [N] largest force of each of the two people.
         first: Number of the first run.
     """
     walks = [Walk(options, number, force) for number in range(first, first + count)]
@@ -80,7 +81,7 @@ def play(walk: Walk) -> dict[str, Any]:
 
 
 def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[Pulled]:
-    """What one person does until nobody holds the robot any more."""
+    """The motion of one person until no person holds the robot."""
     found, t = [], rng.uniform(0.0, 1.0)
     while t < _DURATION - _ALONE:
         angle, r = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, _FARTHEST)

@@ -65,7 +65,7 @@ def time_steps(
 
     Args:
         loop: Starts anew at each path.
-        paths: What it is given.
+        paths: Recorded inputs.
         after: Called after each measured step, outside of its time.
     """
     loop.reset()
