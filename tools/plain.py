@@ -24,8 +24,8 @@ MESSAGE = 4  # [-] words of the shortest string that counts as a message
 PATTERNS = {
     re.compile(pattern, re.IGNORECASE): reason
     for pattern, reason in {
-        r"\bwhat\b(?![- ]if\b|:)": "a clause with 'what' as subject or object: use a noun",
-        r"\b(who|what|which)ever\b": "a clause with 'whoever' or 'whatever': use a noun",
+        r"\bwhat\b(?![- ]if\b|:)": "a clause with `what` as subject or object: use a noun",
+        r"\b(who|what|which)ever\b": "a clause with `whoever` or `whatever`: use a noun",
         r"\bat (most|least)(?=[,.;:)]|$| (of|and|or|by|per|for)\b)": (
             "a bound as an adverb: say 'upper bound', 'lower bound', or 'at most 3'"
         ),
@@ -53,7 +53,7 @@ _END = re.compile(
 )
 _ITEM = re.compile(r"^\s*([-*]|\d+\.|#+|>|\|)\s")
 _CODE = re.compile(r"`[^`]*`|(?<=\])\([^)]*\)")
-_MARKUP = re.compile(r"^\s*<|=>")
+_MARKUP = re.compile(r"^\s*<|=>|\\b")
 _WORD = re.compile(r"\b[A-Za-z]{3,}\b")
 
 
@@ -170,7 +170,7 @@ def check(path: Path) -> list[Finding]:
 
 
 def files(paths: Iterable[Path]) -> list[Path]:
-    """The Python files and Markdown pages of folders, and files as they are named."""
+    """The Python files and Markdown pages among files and in folders."""
     return [
         file
         for path in paths
