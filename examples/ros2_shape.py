@@ -1,8 +1,7 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-It takes ROS as `ros`, so that it runs without ROS: in rclpy its three calls are
-create_subscription, create_publisher(…).publish and create_timer. Run it: python
-examples/ros2_shape.py
+`ros` has three calls of rclpy: create_subscription, create_publisher(…).publish, create_timer.
+Run it: python examples/ros2_shape.py
 """
 
 from functools import partial
