@@ -20,10 +20,8 @@ def main(file: Path = DELIVERED) -> np.ndarray:
     model = RobotModel(description)
     data = load_border_data(model)  # link pairs and borders: from the cache, or sampled once
     print(f"{description.title}: {description.base.kind} base, {model.n_m} joints")
-    for pair in data.pairs.mobile:
-        print(
-            f"{pair.name}: {len(data.clouds[data.pairs.mobile.index(pair)])} points near the base"
-        )
+    for name, cloud in data.clouds.items():
+        print(f"{name}: {len(cloud)} points near the base")
 
     rest = Measurement(
         base_pose=np.zeros(3),
