@@ -1,4 +1,4 @@
-"""A case plays again to the bit what it was made of, and says what differs where it does not."""
+"""A case repeats its run bit by bit, and reports differences."""
 
 import json
 
@@ -27,7 +27,7 @@ def pulled(robot, border_data):
     session = Session(robot, border_data, config, physics="planar", seed=3)
     ensemble = Ensemble(session, np.array(Q_START))
     ensemble.pull(Pull((0.5, 0.2, 0.4)))
-    for _ in range(150):  # what was before must leave nothing behind
+    for _ in range(150):  # earlier steps must have no effect
         ensemble.step()
     ensemble.play(CHALLENGE.changed(duration=0.9, q_m=Q_START))
     for k in range(900):
@@ -171,7 +171,7 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     held = {"base_path_m": figures["base_path_m"]}
     file.write_text(case.model_copy(update={"figures": held}).text())
     main(["run", "--replay-case", str(file)])
-    assert "not as it was" not in capsys.readouterr().err
+    assert "changed since" not in capsys.readouterr().err
     other = {"figures": {"base_path_m": 7.5}, "version": "0.1"}
     file.write_text(case.model_copy(update=other).text())
     main(["run", "--case", str(file)])

@@ -21,7 +21,7 @@ QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01
 
 
 class SeenError(Exception):
-    """Carries what a command hands on, in the place of the work."""
+    """Carries the arguments of a command instead of running its work."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A configuration that is written and read again is the same; what is wrong in a file is told."""
+"""A configuration that is written and read again is the same; errors of a file are reported."""
 
 from __future__ import annotations
 

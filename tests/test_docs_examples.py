@@ -1,4 +1,4 @@
-"""What README and documentation offer to copy works: the loop and the commands."""
+"""The loop, the commands and the snippets of README and documentation work."""
 
 from __future__ import annotations
 

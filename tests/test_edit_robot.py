@@ -1,4 +1,4 @@
-"""A robot edited by hand: shapes follow gizmos, and what is saved is the rest as it stood."""
+"""A robot edited by hand: shapes follow gizmos, and a saved robot keeps everything else."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def make(robot: RobotModel, border_data: BorderData) -> Iterator:
 
 
 def numbers(step: Step) -> list[float]:
-    """What is physical in a step."""
+    """The physical results of a step."""
     return [
         step.t,
         step.ee_error,
@@ -75,7 +75,7 @@ def steps(ensemble: Ensemble, seconds: float) -> np.ndarray:
 def test_a_scenario_is_the_same_run_as_on_the_command_line(make, robot, border_data, name):
     scenario = SCENARIOS[name]
     ensemble = make()
-    steps(ensemble, 0.3)  # whatever was before leaves no trace
+    steps(ensemble, 0.3)  # earlier steps have no effect
     ensemble.play(scenario)
     played = steps(ensemble, 0.7)
     setting = scenario.setting(robot, border_data, Config(), 0)

@@ -1,4 +1,4 @@
-"""What a user's machine has around the program changes no result: locale, folders, time zone."""
+"""A user's locale, folders and time zone change no result."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}
 
 
 def digests(cwd: Path, **other: str | None) -> str:
-    """What a run gives in a process of this environment."""
+    """The result of a run in a process of this environment."""
     changed = {name: value for name, value in other.items() if value is not None}
     kept = {name: value for name, value in os.environ.items() if name not in other}
     done = subprocess.run(
@@ -127,7 +127,7 @@ def test_an_empty_entry_is_the_usual_folder(
 def test_without_a_home_nothing_is_written_beside_the_user(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`~` stays as it is for a user whom the system does not know, as in a container."""
+    """`~` does not change for a user whom the system does not know, as in a container."""
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     for name in ("HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME", "DBB_ROBOTS"):
         monkeypatch.delenv(name, raising=False)

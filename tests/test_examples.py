@@ -1,4 +1,4 @@
-"""The examples run as they stand, short ones of them, and are short enough to be read."""
+"""The examples run without changes, in short runs, and are short enough for reading."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ HARD = RANDOM_PULL.changed(
     moving=0.53565,
     q_m=(-1.60267, 1.18757, -0.10693, -1.41824, -0.30458, 3.40376, 0.0),
 )
-"""Beyond what the torque of a wrist holds."""
+"""A force beyond the torque of a wrist."""
 STRONG = {"hand.f_max": 60.0, "hand.stiffness": 1088.0}
 
 

@@ -1,4 +1,4 @@
-"""Films without a display: encoded whole or not at all, and the same whatever the machine does."""
+"""Films without a display: encoded completely or not at all, and the same on a busy machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Links: what a page shows comes back from its address, and a wrong one changes nothing."""
+"""Links: the address restores the page, and a wrong one changes nothing."""
 
 import json
 import urllib.error
@@ -80,7 +80,7 @@ def test_a_wrong_link_is_told_in_one_line(query, named):
     assert named in str(told.value)
     why, rest = read_link(query)
     assert why == str(told.value)
-    assert read_link(rest) == ("", rest), "what is left can be opened"
+    assert read_link(rest) == ("", rest), "the rest can be opened"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""However many commands are sent, few wait, and what they come to is the same."""
+"""With any number of commands, few wait, and their result is the same."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_beginning_has_the_newest_parameters():
 def test_of_several_beginnings_only_the_last_begins():
     assert after(LATERAL, Reset()) == [Reset()]
     assert after(Reset(), LATERAL) == [LATERAL]
-    assert after(LATERAL, Restart()) == [LATERAL]  # what would be restarted begins already
+    assert after(LATERAL, Restart()) == [LATERAL]  # the restarted scenario starts already
     assert after(Restart()) == [Restart()]
 
 

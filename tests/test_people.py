@@ -21,7 +21,7 @@ READY = np.array(MODEL.description.arm.ready_position)
 FOREARM = Push("panda_joint5", np.array([0.02, 0.06, -0.12]), np.array([30.0, -45.0, 20.0]))
 
 ROUNDING = {"planar": 1e-9, "mujoco": 1e-9, "kinematic": 1e-9, "mujoco-contact": 1e-3}
-"""[rad, rad/s] what becomes of rounding in 0.1 s; wheels in contact enlarge it."""
+"""[rad, rad/s] growth of rounding errors in 0.1 s; wheels in contact enlarge it."""
 
 
 @pytest.fixture(params=PLANTS)
@@ -52,7 +52,7 @@ def test_a_push_on_a_link_is_what_the_equation_of_motion_says(plant):
     limit = {"planar": 1e-6, "mujoco": 1e-6, "kinematic": 1e-9, "mujoco-contact": 3e-3}[plant.kind]
     np.testing.assert_allclose(plant.measure().qd_m, expected, atol=limit)
     assert np.abs(expected).max() > 0.02
-    np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)  # and what lies farther out has no part
+    np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)  # joints farther out have no effect
 
 
 def test_the_power_of_a_push_becomes_kinetic_energy(plant):

@@ -192,7 +192,7 @@ def test_with_the_target_at_rest_the_person_only_takes_energy(stretch):
         v = v + person.force(p, v, target) / mass * 1e-4
         p = p + v * 1e-4
         energies.append(energy())
-    assert np.diff(energies).max() < 2e-5 * energies[0]  # what semi-implicit Euler itself adds
+    assert np.diff(energies).max() < 2e-5 * energies[0]  # the error of semi-implicit Euler itself
     assert energies[-1] < 0.01 * energies[0]
 
 

@@ -311,7 +311,7 @@ def pushing(force, torque=(0.0, 0.0, 0.0)) -> Callable[[RobotState], Array]:
     ],
 )
 def test_the_wrench_is_what_the_arms_torques_exert_on_a_door_that_stays(at_handle, force, torque):
-    """J^T of it is what the joints have beyond gravity: a force-torque sensor's, in sign too."""
+    """J^T of it equals the joints' torques beyond gravity, including the sign."""
     plant = at_handle(50.0)
     run(plant, 1.5, pushing(force, torque))
     wrench = plant.door.wrench()

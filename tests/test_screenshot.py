@@ -1,4 +1,4 @@
-"""Pictures without a display: of the asked size, of what was asked, the same each time."""
+"""Pictures without a display: of the requested size and content, the same each time."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(ta
     for panel in (a[:, :300], a[:, -300:]):
         assert (panel.max(axis=-1) > 120).mean() > 0.01, "text"
     scene = a[:, 340:660]
-    assert (scene.min(axis=-1) > 225).mean() > 0.006, "a white arm, which mirrors what is around"
+    assert (scene.min(axis=-1) > 225).mean() > 0.006, "a white arm, which mirrors its surroundings"
 
 
 @pytest.mark.browser

@@ -165,7 +165,7 @@ def test_a_pull_that_does_not_go_along_the_base_goes_into_it(sources, cases):
 
 
 def test_a_row_of_the_table_holds_its_whole_case(cases):
-    """As its journal has it, with what came of it."""
+    """As in its journal, with its results."""
     for case in cases:
         row = json.loads(json.dumps({**case, "nan": False, "min_clearance_m": 0.1}))
         assert planned_of(row, PARAMETERS) == planned_of(case, PARAMETERS)

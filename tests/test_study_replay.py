@@ -192,7 +192,7 @@ def test_the_button_plays_the_case_of_the_page(case):
 
 
 def labels_of_the_page(server) -> list[str]:
-    """What the widgets of a viewer who has just come are called."""
+    """The names of the widgets of a new viewer."""
     with RawClient(server.address):
         end = time.monotonic() + 60
         while not server.pages:

@@ -40,7 +40,7 @@ GOOD: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def told() -> list[float]:
-    """How much was done, as `quick` told it."""
+    """The finished shares, as reported by `quick`."""
     return []
 
 
@@ -131,8 +131,8 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
 ) -> None:
     """There links near their own buffers, or the arm the distance that it keeps from the base.
 
-    Both stand above the hand, which is left behind until the base makes room for them. On the wheel
-    axis it comes over the base's edge, where the force is what of the normal is horizontal.
+    Both are above the end-effector, which stays behind until the base makes room for them. On the
+    wheel axis it comes over the base's edge, with the force of the horizontal part of the normal.
     """
     plan = replace(QUICK, length=0.2, hold=hold)
     start = StartFinder(robot, border_data, plan.config.border.d_b).find(

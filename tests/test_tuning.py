@@ -1,4 +1,4 @@
-"""One configuration for all viewers: what they set, refuse, undo, mark, save and load."""
+"""One configuration for all viewers: setting, refusal, undo, marks, saving and loading."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Clock:
 
 
 class Person:
-    """A client: keeps what it is told and sent."""
+    """A client that records its messages."""
 
     client_id = 1
 
@@ -80,7 +80,7 @@ class Desk:
         self.panels = [TuningPanel(self.viewer(server)) for server in servers]
 
     def viewer(self, server):
-        """Who has a server for himself."""
+        """A viewer with a separate server."""
         shared = SimpleNamespace(tuning=self.tuning, model=husky_panda())
         return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared)
 
@@ -111,7 +111,7 @@ def desk(servers):
 
 
 def put(handle, value, person):
-    """What viser does with a value that a client has sent: take it over, tell the callbacks."""
+    """Viser's reaction to a client's value: store it, call the callbacks."""
     handle._impl.value = value
     event = SimpleNamespace(client=person, client_id=1, target=handle)
     for callback in list(handle._impl.update_cb):
@@ -465,7 +465,7 @@ def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
 
 
 def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
-    """Viser awaits what is `async` in the thread that receives for all viewers."""
+    """Viser awaits `async` functions in the thread that receives for all viewers."""
     handles = desk.panels[0]._gui._gui_input_handle_from_uuid.values()
     (load,) = [handle for handle in handles if handle.label == "Load"]
     assert [iscoroutinefunction(each) for each in load._impl.update_cb] == [False]
