@@ -90,7 +90,7 @@ def test_paragraphs_items_and_rows_of_a_page_are_read_without_its_code(tmp_path:
     page = tmp_path / "page.md"
     page.write_text(
         "# A page\n\nPlain words\nand what is not.\n\n- an item\n- what an item is\n\n"
-        "| a row | whatever |\n\n```python\n# what is code\n```\n\nThe option `what` is code too.\n",
+        "| a row | whatever |\n\n```python\n# what is code\n```\n\nThe option `what` is code.\n",
         encoding="utf-8",
     )
     assert [finding.line for finding in plain.check(page)] == [3, 7, 9]

@@ -148,7 +148,7 @@ def posture_objective(
     q_limits: Array,
     stiffness: float,
     damping: float,
-    centering: float,
+    joint_centering: float,
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
@@ -167,7 +167,7 @@ def posture_objective(
         q_limits: (2, n_m) lower and upper joint limits.
         stiffness: [1/s²] stiffness towards the posture.
         damping: [1/s] damping of the joints.
-        centering: [1/s²] stiffness towards the middle, at a joint limit.
+        joint_centering: [1/s²] pull at a joint limit towards the middle.
         base_weight: [-] cost of the base's acceleration.
         base_damping: [1/s] damping of the base.
     """
@@ -184,7 +184,7 @@ def posture_objective(
         c[n_b + i] = (
             damping * qd[n_b + i]
             - stiffness * (q_posture[i] - q_m[i])
-            + centering * half * share**5
+            + joint_centering * half * share**5
         )
     return H, c
 

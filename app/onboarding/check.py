@@ -55,7 +55,7 @@ _TOUCHED = {
 _STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
     ", because the arm cannot hold its end-effector in place (`hand held`) and avoids by itself; a "
-    "smaller holding.weight lets the base move more"
+    "smaller ee_hold.weight lets the base give way more"
 )
 
 

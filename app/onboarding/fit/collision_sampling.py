@@ -40,6 +40,7 @@ of the links among those poses."""
 _FEWEST = 50  # [-] poses without a collision for finding close pairs
 _MOST_LOOKS = 200  # [-] most poses per pair of units for finding the points
 _OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
+_GRAZE = 0.003  # [m] by which hulls of two of the arm's links overlap at most that pass each other
 _RARE = 30  # [-] random poses of a pair below which more are searched for
 ENOUGH = 600
 """[-] poses with a collision for a share of seen collisions to half a percent."""
@@ -70,8 +71,8 @@ class Meetings:
     pairs: tuple[tuple[int, int], ...]
     """Pairs of units, by their indices, that are not neighbours."""
     close: frozenset[tuple[int, int]]
-    """Pairs that are within the buffer in most poses without a collision, by design: no
-    buffer can monitor them."""
+    """Pairs that no buffer can monitor by design: within it in most poses without a collision, or
+    pairs of the arm that never overlap by more than the meshes' accuracy."""
     apart: frozenset[tuple[int, int]]
     """Pairs of the base and a link on it that meet deeper than adjacent links:
     joint limits have to keep them apart."""
@@ -136,7 +137,13 @@ def sample_meetings(
             break
     rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
-    found = replace(found, rare=Poses(rare_q, gaps, np.all(gaps[:, barred] > 0.0, axis=1)))
+    graze = _grazing(units, pairs, np.vstack([distances, gaps]))
+    barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
+    random, rare = (
+        Poses(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
+        for q_m, each in ((q_m, distances), (rare_q, gaps))
+    )
+    found = replace(found, close=close | graze, random=random, rare=rare)
     if points:
         met: dict[tuple[int, int], Array] = {}
         for masks in workers.map(_met, [(found, model, k) for k in range(len(pairs))]):
@@ -169,6 +176,15 @@ def _built_near(
     if stopped:
         close -= apart
     return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
+
+
+def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
+    """Pairs of the arm's links that meet, in `_RARE` poses or more, and never any deeper."""
+    depths = np.sort(-distances, axis=0)[-_RARE:]
+    shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
+    return frozenset(
+        pair for pair in compress(pairs, shallow) if min(units[k].joint for k in pair) > 1
+    )
 
 
 class _Looked(NamedTuple):

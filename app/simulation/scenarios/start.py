@@ -21,6 +21,7 @@ _DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
 _BUFFER_MARGIN = 0.005  # [m] smallest distance beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _LOST = 1e-3  # [m/rad or -] singular value of a lost direction of the end-effector
+_UPRIGHT = 0.94  # [-] smallest z of an upright axis: a tilt of 20 degrees
 _WAY_TOLERANCE = 0.01  # [-] weighted error of the end-effector on its path: 1 mm
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
 _KEPT = 100  # cached starts of a robot
@@ -52,10 +53,12 @@ class StartSolver:
         """Prepare for a robot and a buffer distance [m]."""
         self._model = model
         self._search = PostureSearch(model, pairs, d_b)
-        # An arm with fewer than six directions of motion cannot choose the end-effector's
-        # direction.
+        # With fewer than six directions of motion, or without an upright first axis, the arm
+        # cannot choose the direction of the end-effector.
         J = self._search.J_hand
-        self._points_anywhere = bool(np.linalg.matrix_rank(J, tol=_LOST) == 6)
+        first = next((axis for axis in J[3:].T if axis.any()), np.zeros(3))
+        full = np.linalg.matrix_rank(J, tol=_LOST) == 6
+        self._points_anywhere = bool(full and abs(first[2]) > _UPRIGHT)
 
     def solve(
         self,
@@ -86,6 +89,10 @@ class StartSolver:
         if not (np.isfinite(target).all() and target[2] > 0.0):
             raise UnreachableError(
                 f"start {_text(p_ee)}: the floor is z = 0, the end-effector must be above"
+            )
+        if (beyond := self._search.beyond(target)) > 0.0:
+            raise UnreachableError(
+                f"start {_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more", {OUT_OF_REACH: 1}
             )
         rng = np.random.default_rng(seed)
         flaws: Counter[str] = Counter()
@@ -134,6 +141,8 @@ class StartSolver:
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether the end-effector reaches `p_ee` [m] within the joint limits, in any direction."""
         target = Target(np.array(p_ee, dtype=float))
+        if self._search.beyond(target.p) > 0.0:
+            return False
         guesses = self._search.guesses(np.random.default_rng(seed), tries)
         found = self._search.best(
             guesses,
@@ -237,7 +246,9 @@ class GraspSolver:
         rng = np.random.default_rng(seed)
         best = Found(None, 0.0, Counter())
         target = pin.SE3.Identity()
-        for roll in _ROLLS:
+        self._search.stand(base_pose)
+        far = self._search.beyond(door.handle(angle).translation) > 0.0
+        for roll in () if far else _ROLLS:
             rolled = _rolled(door.handle(angle), roll)
             self._search.stand(base_pose)
             found = self._search.best(

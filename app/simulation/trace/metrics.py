@@ -272,6 +272,9 @@ FIGURES: dict[str, Figure] = {
         "Place and reasons at the largest tracking error; null within 1 mm.",
         lambda r: r.meta.left_way,
     ),
+    "fault_s": Figure(
+        "When the controller first reported each fault of the readings.", lambda r: r.meta.faults
+    ),
     "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
     "step_p99_us": Figure("99th percentile of that time.", lambda r: _percentile(r, 99)),
 }
