@@ -49,7 +49,7 @@ def usable_cores() -> int:
     return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
-def come_first(niceness: int) -> None:
+def raise_priority(niceness: int) -> None:
     """Raise the priority of this process within the rights of its user, by a niceness below 0.
 
     If possible, it gets the real-time policy of robot controllers. On fewer than three cores a late
@@ -73,7 +73,7 @@ def _queue_up(*_: object) -> None:
             os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def step_back(niceness: int) -> None:
+def lower_priority(niceness: int) -> None:
     """Lower the priority of this process by a niceness of 1 to 19."""
     with suppress(OSError):
         os.nice(niceness)

@@ -23,7 +23,7 @@ from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
 from app.robot.assets import robot_names
 from app.robot.model import RobotModel
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.studies.runs import Row, rounded
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
@@ -166,8 +166,8 @@ def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
 def _of_robot(
     finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str
 ) -> Row:
-    planned = plan.planned(Trial(start, controller, case.speed))
-    figures: Row = run_planned(planned, finder.model, finder.data).figures
+    spec = plan.spec(Trial(start, controller, case.speed))
+    figures: Row = run_from_spec(spec, finder.model, finder.data).figures
     row: Row = {
         "controller": controller,
         **start.approach.where(),

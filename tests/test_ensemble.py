@@ -80,8 +80,8 @@ def test_a_scenario_is_the_same_run_as_on_the_command_line(make, robot, border_d
     played = steps(ensemble, 0.7)
     setting = scenario.setting(robot, border_data, Config(), 0)
     session = begin(setting, robot, controller="dbb", physics="kinematic", seed=0)
-    leader = scenario.leader(session)
-    run = np.array([numbers(session.step(*leader(session))) for _ in range(700)])
+    driver = scenario.driver(session)
+    run = np.array([numbers(session.step(*driver(session))) for _ in range(700)])
     np.testing.assert_allclose(played, run, atol=1e-9)
 
 

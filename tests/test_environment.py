@@ -38,7 +38,7 @@ if "FILES" in os.environ:
 from app.border.cache import border_key, load_border_data
 from app.border.config import SamplingConfig
 from app.cli.common import load_model
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.plants import default_plant
 from app.simulation.run import steps_of
 from app.simulation.scenarios import SCENARIOS
@@ -48,9 +48,9 @@ print(border_key(model.description, SamplingConfig()))
 data = load_border_data(model)
 for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}):
     scenario, config = SCENARIOS["guiding-front"], model.description.config
-    planned = Planned("husky_panda", scenario, config, "dbb", plant, 0)
+    spec = RunSpec("husky_panda", scenario, config, "dbb", plant, 0)
     digest = hashlib.sha256()
-    for _, step in islice(steps_of(planned, model, data), 150):
+    for _, step in islice(steps_of(spec, model, data), 150):
         for numbers in (*step.truth[:4], step.control.u_cmd, step.base_command):
             digest.update(numbers.tobytes())
     print(plant, digest.hexdigest())

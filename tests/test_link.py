@@ -13,7 +13,7 @@ from app.config import Config
 from app.dashboard.panels.share import Link, camera_text, read_link
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import DbbError
-from app.simulation.case import Planned, RunCase
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Choose, Configure, Play
 from app.simulation.scenarios import SCENARIOS
 from tests.browser import DashboardTab, wait_for
@@ -161,7 +161,7 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
         assert not any(isinstance(c, (Play, Configure)) for c in served.loop.commands[count:])
 
         case = RunCase.of(
-            Planned(
+            RunSpec(
                 "husky_panda",
                 SCENARIOS["tracking"],
                 Config().replace("border.d_b", 0.12),

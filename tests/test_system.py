@@ -140,7 +140,7 @@ def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
 ) -> None:
     wished = []
     monkeypatch.setattr(os, "setpriority", lambda *wish: wished.append(wish))
-    system.come_first(-10)
+    system.raise_priority(-10)
     assert wished == [(os.PRIO_PROCESS, 0, -10)]
 
 
@@ -154,7 +154,7 @@ def test_only_with_a_core_to_spare_the_real_time_policy_is_claimed(
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(os, "setpriority", lambda *_: None)
     monkeypatch.setattr(os, "sched_setscheduler", lambda *wish: wished.append(wish), raising=False)
-    system.come_first(-10)
+    system.raise_priority(-10)
     assert bool(wished) is claimed
 
 
@@ -164,7 +164,7 @@ def test_who_does_not_pause_within_the_budget_loses_the_real_time_policy() -> No
         "import os, threading, time\nfrom app import system\nsystem.usable_cores = lambda: 4\n"
         "begun = threading.Event()\n"
         "def work(): begun.wait(); time.sleep(0.1); print(os.sched_getscheduler(0))\n"
-        "system.come_first(-10)\nprint(os.sched_getscheduler(0), flush=True)\n"
+        "system.raise_priority(-10)\nprint(os.sched_getscheduler(0), flush=True)\n"
         "other = threading.Thread(target=work)\nother.start()\n"
         "end = time.process_time() + 3.0\n"
         "while os.sched_getscheduler(0) == os.SCHED_RR and time.process_time() < end: pass\n"
@@ -194,14 +194,14 @@ def test_a_mac_counts_its_memory_in_bytes(monkeypatch) -> None:
     assert system.peak_memory() == 3
 
 
-def test_a_user_who_may_not_come_first_is_served_all_the_same(monkeypatch) -> None:
+def test_a_user_without_the_right_to_raise_the_priority_is_served_all_the_same(monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError
 
     for name in ("setpriority", "sched_setscheduler", "setsid", "killpg", "nice"):
         monkeypatch.setattr(os, name, refuse, raising=False)
-    system.come_first(-10)
-    system.step_back(5)
+    system.raise_priority(-10)
+    system.lower_priority(5)
     system.lead_group()
     system.end_group(0, at_once=False)
 

@@ -36,7 +36,7 @@ from app.dashboard.scene.camera import first_view
 from app.errors import DbbError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import filmed, run_scenario
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
@@ -139,7 +139,7 @@ def _at_rest(model: RobotModel, data: BorderData, t: float, d_b: float) -> Snaps
     """The robot before a pull, with a buffer distance [m] in place of the time [s]."""
     scenario = scenario_of(model.description, "guiding-front")
     config = Config(border=BorderConfig(d_b=d_b))
-    run = Planned(model.description.name, scenario, config, physics="kinematic")
+    run = RunSpec(model.description.name, scenario, config, physics="kinematic")
     return replace(filmed(run, model, data, [0.0])[0], t=t)
 
 

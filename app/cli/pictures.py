@@ -16,12 +16,12 @@ import tyro
 from app.cli import options
 from app.cli.common import load_robot_and_border, print_json
 from app.cli.records import Given, from_record
-from app.cli.wanted import filmed, is_case, trace_of, wanted
+from app.cli.run_spec import filmed, is_case, spec_named, trace_of
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
 from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.strict import check_range
 from app.system import write_whole
 
@@ -55,7 +55,7 @@ def screenshot(
     look = Look(**picture)
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")
     options.check_file("--out", out, (".png",))
-    asked = wanted(scenario, setup, config)
+    asked = spec_named(scenario, setup, config)
     whole = _draw(asked, at, look)
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
@@ -76,7 +76,7 @@ def screenshot(
     print_json(told) if json else print(out)
 
 
-def _draw(asked: Planned, at: tuple[float, ...], look: Look) -> Image.Image:
+def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
     # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.screenshot import strip, take_pictures
@@ -148,7 +148,7 @@ def film(
         raise ConfigError("--side-by-side needs --beside CONTROLLER")
     codec = how.codec or next(iter(codecs))
     check_name(f"--codec of {out.suffix}", codec, codecs)
-    asked = wanted(scenario, setup, config)
+    asked = spec_named(scenario, setup, config)
     asked = asked._replace(scenario=asked.scenario.changed(start=start, move=move))
     told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     told |= _film(asked, beside, how, codec, look, out)
@@ -156,7 +156,7 @@ def film(
 
 
 def _film(
-    asked: Planned, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
+    asked: RunSpec, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import (

@@ -11,9 +11,9 @@ import tyro
 from app.cli import options
 from app.cli.common import as_json, load_robot_and_border, print_json, say
 from app.cli.records import Given, from_record
-from app.cli.wanted import check_no_others, of_case, planned, read, result_of
+from app.cli.run_spec import check_no_others, read, result_of, spec_of_case, spec_with
 from app.errors import ConfigError, check_name
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 from app.system import write_whole
@@ -119,7 +119,7 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         from app.robot.description import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name, **scenario_options)
-        figures = _run(planned(chosen, own, tuned), Files(**files), json=json)
+        figures = _run(spec_with(chosen, own, tuned), Files(**files), json=json)
         _end(figures, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
@@ -140,7 +140,7 @@ def run_case(
         case: File of a case: one of the page, or one of `failures` of a study.
     """
     played = read(case)
-    again = of_case(played, setup)
+    again = spec_of_case(played, setup)
     again = again._replace(config=options.changed(again.config, parameters))
     figures = _run(again, Files(**files), json=json)
     if not setup and not parameters:
@@ -149,7 +149,7 @@ def run_case(
     _end(figures, fail_on_contact=fail_on_contact)
 
 
-def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
+def _run(asked: RunSpec, files: Files, *, json: bool) -> dict[str, Any]:
     # Imported here, because the import takes longer than finding an error in the options.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict

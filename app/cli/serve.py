@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from app.cli import options
 from app.cli.common import load_model, say
 from app.cli.records import Given, from_record
-from app.cli.wanted import check_no_others, read
+from app.cli.run_spec import check_no_others, read
 from app.config import Config
 from app.config_file import checked_host
 from app.simulation.scenarios.leading import check_point

@@ -28,7 +28,7 @@ from app.system import (
     end_when_closed,
     interrupt_blocked,
     lead_group,
-    step_back,
+    lower_priority,
     wake_without_parent,
 )
 
@@ -219,7 +219,7 @@ def _run(
     _: Connection, sender: Connection, niceness: int, work: Callable[..., Any], args: tuple
 ) -> None:
     signal.signal(signal.SIGTERM, _leave)
-    step_back(niceness)
+    lower_priority(niceness)
     sender.send(Outcome.of(work, lambda text, share: sender.send((text, share)), *args))
     sender.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # every `finally` has run

@@ -23,7 +23,7 @@ _MOST = 1000  # [-] most options, parameters or figures of a case; about a hundr
 FORMAT = "dbb_case"  # the key that identifies such a file
 
 
-class Planned(NamedTuple):
+class RunSpec(NamedTuple):
     """A planned run: all data that determine its figures."""
 
     robot: str
@@ -62,7 +62,7 @@ class RunCase(Strict):
         return {present_name(path): value for path, value in values.items()}
 
     @classmethod
-    def of(cls, run: Planned) -> Self:
+    def of(cls, run: RunSpec) -> Self:
         """The case of a run."""
         return cls(
             robot=run.robot,
@@ -74,10 +74,10 @@ class RunCase(Strict):
             parameters={path: run.config.value(path) for path in sorted(tunables())},
         )
 
-    def planned(self) -> Planned:
+    def spec(self) -> RunSpec:
         """The run; raises the errors of `scenario` and `config`."""
         run = self.controller, self.physics, self.seed
-        return Planned(self.robot, self.scenario(), self.config(), *run)
+        return RunSpec(self.robot, self.scenario(), self.config(), *run)
 
     def scenario(self) -> Scenario:
         """The scenario with its options.

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
-from app.simulation.loop.pacing import settled
+from app.simulation.case import RunSpec
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
@@ -48,7 +48,7 @@ def begin(
 
 
 def steps_of(
-    run: Planned, model: RobotModel, data: BorderData
+    run: RunSpec, model: RobotModel, data: BorderData
 ) -> Generator[tuple[Session, Step], None, None]:
     """The control steps of a run, one by one, with the session after each.
 
@@ -64,15 +64,15 @@ def steps_of(
     setting = scenario.setting(model, data, run.config, run.seed)
     session = begin(setting, model, run.controller, run.physics, run.seed)
     try:
-        leader = scenario.leader(session)
+        driver = scenario.driver(session)
         for _ in range(round(scenario.duration / DT)):
-            yield session, session.step(*leader(session))
+            yield session, session.step(*driver(session))
     finally:
         session.close()
 
 
-def run_planned(
-    run: Planned,
+def run_from_spec(
+    run: RunSpec,
     model: RobotModel,
     data: BorderData,
     *,
@@ -89,7 +89,7 @@ def run_planned(
     recorder = Recorder(scenario, drawn=drawn)
     begun: float | None = None
     steps = steps_of(run, model, data)
-    with settled(), closing(steps):
+    with gc_frozen(), closing(steps):
         for k, (session, step) in enumerate(steps):
             begun = begun or perf_counter() - step.duration
             recorder.add(session, step)
@@ -124,13 +124,13 @@ def run_scenario(
     seed: int = 0,
     **how: Any,
 ) -> RunResult:
-    """Run a scenario of a robot; see `run_planned` for the other arguments and the errors."""
-    planned = Planned(model.description.name, scenario, config, controller, physics, seed)
-    return run_planned(planned, model, data, **how)
+    """Run a scenario of a robot; see `run_from_spec` for the other arguments and the errors."""
+    spec = RunSpec(model.description.name, scenario, config, controller, physics, seed)
+    return run_from_spec(spec, model, data, **how)
 
 
 def filmed(
-    run: Planned,
+    run: RunSpec,
     model: RobotModel,
     data: BorderData,
     times: Sequence[float],

@@ -29,7 +29,7 @@ from app.strict import Array
 DT = 0.001  # [s] control step, the paper's 1 kHz
 _BANDWIDTH = 250.0  # [rad/s] of the loop that computes velocities from noisy positions; about 40 Hz
 _ROUNDING = 1e-6  # [rad or m] tolerance of a joint at its limit
-LEAD = -1  # number of a scenario's person
+SCENARIO_PERSON = -1  # number of a scenario's person
 
 
 class Step(NamedTuple):
@@ -189,7 +189,7 @@ class Session:
         state, distances = self._observe(truth, measurement, control)
         p_ee = state.p_ee
         if pull is not None:
-            holds = (Hold(LEAD, pull), *holds)
+            holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
         target = next((hold.target for hold in holds if hold.link is None), None)

@@ -42,7 +42,7 @@ from app.robot.assets import ASSETS, planar_urdf
 from app.robot.description import load_description, load_robot
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
-from app.simulation.case import Planned, RunCase, read_case
+from app.simulation.case import RunCase, RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.study import Journal
@@ -220,7 +220,7 @@ def _figures(path: Path) -> None:
 def _played(path: Path) -> None:
     """A case."""
     scenario = SCENARIOS["guiding-lateral"]
-    case = RunCase.of(Planned("husky_panda", scenario, Config(), "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "planar"))
     path.write_text(case.text(), encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.errors import StudyError
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.people import PersonForces
 from app.simulation.session import DT, Session
 from benchmarks.law.motions import Waves, random_waves
@@ -69,7 +69,7 @@ def _play(case: Restless) -> dict[str, Any]:
     session = Session(robot.model, robot.data, robot.config, controller=options.controller)
     work = lowest = damped = base_speed = 0.0
     nearest, inside, steps = np.inf, 0, round(case.seconds / DT)
-    with settled(), closing(session):
+    with gc_frozen(), closing(session):
         session.reset(q_m)
         p, given = session.T_world_ee.translation.copy(), np.zeros(3)
         for _ in range(steps):

@@ -11,7 +11,7 @@ import numpy as np
 
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.people import PersonHand
 from app.simulation.session import DT, Session, Step
 from benchmarks.law.robot import load
@@ -80,7 +80,7 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
     """The steps of an endless pull; the caller sends True after the release."""
     robot, config = load(pull.robot), pull.config()
     session = Session(robot.model, robot.data, config, controller=pull.controller)
-    with settled(), closing(session):
+    with gc_frozen(), closing(session):
         session.reset(np.array(pull.q_m))
         shadow, held, before = PersonHand(config.hand, DT), True, np.array(pull.start)
         while True:

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.people import held_links
-from app.simulation.run import run_planned
-from app.simulation.scenarios.pulled import Pulled, PulledScenario
+from app.simulation.run import run_from_spec
+from app.simulation.scenarios.pulled import PulledScenario, PullEvent
 from app.simulation.session import DT
 from benchmarks.law.options import Options
 from benchmarks.law.report import Report, largest, least
@@ -65,8 +65,8 @@ def play(walk: Walk) -> dict[str, Any]:
     stiffness = float(rng.uniform(*_STIFFNESS))
     config = robot.config.changed({"hand.f_max": force, "hand.stiffness": stiffness})
     scenario = PulledScenario("wander", _DURATION, "two people wander", pulls=tuple(pulls))
-    run = Planned(options.robot, scenario, config, options.controller, None, options.seed)
-    figures = run_planned(run, robot.model, robot.data).figures
+    run = RunSpec(options.robot, scenario, config, options.controller, None, options.seed)
+    figures = run_from_spec(run, robot.model, robot.data).figures
     return {
         "case": f"{number}, {links[1]}",
         "person": f"{force:.0f} N, {stiffness:.0f} N/m",
@@ -80,16 +80,16 @@ def play(walk: Walk) -> dict[str, Any]:
     }
 
 
-def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[Pulled]:
+def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[PullEvent]:
     """The motion of one person until no person holds the robot."""
     found, t = [], rng.uniform(0.0, 1.0)
     while t < _DURATION - _ALONE:
         angle, r = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, _FARTHEST)
         place = (float(r * np.cos(angle)), float(r * np.sin(angle)), float(rng.uniform(*_HEIGHTS)))
         gone = rng.random() < _LET_GO
-        found.append(Pulled(round(t / DT), who, None if gone else place, link))
+        found.append(PullEvent(round(t / DT), who, None if gone else place, link))
         t += rng.uniform(*_AT_A_PLACE)
-    return [*found, Pulled(round((_DURATION - _ALONE) / DT), who, None)]
+    return [*found, PullEvent(round((_DURATION - _ALONE) / DT), who, None)]
 
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -61,10 +61,10 @@ def record(
         setting = scenario.setting(model, data, Config(), seed)
         session = begin(setting, model, controller="dbb", physics=None, seed=seed)
         try:
-            leader = scenario.leader(session)
+            driver = scenario.driver(session)
             path: Path = []
             for k in range(round(scenario.duration / DT)):
-                lead = leader(session)
+                lead = driver(session)
                 step = session.step(*lead)
                 path.append(Moment(step.measurement, lead.reference))
                 if k % 200 == 0:

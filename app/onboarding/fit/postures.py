@@ -16,7 +16,7 @@ from app.errors import UnreachableError
 from app.jobs.progress import OnProgress, part_of
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
@@ -249,7 +249,7 @@ def gives_way(
     `on_progress` takes the finished share of the run from time to time.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
-    run = Planned(model.description.name, line, model.description.config, physics="kinematic")
+    run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
     moved, search = 0.0, PostureSearch(model, data.pairs, model.description.config.border.d_b)
     try:
         with closing(steps_of(run, model, data)) as steps:

@@ -9,12 +9,12 @@ import numpy as np
 
 from app.config import Config
 from app.errors import TargetError
-from app.simulation.case import Planned, RunCase
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
-from app.simulation.scenarios.leading import SHORTEST, Lead, Leader, Scenario, Setting
-from app.simulation.scenarios.pulled import Pulled
+from app.simulation.scenarios.leading import SHORTEST, Driver, Scenario, Setting, StepInput
+from app.simulation.scenarios.pulled import PullEvent
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
@@ -48,7 +48,7 @@ class Ensemble:
         self.comparison = Compare()
         """The last requested comparison."""
         self._holds: dict[int, Hold] = {}
-        self._pulled: list[Pulled] | None = None
+        self._pulled: list[PullEvent] | None = None
         """Recorded pulls during free motion."""
         self._case: tuple[float, RunCase] | None = None
         """The newest case, and [s] the time at which it appeared."""
@@ -210,15 +210,15 @@ class Ensemble:
             held = self._holds.get(who)
             step = round(self.main.t / DT)
             if held is None:
-                self._pulled.append(Pulled(step, who, None))
+                self._pulled.append(PullEvent(step, who, None))
             else:
                 x, y, z = held.target.tolist()
-                self._pulled.append(Pulled(step, who, (x, y, z), held.link, held.point))
+                self._pulled.append(PullEvent(step, who, (x, y, z), held.link, held.point))
 
     def _keep_case(self, scenario: Scenario) -> None:
         main, robot = self.main, self._free.model.description.name
         run = robot, scenario, self._config, main.controller.name, main.kind, main.seed
-        self._case = main.t, RunCase.of(Planned(*run))
+        self._case = main.t, RunCase.of(RunSpec(*run))
 
     def _let_go(self) -> None:
         if self._pulled is not None and self.scenario is not None:
@@ -249,7 +249,7 @@ class Ensemble:
             each.configure(setting.config)
             each.reset(setting.q_m, setting.base_pose)
         led, *ghosts = [
-            Runner(each, scenario and scenario.leader(each)) for each in (session, *others)
+            Runner(each, scenario and scenario.driver(each)) for each in (session, *others)
         ]
         if session is not self.main and self.main is not self._free:
             self.main.close()
@@ -300,9 +300,9 @@ class Ensemble:
 class Runner:
     """A robot with its driver and score, in its own plant; its memory is bounded."""
 
-    def __init__(self, session: Session, leader: Leader | None) -> None:
+    def __init__(self, session: Session, driver: Driver | None) -> None:
         """Start at the beginning of a session, with a driver that reads its sensors or without."""
-        self.session, self._leader, self.scored = session, leader, False
+        self.session, self._driver, self.scored = session, driver, False
         """`scored` says whether its steps count for a comparison."""
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
@@ -311,14 +311,14 @@ class Runner:
 
     def let_go(self) -> None:
         """Remove its driver; its score is that of the driven motion."""
-        if self._leader is not None and self.scored:
+        if self._driver is not None and self.scored:
             self._look()
             self._complete = True
-        self._leader = None
+        self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
         """One control step, with the people who hold the robot, or with another robot's forces."""
-        lead = Lead() if self._leader is None else self._leader(self.session)
+        lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
             self._recorder.add(self.session, step)

@@ -85,7 +85,7 @@ class Pacer:
 
 
 @contextmanager
-def settled() -> Iterator[None]:
+def gc_frozen() -> Iterator[None]:
     """Exclude existing objects from garbage collection during the `with`.
 
     A run has few objects, but a robot's border has many, and scanning it again takes milliseconds.

@@ -19,10 +19,10 @@ import numpy as np
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome, portable
 from app.simulation.loop.loop import LiveLoop, SimulationLoop
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.session import Session
 from app.strict import Array
-from app.system import come_first
+from app.system import raise_priority
 
 _PATIENCE = 5.0  # [s] timeout for a thread, or for the process, to end
 _SEND_EVERY = 0.002  # [s] between two transmissions of commands
@@ -131,7 +131,7 @@ class ProcessLoop(LiveLoop):
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
     """Main function of the child: run a loop until the parent's end of `commands` is closed."""
     sys.setswitchinterval(_SWITCH)
-    come_first(_NICENESS)
+    raise_priority(_NICENESS)
     try:
         make_session, q_start = commands.recv()
     except (EOFError, OSError):
@@ -142,7 +142,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
             loop.start()
             snapshots.send(Outcome(loop.links))
         gc.collect()  # otherwise present garbage would remain
-        with settled(), suppress(EOFError, OSError):
+        with gc_frozen(), suppress(EOFError, OSError):
             _post(loop, commands, snapshots)
     finally:
         loop.stop()

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from app.control.tasks import Reference
 from app.simulation.plants.door import Door, DoorReading
-from app.simulation.scenarios.leading import Lead
+from app.simulation.scenarios.leading import StepInput
 from app.simulation.session import Session
 from app.strict import Array
 
@@ -195,7 +195,7 @@ class Opener:
         radial = turned @ door.radial(T_ee.translation)
         self._opening = DoorOpening(T_ee, radial, gains, session.physics.dt)
 
-    def __call__(self, session: Session) -> Lead:
+    def __call__(self, session: Session) -> StepInput:
         assert session.physics.door is not None
         wrench = session.physics.door.wrench()
         T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]
@@ -208,7 +208,7 @@ class Opener:
             math.atan2(truth[0] * guess[1] - truth[1] * guess[0], float(truth @ guess[:2])),
         )
         reference = self._opening.step(HandReading(T_ee, velocity, wrench.force, wrench.torque))
-        return Lead(reference=reference, door=reading)
+        return StepInput(reference=reference, door=reading)
 
 
 def _share(value: float) -> float:

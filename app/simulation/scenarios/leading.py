@@ -26,7 +26,7 @@ _DURATIONS = SHORTEST, 3600.0  # [s]
 _FARTHEST = 10.0  # [m] from the origin; a longer path is a typing error
 
 
-class Lead(NamedTuple):
+class StepInput(NamedTuple):
     """The input of one control step; the arguments of `Session.step`."""
 
     reference: Reference | None = None
@@ -39,7 +39,7 @@ class Lead(NamedTuple):
     """Other people who hold the robot, at the end-effector or elsewhere."""
 
 
-Leader = Callable[["Session"], Lead]
+Driver = Callable[["Session"], StepInput]
 """Computes the input of each control step; may read the session's sensors."""
 
 
@@ -94,7 +94,7 @@ class Scenario(ABC):
         return config
 
     @abstractmethod
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         """The driver of a session that is at the start."""
 
     def changed(self, **changes: Any) -> Self:

@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import Self
 
 from app.errors import CaseError, ConfigError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting, check_point
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput, check_point
 from app.strict import Array
 
 if TYPE_CHECKING:
@@ -108,11 +108,13 @@ class LineScenario(Scenario):
             changes.setdefault("moving", self.moving * self.duration / duration)
         return super().changed(**changes)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         orientation = session.T_world_ee.rotation.copy()
         if self.mode == "tracking":
-            return lambda session: Lead(reference=self.reference(session.t, orientation))
-        return lambda session: Lead(pull=self.place(session.t) if self.holds(session.t) else None)
+            return lambda session: StepInput(reference=self.reference(session.t, orientation))
+        return lambda session: StepInput(
+            pull=self.place(session.t) if self.holds(session.t) else None
+        )
 
     def place(self, t: float) -> Array:
         """(3,) [m] the moving point at time t [s]."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.errors import CaseError, DbbError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.strict import Array
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Point = tuple[float, float, float]
 BEGIN = "guiding-front"  # its line's start is the free start of the end-effector
 
 
-class Pulled(NamedTuple):
+class PullEvent(NamedTuple):
     """A person pulls the robot from a control step on, or releases it."""
 
     step: int
@@ -49,7 +49,7 @@ class PulledScenario(Scenario):
     q_m: tuple[float, ...] = ()
     """(n_m,) [rad or m] joint positions of the arm at the start; empty for those of the free
     start."""
-    pulls: tuple[Pulled, ...] = ()
+    pulls: tuple[PullEvent, ...] = ()
     """Recorded pulls, in order; empty for free pulls."""
 
     @property
@@ -75,21 +75,21 @@ class PulledScenario(Scenario):
         q_m = np.array(self.q_m) if self.q_m else free_start(model, data, config, None, seed)
         return Setting(model, data, np.zeros(3), q_m, config)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         from app.simulation.people import Hold
         from app.simulation.session import DT
 
         holds: dict[int, Hold] = {}
         waiting = list(reversed(self.pulls))
 
-        def lead(session: Session) -> Lead:
+        def lead(session: Session) -> StepInput:
             while waiting and waiting[-1].step <= round(session.t / DT):
                 _, who, target, link, point = waiting.pop()
                 if target is None:
                     holds.pop(who, None)
                 else:
                     holds[who] = Hold(who, np.array(target), link, point)
-            return Lead(holds=tuple(holds.values()))
+            return StepInput(holds=tuple(holds.values()))
 
         return lead
 
@@ -109,11 +109,11 @@ def free_start(
     return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
 
 
-def _checked(given: Sequence[object]) -> Pulled:
+def _checked(given: Sequence[object]) -> PullEvent:
     """A pull from untrusted data of a file."""
     from app.simulation.people import checked_hold, checked_target
 
-    pull = Pulled(*given)  # type: ignore[arg-type]
+    pull = PullEvent(*given)  # type: ignore[arg-type]
     checked_hold(pull.point)
     if pull.target is not None:
         checked_target(pull.target)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from app.errors import ConfigError
-from app.simulation.scenarios.leading import Leader, Scenario, Setting, check_point
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, check_point
 from app.strict import Array, check_range
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class RefrigeratorScenario(Scenario):
         firm = {path: max(float(config.value(path)), least) for path, least in _FIRMNESS.items()}
         return config.changed(firm)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         from app.simulation.scenarios.door_opening import Opener
 
         return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from app.errors import ConfigError, UnreachableError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.strict import Array
 
 if TYPE_CHECKING:
@@ -50,9 +50,9 @@ class WayOutScenario(Scenario):
         starts = TroubledStarts(model, data.pairs, config.border.d_b)
         return Setting(model, data, np.zeros(3), starts.draw(self.begin, seed), config)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         del session
-        return lambda _: Lead()
+        return lambda _: StepInput()
 
 
 class TroubledStarts:

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 from app.avoidance.acting_point import ActingPointFinder, resultant_force
 from app.border.dbb import Border, Cloud
 from app.robot.link_pairs import ClosestPoints
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.simulation.session import DT
 from app.strict import Array
 from app.studies import style
@@ -100,7 +100,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         for pair in sources.data.pairs.mobile
     }
     data = replace(sources.data, clouds=clouds)
-    return run_planned(experiment, sources.model, data).figures
+    return run_from_spec(experiment, sources.model, data).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:

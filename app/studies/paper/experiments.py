@@ -19,8 +19,8 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
-from app.simulation.run import RunResult, run_planned
+from app.simulation.case import RunSpec
+from app.simulation.run import RunResult, run_from_spec
 from app.simulation.scenarios import LINES, scenario_by_name
 from app.simulation.scenarios.line import LineScenario, Point
 from app.strict import Array
@@ -29,7 +29,7 @@ from app.studies.runs import thinned
 ROBOT = "husky_panda"  # the paper's robot
 
 
-class Experiment(Planned):
+class Experiment(RunSpec):
     """A run of the paper's robot, equal to one of `dbb run`."""
 
     __slots__ = ()
@@ -203,4 +203,4 @@ def duration(experiments: Iterable[Experiment]) -> float:
 
 
 def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
-    return thinned(run_planned(experiment._replace(seed=seed), sources.model, sources.data))
+    return thinned(run_from_spec(experiment._replace(seed=seed), sources.model, sources.data))

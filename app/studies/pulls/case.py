@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from app.config import Config
 from app.errors import AssetError, DbbError
 from app.robot.description import load_robot
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
 from app.studies.runs import Row, flattened, rounded
@@ -52,7 +52,7 @@ _OF_TRACKING = {"stuck", "left_way"}
 _KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *TIMES, *_OF_TRACKING}
 
 
-def planned_of(row: Row, parameters: StudyParameters) -> Planned:
+def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     """The run of a case, from the drawn columns of its row.
 
     Running it raises a `CaseError` on a robot with another arm.
@@ -68,7 +68,7 @@ def planned_of(row: Row, parameters: StudyParameters) -> Planned:
         **{name: row[COLUMNS[name]] for name in _OF_LINE},
     )
     run = scenario, config, parameters.controller, parameters.physics, row["seed"]
-    return Planned(parameters.robot, *run)
+    return RunSpec(parameters.robot, *run)
 
 
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
@@ -81,10 +81,10 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
         AssetError: The robot's files are missing, for this case as for any other.
     """
     # Imported here, because drawing cases does not need it.
-    from app.simulation.run import run_planned
+    from app.simulation.run import run_from_spec
 
     try:
-        result = run_planned(planned_of(drawn, parameters), model, data)
+        result = run_from_spec(spec_of(drawn, parameters), model, data)
     except AssetError:
         raise
     except (DbbError, ValueError, ArithmeticError) as error:

@@ -20,7 +20,7 @@ from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
-from app.studies.pulls.case import broken_off, failed, planned_of, play_case
+from app.studies.pulls.case import broken_off, failed, play_case, spec_of
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
@@ -155,7 +155,7 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
     kept = set()
     for row in filter(failed, rows):
-        run, path = planned_of(row, parameters), folder / f"case-{row['case']:05d}.json"
+        run, path = spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
         write_whole(path, RunCase.of(run).text())
         kept.add(path)
     for path in set(folder.glob("case-*.json")) - kept:

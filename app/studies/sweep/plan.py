@@ -12,7 +12,7 @@ import numpy as np
 from app.config import Config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, check_name
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import Point, StartedLine
 from app.strict import Array, check_range
@@ -212,7 +212,7 @@ class SweepPlan:
             for speed in self.speeds:
                 yield from (Trial(start, controller, speed) for start in starts if not start.reason)
 
-    def planned(self, trial: Trial) -> Planned:
+    def spec(self, trial: Trial) -> RunSpec:
         """The run of one trial."""
         start, moving = trial.start, self.length / trial.speed
         line = StartedLine(
@@ -225,7 +225,7 @@ class SweepPlan:
             moving / (moving + self.hold),
             start.q_m,
         )
-        return Planned(self.robot, line, self.config, trial.controller, self.physics, self.seed)
+        return RunSpec(self.robot, line, self.config, trial.controller, self.physics, self.seed)
 
 
 class Start(NamedTuple):

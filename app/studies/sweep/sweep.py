@@ -17,7 +17,7 @@ from app.jobs.pool import Workers
 from app.jobs.progress import OnProgress, part_of
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
@@ -129,8 +129,8 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
 
 
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
-    planned, start = plan.planned(trial), trial.start
-    run, scenario = thinned(run_planned(planned, finder.model, finder.data)), planned.scenario
+    spec, start = plan.spec(trial), trial.start
+    run, scenario = thinned(run_from_spec(spec, finder.model, finder.data)), spec.scenario
     off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}

@@ -13,7 +13,7 @@ from app.cli.records import Given
 from app.config import Config
 from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
-from app.simulation.case import Planned, RunCase, read_case
+from app.simulation.case import RunCase, RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _CASE = ".json"
 
 
-def wanted(word: str, setup: Given, config: Path | None) -> Planned:
+def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
     """The run of a scenario by its name, or of a case by its file.
 
     Raises:
@@ -39,35 +39,35 @@ def wanted(word: str, setup: Given, config: Path | None) -> Planned:
     if not is_case(word):
         chosen = Setup(**setup)
         tuned = configured(chosen.robot, config)
-        return planned(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
+        return spec_with(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
     own = {name: setup.get(name) for name in ("robot", "seed")}
     check_no_others({**own, "config": config}, word)
-    return of_case(read(Path(word)), setup)
+    return spec_of_case(read(Path(word)), setup)
 
 
-def planned(setup: Setup, scenario: Scenario, config: Config) -> Planned:
+def spec_with(setup: Setup, scenario: Scenario, config: Config) -> RunSpec:
     """The run of a scenario with the options of `Setup`."""
-    return Planned(scenario=scenario, config=config, **asdict(setup))
+    return RunSpec(scenario=scenario, config=config, **asdict(setup))
 
 
-def of_case(case: RunCase, setup: Given) -> Planned:
+def spec_of_case(case: RunCase, setup: Given) -> RunSpec:
     """The run of a case, with another controller or plant if the user set one."""
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
-    return planned(Setup(**(own | setup)), case.scenario(), case.config())
+    return spec_with(Setup(**(own | setup)), case.scenario(), case.config())
 
 
-def result_of(run: Planned, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-    """A complete run with a progress bar; see `run_planned`."""
+def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
+    """A complete run with a progress bar; see `run_from_spec`."""
     # Imported here: the options are checked before anything is loaded.
-    from app.simulation.run import run_planned
+    from app.simulation.run import run_from_spec
 
     duration = run.scenario.duration
     with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
-        return run_planned(run, model, data, on_progress=on_progress, drawn=drawn)
+        return run_from_spec(run, model, data, on_progress=on_progress, drawn=drawn)
 
 
 def filmed(
-    run: Planned, model: RobotModel, data: BorderData, times: Sequence[float]
+    run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
     """Snapshots of a run up to the last of the given times [s]."""
     from app.simulation import run as simulation
@@ -122,5 +122,5 @@ def trace_of(path: Path) -> Trace:
 
     if path.suffix.lower() != _CASE:
         return read_trace(path)
-    run = of_case(read(path), {})
+    run = spec_of_case(read(path), {})
     return result_of(run, *load_robot_and_border(run.robot), drawn=True).trace
