@@ -230,7 +230,7 @@ class AdmittanceConfig(Strict):
     """[s] between two velocity commands."""
 
 
-class HandConfig(Strict):
+class PersonConfig(Strict):
     """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
     stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
@@ -295,7 +295,7 @@ class Config(Strict):
     """Payload"""
     admittance: AdmittanceConfig = AdmittanceConfig()
     """Admittance"""
-    hand: HandConfig = HandConfig()
+    hand: PersonConfig = PersonConfig()
     """Person's hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
     """Disturbances"""

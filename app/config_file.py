@@ -15,7 +15,7 @@ from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
 from app.strict import from_toml, text_of
 
-MOST_BYTES = 64 * 1024  # [-] largest file; one with all parameters has a tenth of that
+MAX_BYTES = 64 * 1024  # [-] largest file; one with all parameters has a tenth of that
 LONGEST_NAME = 60  # [-] characters
 _NAME = "name"  # key of the file's own name, beside the sections
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
@@ -60,8 +60,8 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
         ConfigError: The file is too large or not TOML, or has an unknown parameter or a value
             out of its range.
     """
-    if len(content) > MOST_BYTES:
-        raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"{len(content)} bytes, more than the {MAX_BYTES} of a configuration")
     try:
         data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
@@ -86,7 +86,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
     """
     try:
         with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
     try:

@@ -33,13 +33,13 @@ NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
 Array = np.ndarray
 
-MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
+MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MOST_PARTS = 500  # [-] most dots and brackets of a TOML line that this process reads
+_MAX_PARTS = 500  # [-] most dots and brackets of a TOML line that this process reads
 LARGEST_TEXT = 10_000_000  # [bytes] of a file of XML, or of a log as CSV
 LARGEST_DATA = 10**6  # [characters] of TOML or JSON; the checks of each value take 400 bytes
-_MOST_PROBLEMS = 8  # [-] most reported problems of a file
-_MOST_LISTED = 1000  # [-] of a file that are looked at, which takes 1 kB each
+_MAX_PROBLEMS = 8  # [-] most reported problems of a file
+_MAX_LISTED = 1000  # [-] of a file that are looked at, which takes 1 kB each
 
 
 class Strict(BaseModel):
@@ -88,7 +88,7 @@ def explain(
     `wanted` gives the valid values from a problem's place and kind, or None for pydantic's own
     words.
     """
-    told = [_explain(each, model, wanted) for each in problems_of(error)[:_MOST_PROBLEMS]]
+    told = [_explain(each, model, wanted) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(told):
         told.append(f"and {more} more" if told else f"{more:,} wrong values, too many to list")
     return "; ".join(told)
@@ -96,7 +96,7 @@ def explain(
 
 def problems_of(error: ValidationError) -> list[ErrorDetails]:
     """The problems of a validation error; none if there are too many to list."""
-    return error.errors() if error.error_count() <= _MOST_LISTED else []
+    return error.errors() if error.error_count() <= _MAX_LISTED else []
 
 
 def _explain(
@@ -209,7 +209,7 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
 def from_toml(text: str) -> dict[str, Any]:
     """The tables of a TOML text; raises the errors of `parsed`."""
     # The work for a key, or for nested brackets, grows with the square of its parts.
-    heavy = max(map(_parts, text.splitlines()), default=0) > _MOST_PARTS
+    heavy = max(map(_parts, text.splitlines()), default=0) > _MAX_PARTS
     return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
 
 

@@ -33,11 +33,11 @@ from app.errors import OutputError
 _REAL_TIME = 1  # [-] lowest real-time priority
 _SPARE = 3  # [-] cores from which a real-time thread leaves enough to others
 _BUDGET = 500_000  # [µs] that a real-time thread may work without a pause
-_MOST = 30_000_000  # [µs] after which the system ends a process that does not react
+_MAX_BUDGET = 30_000_000  # [µs] after which the system ends a process that does not react
 _BEGUN = ".dbb~"  # prefix of folders with unfinished results
 _PATIENCE = 1.0  # [s] for another process to release such a folder
 _LOOK_EVERY = 0.02  # [s]
-_MOST_LINKS = 40  # [-] links in a chain, the limit of the system
+_MAX_LINKS = 40  # [-] links in a chain, the limit of the system
 _ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
@@ -61,7 +61,7 @@ def raise_priority(niceness: int) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if usable_cores() >= _SPARE:
         with suppress(AttributeError, OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MOST))
+            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MAX_BUDGET))
             signal.signal(signal.SIGXCPU, _queue_up)
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
 
@@ -268,7 +268,7 @@ def own_path(path: Path) -> Path:
             found = here
             continue
         links += 1
-        if links > _MOST_LINKS or _is_foreign(here):
+        if links > _MAX_LINKS or _is_foreign(here):
             raise OutputError(f"cannot write {path}: {here} is a link of another user, or endless")
         target = here.readlink()
         found = Path("/") if target.is_absolute() else found

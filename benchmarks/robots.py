@@ -41,7 +41,7 @@ COMPARED = ("none", "dbb")
 """Without avoidance and with it."""
 GUIDED_LIMIT = 0.02
 """[m] farthest that a guided hand may be from the person's at the end."""
-_MOST_PATHS = 4  # [-] that are played without avoidance in search of one that shows something
+_MAX_PATHS = 4  # [-] that are played without avoidance in search of one that shows something
 _TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
 _HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] of l_m's top, best first
 _LEFT_RIGHT = (90.0, 270.0)  # [deg]
@@ -150,7 +150,7 @@ def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
         if row["clearance_m"] < half:
             return [row, *(_of_robot(finder, plan, case, start, name) for name in others)]
         gaps.append(row["clearance_m"])
-        if len(gaps) == _MOST_PATHS:
+        if len(gaps) == _MAX_PATHS:
             break
     assert start is not None, "a case has directions"
     if not gaps:

@@ -22,7 +22,7 @@ REQUIRED = "DBB_REQUIRE_BROWSER"
 
 HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
-LEAST_DIFFERENCE = 24
+MIN_DIFFERENCE = 24
 """Smallest change of a channel of 0 to 255 that counts."""
 
 HARMLESS = "Unable to preventDefault inside passive event listener invocation."
@@ -197,7 +197,7 @@ class DashboardTab:
     def changed(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """(H, W) bool which pixels of the scene differ between two pictures."""
         difference = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
-        return (difference > LEAST_DIFFERENCE) & self.scene_mask()
+        return (difference > MIN_DIFFERENCE) & self.scene_mask()
 
     def wait_for_change(
         self,

@@ -12,7 +12,7 @@ from app.config import Config
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Compare, Pull
-from app.simulation.loop.ensemble import MOST_PULLS, Ensemble
+from app.simulation.loop.ensemble import MAX_PULLS, Ensemble
 from app.simulation.loop.pacing import Pacer
 from app.simulation.run import begin
 from app.simulation.scenarios import SCENARIOS
@@ -190,7 +190,7 @@ def test_a_pull_elsewhere_disturbs_a_scenario_and_does_not_end_it(make):
 
 def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
     ensemble = make()
-    for who in range(MOST_PULLS):
+    for who in range(MAX_PULLS):
         ensemble.pull(Pull((0.5, 0.1 * who, 0.8), who=who))
     with pytest.raises(TargetError, match="8 people hold the robot"):
         ensemble.pull(Pull((0.5, 0.0, 0.8), who=99))

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.config import Config, parameter, sections, tunable, tunables
-from app.config_file import MOST_BYTES, decode_config, save_config
+from app.config_file import MAX_BYTES, decode_config, save_config
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.tuning import (
     MARK,
@@ -483,7 +483,7 @@ def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"#" * (MOST_BYTES + 1), "more than"),
+        (b"#" * (MAX_BYTES + 1), "more than"),
         (b"\xff\xff", "UTF-8"),
         (b"[border]\nd_b = 1", "border.d_b: must be within 0.06 to 0.3 m"),
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),

@@ -19,7 +19,7 @@ from app.strict import Array
 
 _TRIALS = 4  # [-] configurations for the rank of a chain
 _SINGULAR = 1e-6  # [m/rad or -] singular value of a lost direction
-_LEAST_JOINTS = 3  # fewer do not fill a volume
+_MIN_JOINTS = 3  # fewer do not fill a volume
 _FREE_TRIALS = 20  # [-] configurations that test a choice of free joints
 _LOST = 1e-9  # determinants below this are zero
 
@@ -27,7 +27,7 @@ _LOST = 1e-9  # determinants below this are zero
 def reach_bodies(model: RobotModel) -> list[str]:
     """Names of the bodies that at least three joints of the arm move, the outermost first."""
     names = model.body_names[:0:-1]
-    return [name for name in names if len(_moving_joints(model, name)) >= _LEAST_JOINTS]
+    return [name for name in names if len(_moving_joints(model, name)) >= _MIN_JOINTS]
 
 
 class Chain:
@@ -48,10 +48,10 @@ class Chain:
             ConfigError: Fewer than three joints move the body; lists the possible ones.
         """
         joints = _moving_joints(model, body)
-        if len(joints) < _LEAST_JOINTS:
+        if len(joints) < _MIN_JOINTS:
             raise ConfigError(
                 f"{body}: only {len(joints)} of the arm's joints move it, a reachability needs "
-                f"{_LEAST_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
+                f"{_MIN_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
             )
         self.body = body
         self.joints = [joint - 2 for joint in joints]

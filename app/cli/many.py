@@ -18,7 +18,7 @@ from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
-_MOST_CASES = 10_000_000
+_MAX_CASES = 10_000_000
 
 
 def reproduce(
@@ -160,7 +160,7 @@ def study(
             default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
-    check_range("--cases", cases, 1, _MOST_CASES)
+    check_range("--cases", cases, 1, _MAX_CASES)
     chosen = asdict(options.Setup(**setup))
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
     side_by_side = options.check_processes(processes)

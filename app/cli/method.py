@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
-_MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
+_MAX_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
 
@@ -37,7 +37,7 @@ def pairs(
         samples: Number of joint positions.
         seed: Seed of the sampling.
     """
-    check_range("--samples", samples, 1, _MOST_SAMPLES)
+    check_range("--samples", samples, 1, _MAX_SAMPLES)
     options.check_seed(seed)
     from app.robot.link_pairs import find_link_pairs
 

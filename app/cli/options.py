@@ -15,7 +15,7 @@ from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
-from app.strict import MOST_SEEDS, check_range
+from app.strict import MAX_SEEDS, check_range
 from app.system import begun_folder, is_no_file, own_path, usable_cores
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # present or absent
@@ -55,7 +55,7 @@ DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Options that set one parameter each, by its path."""
 
-_MOST_PROCESSES = 64
+_MAX_PROCESSES = 64
 _USUAL_PROCESSES = 2  # each more needs 0.5 GB
 
 
@@ -162,7 +162,7 @@ def check_seed(seed: int) -> None:
     Raises:
         ConfigError: Names the valid range.
     """
-    check_range("--seed", seed, 0, MOST_SEEDS)
+    check_range("--seed", seed, 0, MAX_SEEDS)
 
 
 def check_processes(processes: int | None) -> int:
@@ -172,7 +172,7 @@ def check_processes(processes: int | None) -> int:
         ConfigError: Names the valid range.
     """
     if processes is not None:
-        check_range("--processes", processes, 1, _MOST_PROCESSES)
+        check_range("--processes", processes, 1, _MAX_PROCESSES)
     return processes or min(_USUAL_PROCESSES, usable_cores())
 
 

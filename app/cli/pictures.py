@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from app.simulation.trace.snapshot import Snapshot
 
-_MOST_PICTURES = 12
+_MAX_PICTURES = 12
 Place = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
 
@@ -53,7 +53,7 @@ def screenshot(
     """
     is_case(scenario)
     look = Look(**picture)
-    check_range("--at", len(at), 1, _MOST_PICTURES, "times")
+    check_range("--at", len(at), 1, _MAX_PICTURES, "times")
     options.check_file("--out", out, (".png",))
     asked = spec_named(scenario, setup, config)
     whole = _draw(asked, at, look)

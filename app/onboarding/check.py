@@ -17,7 +17,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
-from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
+from app.onboarding.fit.grouping import MAX_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import units_of_links
@@ -260,7 +260,7 @@ def arm_row(model: RobotModel) -> Row:
         return Row("arm's bodies", "failed", text, numbers)
     if not found.poses:
         return Row("arm's bodies", "nothing to show", text, numbers)
-    if found.unseen or found.missed > MOST_UNSEEN * found.watched:
+    if found.unseen or found.missed > MAX_UNSEEN * found.watched:
         return Row("arm's bodies", "failed", text, numbers)
     return Row("arm's bodies", "warned" if found.missed else "passed", text, numbers)
 

@@ -34,7 +34,7 @@ _DEGREES = 4 * np.pi  # [rad] a larger limit of a joint that is no wheel is in d
 _TOO_FAR = 5.0  # [m] largest plausible limit of a slide
 _FASTEST = 20.0  # [rad/s] or [m/s] a larger speed means no limit
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_LEAST_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
+_MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], for slides [N s/m]
 _STRONG = 30.0  # [N m] effort of a strong joint
 _STABLE = 0.3e-3  # [s] largest ratio of damping to inertia is a third of 1/step
@@ -104,7 +104,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
     if not missing:
         return limits
     effort = [
-        round(e or float(max(_GRAVITY_SHARE * g, _LEAST_EFFORT[_kind(j)])), 2)
+        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[_kind(j)])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     ]
     text = _origin(missing, "2.5 times the largest gravity load in random poses")
@@ -292,7 +292,7 @@ COUNTED_POSES = 20_000
 """[-] joint positions for counting a reachability."""
 _REACH_SAMPLES = 2000
 _WIDTH = 3.0  # [-] standard deviations of ρ at which an assumed reachability is zero
-_LEAST_WIDTH = 0.1  # [m]
+_MIN_WIDTH = 0.1  # [m]
 
 
 class Reach(NamedTuple):
@@ -350,6 +350,6 @@ def _assumed(model: RobotModel, body: str, why: str) -> Reach:
         state.update_kinematics(at_rest(model, q))
         at = state.data.oMi[shape.parentJoint] * shape.placement
         rho.append(float(np.linalg.norm(at.translation - mount)))
-    B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _LEAST_WIDTH)
+    B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
     source = f"assumed: a parabola about the body's distances in random poses; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from app.config import Config, parameter
 from app.errors import ConfigError, RobotFileError, UnknownNameError
-from app.strict import MOST_SEEDS, Vector3, check_range
+from app.strict import MAX_SEEDS, Vector3, check_range
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Pattern of a robot's name."""
@@ -135,7 +135,7 @@ def check_request(request: Request) -> None:
     """
     known = parameter("border.d_b")
     check_range("--buffer-distance", request.d_b, known.low, known.high, known.unit)
-    check_range("--seed", request.seed, 0, MOST_SEEDS)
+    check_range("--seed", request.seed, 0, MAX_SEEDS)
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
         for coordinate in getattr(request, field):
             check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)

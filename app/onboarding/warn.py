@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.border.mobile import MobileBody
-from app.config import AdmittanceConfig, HandConfig
+from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
@@ -423,7 +423,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 def push_warning(borne: Array) -> str:
     """A sentence on an arm that a person can push against the base, or empty."""
-    person = HandConfig().f_max
+    person = PersonConfig().f_max
     weak = float((borne < person).mean()) if len(borne) else 0.0
     if weak <= _OFTEN:
         return ""

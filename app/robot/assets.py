@@ -34,8 +34,8 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the delivered borders; read only."""
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
-_MOST_ELEMENTS = 100_000  # [-] most elements of an XML file; large URDFs have some thousands
-_MOST_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
+_MAX_ELEMENTS = 100_000  # [-] most elements of an XML file; large URDFs have some thousands
+_MAX_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -267,8 +267,8 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
         why = str(error).removeprefix(f"{path}: ")
         raise DescriptionError(f"{path}: {why}") from None
     moving = sum(joint.get("type") != "fixed" for joint in tree.iterfind("joint"))
-    if moving > _MOST_JOINTS:  # pinocchio's memory grows with their cube
-        raise DescriptionError(f"{path}: {moving} moving joints; at most {_MOST_JOINTS} are taken")
+    if moving > _MAX_JOINTS:  # pinocchio's memory grows with their cube
+        raise DescriptionError(f"{path}: {moving} moving joints; at most {_MAX_JOINTS} are taken")
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
@@ -360,9 +360,9 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     def begin(*_: object) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+        if depth > _DEEPEST or count > _MAX_ELEMENTS:
             raise RobotFileError(
-                f"{path.name}: it has more than {_MOST_ELEMENTS:,} elements, or more than "
+                f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, or more than "
                 f"{_DEEPEST} in one another, which no robot has"
             )
 

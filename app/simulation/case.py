@@ -16,10 +16,10 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.pulled import CHALLENGE
-from app.strict import MOST_SEEDS, Finite, Strict, explain, file_text, parsed
+from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
-_MOST = 1000  # [-] most options, parameters or figures of a case; about a hundred are usual
+_MAX_ENTRIES = 1000  # [-] most options, parameters or figures of a case; about a hundred are usual
 FORMAT = "dbb_case"  # the key that identifies such a file
 
 
@@ -46,14 +46,14 @@ class RunCase(Strict):
     robot: str
     played: str
     """Name of the scenario."""
-    options: dict[str, Any] = Field(max_length=_MOST)
+    options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)
     """All options of the scenario."""
     controller: str
     physics: str
-    seed: int = Field(default=0, ge=0, le=MOST_SEEDS)
-    parameters: dict[str, float | str] = Field(max_length=_MOST)
+    seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
+    parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
     """All parameters, by their paths."""
-    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MOST)
+    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
     """The results, by the names of `dbb run`'s figures."""
 
     @field_validator("parameters")

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled, direct
-from app.config import HandConfig
+from app.config import PersonConfig
 from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -67,7 +67,7 @@ class PersonForces(NamedTuple):
 class People:
     """One `PersonHand` for each person who holds the robot; forces on the same point add."""
 
-    def __init__(self, model: RobotModel, config: HandConfig, dt: float) -> None:
+    def __init__(self, model: RobotModel, config: PersonConfig, dt: float) -> None:
         """Without people; `config` is the strength of each, `dt` [s] the period of `pull`."""
         self.config = config
         self._model, self._dt = model, dt
@@ -117,7 +117,7 @@ class PersonHand:
     such a hand only absorbs energy as well.
     """
 
-    def __init__(self, config: HandConfig, dt: float = 0.001) -> None:
+    def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """A person who does not hold the robot; `dt` [s] is the period of `force`."""
         self.config, self._dt = config, dt
         """K, D, f_max and the mass; may be replaced at any time."""

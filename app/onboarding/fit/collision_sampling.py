@@ -38,13 +38,13 @@ NESTED = BUILT_IN**2
 """[-] smallest share of random poses in which nested links touch: that of their units times that
 of the links among those poses."""
 _FEWEST = 50  # [-] poses without a collision for finding close pairs
-_MOST_LOOKS = 200  # [-] most poses per pair of units for finding the points
+_MAX_LOOKS = 200  # [-] most poses per pair of units for finding the points
 _OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] by which hulls of two of the arm's links overlap at most that pass each other
 _RARE = 30  # [-] random poses of a pair below which more are searched for
 ENOUGH = 600
 """[-] poses with a collision for a share of seen collisions to half a percent."""
-_MORE, _MOST = 1000, 40_000  # [-] poses that are sampled at a time, and in total
+_MORE, _MAX_POSES = 1000, 40_000  # [-] poses that are sampled at a time, and in total
 _PARTS = 4  # [-] parts of the random poses, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units beyond which no search is made
 _NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each
@@ -133,7 +133,7 @@ def sample_meetings(
         random = Poses(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
         found = Meetings(units, pairs, close, apart, random, random)
         hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
-        if hits >= enough or len(q_m) >= _MOST:
+        if hits >= enough or len(q_m) >= _MAX_POSES:
             break
     rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
@@ -289,7 +289,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
     column = found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
     # Shallow ones first: in deep ones the arms pass through each other.
-    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
+    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
     poses = found.random.q_m[met_in]
     if np.count_nonzero(column <= 0.0) < _RARE:
         rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]

@@ -34,16 +34,16 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if these do not suffice
-_MOST = 6  # [-] most bodies
-_MOST_JUDGED = 60  # [-] most groupings that are fitted, in the order of their expected cost
-MOST_UNSEEN = 0.01
+_MAX_BODIES = 6  # [-] most bodies
+_MAX_JUDGED = 60  # [-] most groupings that are fitted, in the order of their expected cost
+MAX_UNSEEN = 0.01
 """[-] largest share of poses with a collision of links that no pair sees."""
 UNSEEN_POSES = 4000
 """[-] poses for testing the chosen bodies, or more if collisions are rare."""
-_MOST_LOOKED_AT = 300  # [-] most excluded poses in which meshes are compared
-_MOST_NAMED = 4  # [-] most named pairs of links
+_MAX_LOOKED_AT = 300  # [-] most excluded poses in which meshes are compared
+_MAX_NAMED = 4  # [-] most named pairs of links
 _UNSEEN_SEED = 2**31  # [-] seed of these poses; the fit has others
-_MISSED = 0.1 * MOST_UNSEEN  # [-] share that a good grouping may miss
+_MISSED = 0.1 * MAX_UNSEEN  # [-] share that a good grouping may miss
 _BODY_COST = 0.03  # [-] cost of one more body
 _MISSED_COST = 40.0  # [-] cost of collisions beyond that share
 _FALSE_COST = 2.0  # [-] cost of free poses with an active task
@@ -150,7 +150,7 @@ def _arm_grouping(
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
         """The found grouping, or a cheaper one among the most promising."""
-        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MOST_JUDGED]
+        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MAX_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
@@ -167,7 +167,7 @@ def _arm_grouping(
 
     chosen = best(None, min(_PAPER, len(units)) if count is None else count)
     if count is None and (chosen is None or not _good(chosen.verdict)):
-        chosen = best(chosen, *(k for k in range(2, _MOST + 1) if k <= len(units)))
+        chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
     if chosen is None:
         parts = sum(bool(meetings.units[unit].parts) for unit in units)
         raise RobotFileError(f"--bodies: the arm has {parts} parts; choose up to that many")
@@ -342,7 +342,7 @@ def _left_out(
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
     rows = np.flatnonzero(touch.any(axis=1))
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
-    looked = rows[:: -(-len(rows) // _MOST_LOOKED_AT)] if len(rows) else rows
+    looked = rows[:: -(-len(rows) // _MAX_LOOKED_AT)] if len(rows) else rows
     real = np.zeros((len(looked), touch.shape[1]), dtype=bool)
     for k, (u, v) in enumerate([*near, *beside]):  # hulls of adjacent links often overlap
         own = touch[looked, k]
@@ -353,7 +353,7 @@ def _left_out(
         f"{units[u].links[0]} and {units[v].links[0]} ({shares[k]:.1%})"
         for k, (u, v) in enumerate([*near, *beside])
     ]
-    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MOST_NAMED]
+    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 
 

@@ -118,8 +118,8 @@ GIVES_WAY = 0.05
 CLEARANCE = 0.03
 """[m] smallest distance to the base in a valid run."""
 _LOWEST = 0.01  # [m] smallest distance between the arm and the floor on a line
-_MOST_RUNS = 3  # [-] most runs of lines
-_MOST_STARTS = 40  # [-] most searches of a posture: one without success takes 0.1 to 0.2 s
+_MAX_RUNS = 3  # [-] most runs of lines
+_MAX_STARTS = 40  # [-] most searches of a posture: one without success takes 0.1 to 0.2 s
 _OTHER = 0.1  # [m] smallest distance between the ends of two lines
 _FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start, and its steps
 _OUTSIDE = 0.05  # [m] smallest distance of a start beyond the buffer
@@ -212,7 +212,7 @@ def chosen(
         if shows(line):
             return line
         tried.append(line)
-        if len(tried) == _MOST_RUNS:
+        if len(tried) == _MAX_RUNS:
             break
     if tried and anyway:
         return tried[0]
@@ -284,7 +284,7 @@ def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -
     In the progress the search for lines and each possible run have equal shares.
     """
     name, model, data, anyway = side
-    ends = np.linspace(0.0, 1.0, 2 + _MOST_RUNS)
+    ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
     parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
     search = next(parts)
 
@@ -351,7 +351,7 @@ class _Guide:
         postures that are checked.
         """
         found: list[_Candidate] = []
-        most = len(tried) + _MOST_STARTS
+        most = len(tried) + _MAX_STARTS
         for k, (start, z) in enumerate(tried):
             on_progress(k / most)
             if (line := self._look(start, z)) is not None:
@@ -359,7 +359,7 @@ class _Guide:
         asked: list[_Candidate] = []
         searched = 0
         for line in sorted(found, key=lambda each: each.rank):  # stable order
-            if searched == _MOST_STARTS or (asked and line.nearest >= INNER * self._d_b):
+            if searched == _MAX_STARTS or (asked and line.nearest >= INNER * self._d_b):
                 return
             if any(map(line.is_as, asked)):
                 continue

@@ -32,13 +32,13 @@ _CELL = 3e-4  # [m] cell in which vertices of such a mesh are merged
 _MANY = 10_000  # [-] points above which only the outermost are used
 _HEAVY = 4_000_000  # [bytes] a larger file's vertices are not merged while reading
 _SPACING = 0.03  # [m] between points on a hull's surface
-_MOST_POINTS = 1500  # [-] points on the surface of one hull
-_MOST_MESHES = 5  # [-] most places of a moving shape for comparing its triangles
+_MAX_POINTS = 1500  # [-] points on the surface of one hull
+_MAX_MESHES = 5  # [-] most places of a moving shape for comparing its triangles
 ARM_DENSITY = 1200.0
 """[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
 """[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
-_MOST_MOMENT = 1e4  # [-] multiple of m r² above which the unit is wrong; careless guesses have 1e3
+_MAX_MOMENT = 1e4  # [-] multiple of m r² above which the unit is wrong; careless guesses have 1e3
 _ROUNDING = 1e-5  # [-] smallest excess of two moments of inertia over the third
 _TINY = 1e-9  # [kg] or [kg m²] counts as zero
 
@@ -238,11 +238,11 @@ load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 def _surface(hull: trimesh.Trimesh) -> Array:
     """Corners, then evenly spread points on the faces; reproducible."""
-    count = int(np.clip(hull.area / _SPACING**2, 50, _MOST_POINTS))
+    count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
     spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
     corners = np.asarray(hull.vertices)
-    if len(corners) > _MOST_POINTS:
-        corners = corners[:: -(-len(corners) // _MOST_POINTS)]
+    if len(corners) > _MAX_POINTS:
+        corners = corners[:: -(-len(corners) // _MAX_POINTS)]
     return np.vstack([corners, np.asarray(spread)])
 
 
@@ -300,7 +300,7 @@ def _check_moments(
         for link, each in stated.items()
         if each and each.mass > _TINY and geometry[link].volume > _FLAT
     ]
-    if (most := float(np.median(ratios)) if ratios else 0.0) > _MOST_MOMENT:
+    if (most := float(np.median(ratios)) if ratios else 0.0) > _MAX_MOMENT:
         raise RobotFileError(
             f"the links' moments of inertia are {most:.1g} times m r² (median; r: the farthest "
             "point of the link), which looks like kg mm²; a URDF's are in kg m²"

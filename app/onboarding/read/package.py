@@ -299,8 +299,8 @@ def _package_folders(package: str, root: Path) -> list[Path]:
     return [*named, *tops, root]
 
 
-_MOST_URDFS = 20  # [-] most URDFs that are read
-_MOST_NAMES = 500  # [-] most links or joints in a list
+_MAX_URDFS = 20  # [-] most URDFs that are read
+_MAX_NAMES = 500  # [-] most links or joints in a list
 
 
 class Contents(NamedTuple):
@@ -328,7 +328,7 @@ def look_into(archive: Path) -> dict[str, Contents]:
         if not found:
             _chosen_urdf(names, archive.name, None)  # raises the error
         contents, problem = {}, ""
-        for name in found[:_MOST_URDFS]:
+        for name in found[:_MAX_URDFS]:
             try:
                 contents[name] = _contents(folder / name)
             except RobotFileError as error:
@@ -342,9 +342,9 @@ def _contents(path: Path) -> Contents:
     robot = _read_bounded(path)
     for tag, least in (("link", 1), ("joint", 0)):  # the most that a list in the page can show
         count = len(robot.findall(tag))
-        if not least <= count <= _MOST_NAMES:
+        if not least <= count <= _MAX_NAMES:
             raise RobotFileError(
-                f"{path.name}: it has {count} {tag}s; {least} to {_MOST_NAMES} are taken"
+                f"{path.name}: it has {count} {tag}s; {least} to {_MAX_NAMES} are taken"
             )
     tree = make_tree(robot)  # reports errors of the whole file first
     endless = tuple(joint.name for joint in tree.joints.values() if joint.kind == "continuous")

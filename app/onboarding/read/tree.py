@@ -23,7 +23,7 @@ FREE = ("planar", "floating")
 """Kinds of joints for the motion of a whole base."""
 ARM_ON_BASE = "arm_on_base"
 """The joint that fixes a separate arm to the base."""
-_MOST_NAMES = 40  # [-] most names in a message
+_MAX_NAMES = 40  # [-] most names in a message
 _LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
 _PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
@@ -136,8 +136,8 @@ class Tree:
 def _some(names: Iterable[str]) -> str:
     """The first of many names in a row."""
     names = list(names)
-    rest = len(names) - _MOST_NAMES
-    return ", ".join(names[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+    rest = len(names) - _MAX_NAMES
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def make_tree(robot: Element) -> Tree:

@@ -23,8 +23,8 @@ SPEEDS = 0.1, 4.0  # [-] smallest and largest multiple of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")
 """The common input of compared robots: the path of the pulls, or their force."""
-MOST_GHOSTS = 2  # robots that run beside the main one
-MOST = 64
+MAX_GHOSTS = 2  # robots that run beside the main one
+MAX_WAITING = 64
 """Most waiting commands: far more than there are kinds, because commands of a kind replace one
 another."""
 
@@ -164,8 +164,8 @@ class Compare(Command):
     """The common input of all robots: "path" of the pulls or their "force"."""
 
     def __post_init__(self) -> None:
-        if len(self.controllers) > MOST_GHOSTS:
-            raise ConfigError(f"at most {MOST_GHOSTS} controllers are compared")
+        if len(self.controllers) > MAX_GHOSTS:
+            raise ConfigError(f"at most {MAX_GHOSTS} controllers are compared")
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         check_name("comparison", self.same, SAMES)
@@ -197,8 +197,8 @@ class Mailbox:
             check_name("link", str(command.link), links)  # a page may send any name
         key = _key(command)
         with self._lock:
-            if len(self._waiting) >= MOST and key not in self._waiting:
-                raise LoopError(f"more than {MOST} commands wait; send fewer at once")
+            if len(self._waiting) >= MAX_WAITING and key not in self._waiting:
+                raise LoopError(f"more than {MAX_WAITING} commands wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
                 return  # one restart is sufficient
             if not isinstance(command, Adjustment):

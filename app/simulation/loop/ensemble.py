@@ -23,7 +23,7 @@ from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
 _SAID = 1.0  # [s] for which snapshots have a new case
-MOST_PULLS = 8  # people who can hold the robot at once
+MAX_PULLS = 8  # people who can hold the robot at once
 _NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
 _TOGETHER = 100  # control steps that are evaluated together, which is far quicker
 
@@ -161,8 +161,8 @@ class Ensemble:
         Raises:
             TargetError: The largest number of people already holds it.
         """
-        if pull.who not in self._holds and len(self._holds) >= MOST_PULLS:
-            raise TargetError(f"{MOST_PULLS} people hold the robot already")
+        if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
+            raise TargetError(f"{MAX_PULLS} people hold the robot already")
         if pull.link is None and self._pulled is None:
             self._let_go()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)

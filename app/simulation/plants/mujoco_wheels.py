@@ -40,7 +40,7 @@ _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 parts more if they are stiff and their friction acts fast: firm wheels hop, and turn in jerks."""
 _AT_FLOOR = 0.01  # [m] height below which a part of the base touches the floor
 _GEOM = mujoco.mjtGeom
-_LEAST_MASS = 0.005  # [-] mass of a wheel without one in the URDF, in masses of the base
+_MIN_MASS = 0.005  # [-] mass of a wheel without one in the URDF, in masses of the base
 _SETTLING_TIME = 0.3  # [s] for the base to sink onto its wheels after a reset
 _FROZEN = 1e6  # [kg m²] armature of the arm's joints meanwhile
 _TURNING = 1.0  # [s] duration of the calibration's turn; its last half counts
@@ -73,7 +73,7 @@ class Wheels:
         self.right = self.centres[:, 1] < 0.0
         """(n,) whether a wheel is on the right side."""
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
-        least = pin.Inertia.FromSphere(_LEAST_MASS * model.pin.inertias[1].mass, r)
+        least = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
         self.inertias = [I if I.mass > 0.0 else least for I in own] or [least] * len(places)
         """Inertia of each wheel, in a frame at its centre; the root's contains them."""
         self.spans = bool(np.ptp(self.centres[:, 0]) > r)

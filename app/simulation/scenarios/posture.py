@@ -15,7 +15,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-_MOST_EVALUATIONS = 60  # [-] most evaluations of the residual
+_MAX_EVALUATIONS = 60  # [-] most evaluations of the residual
 _JOINT_MARGIN = 0.03  # [-] margin to a limit in the least squares, relative to the range
 _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
@@ -220,7 +220,7 @@ def best_posture(
         inside,
         jacobian,  # pyright: ignore[reportArgumentType] - it may be a function
         bounds=bounds,
-        max_nfev=_MOST_EVALUATIONS,
+        max_nfev=_MAX_EVALUATIONS,
     ).x
 
 

@@ -31,7 +31,7 @@ _ROLL_SEEDS = 80  # starting points of the search per roll
 _GRASP_TOLERANCE = 1e-4  # [m] and [rad]
 _LOOSE_TOLERANCE = 5e-3  # [m] and [rad] tolerance of the prediction
 _GRASP_MARGIN = 0.015  # [-] margin to a joint's limits, relative to its range
-_MOST_INSIDE = 0.07  # [m] largest depth of a pair in its buffer on the path
+_MAX_INSIDE = 0.07  # [m] largest depth of a pair in its buffer on the path
 _AHEAD = np.radians(np.arange(3, 94, 3))  # door angles that need room
 _CORRECTIONS = 4  # [-] Newton steps for each door angle
 _TO_START = 0.5  # [-] part of the return to the starting posture in each step
@@ -288,7 +288,7 @@ class GraspSolver:
             self._search.stand(self._backed_off(base_pose, door, angle + turned))
             for _ in range(_CORRECTIONS):
                 q_m = self._corrected(target, q_m, q_start)
-            if (there := self._room(target, q_m, _LOOSE_TOLERANCE, -_MOST_INSIDE)) <= 0.0:
+            if (there := self._room(target, q_m, _LOOSE_TOLERANCE, -_MAX_INSIDE)) <= 0.0:
                 break
             followed, room = followed + 1, min(room, there)
         return followed + room

@@ -26,7 +26,7 @@ FINER = 10  # [-] refinement of the path that separates jumps from motion
 LONGEST = 4.0  # [s] path for comparing points and surface
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
-_LEAST = 1e-9  # [m] lower end of the logarithmic axis; smaller steps are drawn there
+_MIN_CHANGE = 1e-9  # [m] lower end of the logarithmic axis; smaller steps are drawn there
 _ZOOM = 0.03  # [m] margin around the paths in plan
 
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
@@ -165,7 +165,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
         place = along["p_act_x_m"], along["p_act_y_m"]
         plan.plot(*place, mark, markersize=4, linewidth=2.2, **look)
-        change = np.maximum(along["p_act_step_m"][1:], _LEAST)
+        change = np.maximum(along["p_act_step_m"][1:], _MIN_CHANGE)
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     _base_and_hand(plan, sources, found["surface"])
     plan.legend(loc="upper right", fontsize=9)

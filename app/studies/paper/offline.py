@@ -24,7 +24,7 @@ from app.studies.paper.experiments import Sources
 
 _SHOWN = 12_000  # [-] points of a cloud in a picture; more would hide each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-_LEAST = 0.02  # [-] share of the peak that counts as reached
+_MIN_SHARE = 0.02  # [-] share of the peak that counts as reached
 _SMOOTH = 1.0  # [-] lattice steps of the average, because each place has few samples
 
 
@@ -111,7 +111,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     half = figure.add_subplot(1, 3, 1, projection="3d")
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
     reach, off = _smoothed(reach_map), reach_map.points - reach_map.p_base
-    reached = reach > _LEAST * PEAK
+    reached = reach > _MIN_SHARE * PEAK
     half_table, cut_table = (
         drawing.points_table(reach_map.points[shown], reachability=reach[shown])
         for shown in (reached & (off[:, 1] >= 0), reached & (np.abs(off[:, 2]) < 1e-9))

@@ -52,7 +52,7 @@ _TRAVEL = 0.15, 0.60  # [m] of a pull along the base; one towards it ends in it,
 _HOLD = 1.0  # [s] after the pull, during which a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean
 _RELEASE = 0.3, 1.0  # [-] share of the pull after which the person releases
-_MOST_FAULTS = 3
+_MAX_FAULTS = 3
 _NO_FAULTS = {name: parameter(PARAMETERS[name]).default for name in FAULTS}
 _APART = 0.1, 0.9  # [-] share of the remaining time without a grip
 
@@ -206,7 +206,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     drawn |= {"speed": speed, "duration": duration, "moving": moving}
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
     drawn["fault_at"] = draw_value("fault_at", ranges, rng) * duration * moving
-    count = int(rng.integers(1, _MOST_FAULTS + 1)) if rng.random() < ranges.faulty else 0
+    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
     faults = rng.permutation(FAULTS)[:count]
     drawn |= {name: value for name, value in _NO_FAULTS.items() if name not in faults}
     return {

@@ -39,7 +39,7 @@ _FAILURES: dict[str, Callable[[Row], object]] = {
 _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
-_MOST_FAILURES = 200  # rows of the table of failures
+_MAX_FAILURES = 200  # rows of the table of failures
 
 _COLUMNS = {
     "case": "case",
@@ -249,8 +249,8 @@ def _failures(rows: Sequence[Row]) -> Part:
     if not bad:
         return Part("Failures", text=["No case failed."])
     bad.sort(key=exerted)
-    body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MOST_FAILURES]]
-    more = f" The weakest {_MOST_FAILURES} of {len(bad)}." if len(bad) > _MOST_FAILURES else ""
+    body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
+    more = f" The weakest {_MAX_FAILURES} of {len(bad)}." if len(bad) > _MAX_FAILURES else ""
     text = (
         f"Weakest first.{more} `dbb run --case failures/case-NNNNN.json` repeats one, "
         "`dbb serve --case` shows it."

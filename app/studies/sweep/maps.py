@@ -26,7 +26,7 @@ _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # of the legend
 _NEVER: dict[str, Any] = {"facecolor": "white", "edgecolor": "#B10026", "hatch": "////"}
 _UNREACHABLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DAE0", "hatch": "////"}
 _INNER, _OUTER = 0.80, 1.60  # [-] inner and outer radius of the bars; the footprint is inside
-_LEAST = 0.06  # [-] length of a bar at the start of the scale
+_MIN_BAR = 0.06  # [-] length of a bar at the start of the scale
 _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] and [deg] of the dots of paths along the wheel axis
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # of the dots, by p_b's place [m]
 _EDGE = 1.98  # [-] radius of a panel
@@ -59,7 +59,7 @@ class Quantity(NamedTuple):
         """[-] end of a bar; if more is better, a bad value's bar extends to the limit in red."""
         lacks = self.limit is not None and self.more_is_better and value < self.limit
         share = self.share(self.limit if lacks and self.limit is not None else value)
-        return _INNER + (_OUTER - _INNER) * max(share, _LEAST)
+        return _INNER + (_OUTER - _INNER) * max(share, _MIN_BAR)
 
     def good(self, value: float) -> bool:
         """Whether a value is on the good side of the limit."""

@@ -26,7 +26,7 @@ _SEARCHES = tuple(
 )
 """[rad] rotation of the end-effector from straight outwards, and seed offset; best first."""
 _TRIES = 4  # starting points of a search per pitch of the end-effector
-_MOST_POSTURES = 6  # attempts for one path
+_MAX_POSTURES = 6  # attempts for one path
 _SLIDE = 0.02  # [m] from one posture to the next towards the desired distance
 _FARTHEST_SLIDE = 0.25  # [m]
 _DISTANCE_TOLERANCE = 1e-4  # [m] of the distance at the start
@@ -52,7 +52,7 @@ class StartFinder:
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
         """The start of a path with a distance [m] between arm and base, exactly or nearly."""
         refused: Counter[str] = Counter()
-        for posture in islice(self._postures(approach, seed), _MOST_POSTURES):
+        for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
             try:
                 p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
                 if approach.kind == "wheel_axis":
