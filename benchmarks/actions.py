@@ -59,7 +59,7 @@ _PAUSE = """(on) => {
   if (paused !== on) button.click();
   return paused;
 }"""
-"""Has the simulation paused, or go on, whatever lies over the button; whether it was paused."""
+"""Pause or continue the simulation, also under an overlay; returns whether it was paused."""
 _AT = "([n, p]) => dbbTest.place(n, p)"
 
 
@@ -81,7 +81,7 @@ class Actions:
 
 @dataclass
 class _Server:
-    """`dbb serve` in a process of its own, and what it writes."""
+    """`dbb serve` in a separate process, with its output."""
 
     lines: list[str] = field(default_factory=list)
 
@@ -114,7 +114,7 @@ class _Server:
 
 
 class _Run:
-    """The pages, what is done in them, and what came of it."""
+    """The pages, the actions in them, and the results."""
 
     def __init__(self, browser: Any, server: _Server, args: Actions) -> None:
         self._server, self._args, self._random = server, args, random.Random(args.seed)
@@ -239,7 +239,7 @@ class _Run:
         self._robot, self._hand = name, (node_of(poses.model, last), found.actInv(p_ee))
 
     def _calm(self, tab: DashboardTab) -> None:
-        """Let go of everything, close what lies over the page, and go to the present."""
+        """Release everything, close everything over the page, and go to the present."""
         for _ in range(3):
             tab.page.keyboard.press("Escape")
         tab.page.evaluate("() => document.activeElement?.blur()")
@@ -280,7 +280,7 @@ class _Run:
 
 
 def main(args: Actions) -> None:
-    """Use the pages and print what came of it."""
+    """Use the pages and print the results."""
     server = _Server()
     try:
         with chromium() as browser:

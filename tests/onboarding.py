@@ -23,7 +23,7 @@ INERTIAL = (
 
 
 def solid(shape: str, *, mass: float = 1.0, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
-    """What stands in a link: a collision shape and an inertia."""
+    """The content of a link: a collision shape and an inertia."""
     inertial = INERTIAL.format(m=mass, i=0.01 * mass) if mass else ""
     return (
         f'{inertial}<collision><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>'
@@ -77,7 +77,7 @@ def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
 
 
 def arm() -> list[str]:
-    """Six revolute joints on a column, the hand 0.8 m from the second at most."""
+    """Six revolute joints on a column; the end-effector reaches 0.8 m from the second."""
     tube = '<cylinder radius="0.04" length="0.34"/>'
     small = '<cylinder radius="0.035" length="0.08"/>'
     names = ("column", "shoulder", "upper", "fore", "cuff", "wrist_link", "hand")

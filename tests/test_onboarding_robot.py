@@ -1,4 +1,4 @@
-"""From a URDF to a robot that the core takes, and checks that see what is wrong with one."""
+"""From a URDF to a valid robot, and checks that detect an invalid one."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def told() -> dict[str, list[float]]:
-    """The shares that were told while the toy was made, by what was done."""
+    """The reported shares while the toy was made, by activity."""
     return {}
 
 
@@ -106,7 +106,7 @@ def made(finished: tuple[NewRobot, BorderData]) -> NewRobot:
 
 
 def written(made: NewRobot, **changes: object) -> RobotModel:
-    """The model of what was written, with some fields of its description changed."""
+    """The model of the written robot, with some fields of its description changed."""
     folder = made.request.out
     stated = load_description(folder / "robot.toml")
     content = stated.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
@@ -172,7 +172,7 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
 def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
     tmp_path: Path, folder: str
 ) -> None:
-    """Whatever the folder is called, and by whichever way it is reached."""
+    """For any name of the folder, and any path to it."""
     beside = tmp_path / "toy-other" / "m.stl"
     beside.parent.mkdir()
     beside.touch()
@@ -261,7 +261,7 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
 
 
 def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewRobot) -> None:
-    """Of 6,000 poses of a Stretch 114 had a collision: too few to tell what share goes unseen."""
+    """Of 6,000 poses of a Stretch 114 had a collision: too few for the share of unseen ones."""
     units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
@@ -278,7 +278,7 @@ def test_while_places_are_looked_for_progress_is_told_all_the_way(
     finished: tuple[NewRobot, BorderData], told: dict[str, list[float]]
 ) -> None:
     """Each side takes seconds: by whole sides it would stand still at 0, 50 and 100 %."""
-    shares = told["looking for places to guide the hand"]
+    shares = told["searching lines for guiding"]
     assert shares == sorted(shares)
     assert shares[0] < 0.01
     assert shares[-1] == 1.0
@@ -640,7 +640,7 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
 
 
 def test_what_a_fixed_part_meets_is_seen_where_bodies_of_a_watched_pair_meet() -> None:
-    """Whoever else meets there: a mast in l_1 that no pair sees in any way belongs to l_m."""
+    """A mast in l_1 that no pair sees belongs to l_m, independent of other collisions there."""
     model = husky_panda()
     pairs = tuple(combinations(range(5), 2))
     touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]

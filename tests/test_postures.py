@@ -100,9 +100,10 @@ def looked_at(
     carried: Callable[[Any], float] = lambda _: 0.0,
     d_b: float = D_B,
 ) -> dict[str, list[Place]]:
-    """Lines of the paper's robot that are asked for if none shows anything, by their scenario.
+    """Lines of the paper's robot that are tried if none satisfies the test, by their scenario.
 
-    `carried` says of a line's start (x, y, its way to the base [m]) what the arm does not hold [-].
+    `carried` returns, for a line's start (x, y, its distance to the base [m]), the uncompensated
+    share.
     """
     tried: dict[str, list[Place]] = {name: [] for name in sides}
     look = postures._Guide._look
@@ -138,7 +139,7 @@ def test_a_line_that_ends_beside_one_that_shows_nothing_is_not_run(
 
 
 def test_a_short_arm_starts_just_outside_of_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lines began 0.25 m beside the base at least, whatever the buffer."""
+    """Earlier, lines started at least 0.25 m beside the base, with any buffer."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.22)
     lines = looked_at(monkeypatch, ["guiding-lateral"], d_b=0.06)["guiding-lateral"]
     assert lines

@@ -23,7 +23,7 @@ def snapshot():
 
 
 class Past:
-    """Snapshots that a loop has, and what is kept of them."""
+    """Snapshots of a loop, and the stored ones."""
 
     def __init__(self, snapshot, keeper):
         self._snapshots = [snapshot]

@@ -71,7 +71,7 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
 
 def test_light_meshes_have_few_faces_and_fill_the_same_room():
     def room(visuals: list[Visual], joint: int) -> np.ndarray:
-        """Corners (2, 3) [m] of what a joint moves, in its frame."""
+        """Corners (2, 3) [m] of the objects that a joint moves, in its frame."""
         moved = [
             v.mesh.copy().apply_transform(v.placement.homogeneous).bounds
             for v in visuals
