@@ -40,7 +40,7 @@ from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import Side, line_from
+from app.onboarding.fit.postures import Side
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -65,6 +65,7 @@ from tests.onboarding import (
     cart,
     cube,
     few_samples,
+    line_without_a_run,
     robot,
     with_mesh,
     write,
@@ -296,8 +297,8 @@ def test_processes_of_their_own_find_what_one_finds(
     with Workers(tuple, 2) as workers:
         there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
         shares: list[float] = []
-        lines = workers.map(line_from, [side], shares.append, tells=True)
-        assert [*lines] == [line_from(None, side)]
+        lines = workers.map(line_without_a_run, [side], shares.append, tells=True)
+        assert [*lines] == [line_without_a_run(None, side, lambda _: None)]
     assert shares == sorted(shares)
     assert len({*shares}) > 10
     for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
