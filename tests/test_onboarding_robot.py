@@ -33,6 +33,7 @@ from app.onboarding.check import (
     border_row,
     dynamics_row,
     limits_row,
+    ready_row,
     run_row,
 )
 from app.onboarding.fit import grouping, stops
@@ -473,17 +474,15 @@ def test_what_a_library_raises_in_a_check_is_that_rows_failure(
 
 
 def test_a_robot_made_for_another_buffer_is_checked_with_that_one(
-    finished: tuple[NewRobot, BorderData], monkeypatch: pytest.MonkeyPatch
+    finished: tuple[NewRobot, BorderData],
 ) -> None:
     made, data = finished
-    monkeypatch.setattr(checks, "load_border_data", lambda *_, **__: data)
 
     def beyond(d_b: float) -> float:
         asked = replace(made.request, d_b=d_b)
         config = tomlkit.parse(description_text(description(asked, made.parsed), "a robot"))
         model = written(made, config=config.get("config", {}))
-        rows = checks.check_robot(model.description, runs=False)
-        return next(row for row in rows if row.name == "ready pose").numbers["beyond_buffer_m"]
+        return ready_row(model, data).numbers["beyond_buffer_m"]
 
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
 
