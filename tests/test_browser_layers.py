@@ -169,7 +169,11 @@ def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, l
     tab.wait_for_picture(before, most=layer.least // 4)
 
 
-TITLES = {"determinant": "det(J", "reachability": "reachability R", "score": "score S"}
+TITLES = {
+    "determinant": "Mobility of the base",
+    "reachability": "Reachability by the arm",
+    "score": "How well the base gives way",
+}
 
 
 @pytest.mark.parametrize(("pair", "quantities"), [("lm-lEE", list(TITLES)), ("lm-l3", ["score"])])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +16,7 @@ from app.robot.description import load_robot
 from app.robot.link_pairs import PairDistances, find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.scenarios import LINES
-from app.simulation.scenarios.posture import PostureSearch
+from app.simulation.scenarios.posture import Found, PostureSearch
 from app.simulation.scenarios.start import StartSolver, find_start
 
 D_B = Config().border.d_b
@@ -90,6 +91,22 @@ def test_the_hand_points_away_from_the_mount_and_not_upwards(robot, solved):
 def test_the_hand_points_steeply_down_where_nothing_hinders_it(robot, solver):
     pointing = end_effector(robot, solver.solve((0.85, 0.30, 0.40))).rotation[:, 2]
     assert -pointing[2] == pytest.approx(np.sin(np.pi / 4), abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("lean", "anyhow"), [(0.0, False), (0.3, False), (1.2, True), (3.1, False)]
+)
+def test_the_hand_of_an_arm_on_a_flank_points_as_it_can(robot, border_data, lean, anyhow):
+    """As an Alicia-D on a Jackal's side, 69 degrees tilted: away and down was out of its reach."""
+    model = RobotModel(robot.description)
+    model.pin.jointPlacements[2] = model.pin.jointPlacements[2] * pin.SE3(
+        pin.utils.rotate("x", lean), np.zeros(3)
+    )
+    solver, tried = StartSolver(model, border_data.pairs, D_B), []
+    solver._try = lambda target, *_: tried.append(target.z) or Found(None, 0.0, Counter())
+    with pytest.raises(UnreachableError):
+        solver.solve((0.3, 0.7, 0.3))
+    assert [each for each in tried if each is None] == ([None] if anyhow else [])
 
 
 @pytest.mark.slow

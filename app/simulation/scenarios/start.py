@@ -21,6 +21,7 @@ _DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
 _BUFFER_MARGIN = 0.005  # [m] beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _LOST = 1e-3  # [m/rad or -] singular value of a direction in which the hand cannot move
+_UPRIGHT = 0.94  # [-] of an axis, by its z: it leans by 20 degrees at most
 _WAY_TOLERANCE = 0.01  # [-] weighted error of the hand on its way: 1 mm
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] of a line, where the way is looked at
 _KEPT = 100  # starts of a robot that are not searched again
@@ -51,9 +52,12 @@ class StartSolver:
         """Prepare for a robot and a buffer distance [m]."""
         self._model = model
         self._search = PostureSearch(model, pairs, d_b)
-        # Of less than six directions of motion some are lost: the hand points as it has to then.
+        # Of less than six directions of motion some are lost, and "away from the mount" is what an
+        # arm reaches whose first axis is upright: else the hand points as it has to.
         J = self._search.J_hand
-        self._points_anywhere = bool(np.linalg.matrix_rank(J, tol=_LOST) == 6)
+        first = next((axis for axis in J[3:].T if axis.any()), np.zeros(3))
+        full = np.linalg.matrix_rank(J, tol=_LOST) == 6
+        self._points_anywhere = bool(full and abs(first[2]) > _UPRIGHT)
 
     def solve(
         self,
