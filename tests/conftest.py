@@ -34,8 +34,24 @@ settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
 
 
+_LONGEST = (
+    "test_onboarding_robot",
+    "test_browser_upload",
+    "test_cli",
+    "test_robot_build",
+    "test_refrigerator",
+    "test_postures",
+    "test_end_to_end",
+    "test_browser_downloads",
+    "test_oracle",
+    "test_study_run",
+    "test_reach_map",
+)
+"""Files of more than half a minute, the longest first: at the end one of them would run alone."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with anything slow first, so that short ones fill up the workers in the end.
+    """The longest files first, then those with anything slow; short ones fill up the workers.
 
     A page that was late is looked at again.
     """
@@ -44,7 +60,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return any(item.get_closest_marker(name) for name in ("slow", "browser"))
 
     slow = {item.path for item in items if is_slow(item)}
-    items.sort(key=lambda item: item.path not in slow)
+    rank = {name: k for k, name in enumerate(_LONGEST)}
+    last = len(rank)
+    items.sort(key=lambda item: rank.get(item.path.stem, last + (item.path not in slow)))
     for item in items:
         if item.get_closest_marker("browser"):  # it draws in software, beside all other tests
             item.add_marker(pytest.mark.flaky(reruns=2))

@@ -33,6 +33,7 @@ from app.onboarding.check import (
     border_row,
     dynamics_row,
     limits_row,
+    ready_row,
     run_row,
 )
 from app.onboarding.fit import grouping, stops
@@ -40,7 +41,7 @@ from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import Side, line_from
+from app.onboarding.fit.postures import Side
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -65,6 +66,7 @@ from tests.onboarding import (
     cart,
     cube,
     few_samples,
+    line_without_a_run,
     robot,
     with_mesh,
     write,
@@ -296,8 +298,8 @@ def test_processes_of_their_own_find_what_one_finds(
     with Workers(tuple, 2) as workers:
         there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
         shares: list[float] = []
-        lines = workers.map(line_from, [side], shares.append, tells=True)
-        assert [*lines] == [line_from(None, side)]
+        lines = workers.map(line_without_a_run, [side], shares.append, tells=True)
+        assert [*lines] == [line_without_a_run(None, side, lambda _: None)]
     assert shares == sorted(shares)
     assert len({*shares}) > 10
     for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
@@ -472,17 +474,15 @@ def test_what_a_library_raises_in_a_check_is_that_rows_failure(
 
 
 def test_a_robot_made_for_another_buffer_is_checked_with_that_one(
-    finished: tuple[NewRobot, BorderData], monkeypatch: pytest.MonkeyPatch
+    finished: tuple[NewRobot, BorderData],
 ) -> None:
     made, data = finished
-    monkeypatch.setattr(checks, "load_border_data", lambda *_, **__: data)
 
     def beyond(d_b: float) -> float:
         asked = replace(made.request, d_b=d_b)
         config = tomlkit.parse(description_text(description(asked, made.parsed), "a robot"))
         model = written(made, config=config.get("config", {}))
-        rows = checks.check_robot(model.description, runs=False)
-        return next(row for row in rows if row.name == "ready pose").numbers["beyond_buffer_m"]
+        return ready_row(model, data).numbers["beyond_buffer_m"]
 
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
 

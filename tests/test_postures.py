@@ -21,16 +21,10 @@ from app.robot.model import RobotModel
 from app.robot.shapes import Box
 from app.simulation.run import run_scenario, steps_of
 from app.simulation.scenarios import LINES
-from tests.onboarding import FAST_LINES
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
 INNER = 0.4 * D_B  # [m]
-
-
-@pytest.fixture(autouse=True)
-def _fast_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(postures, "LINES", FAST_LINES)
 
 
 @cache
@@ -201,7 +195,7 @@ _figures: dict[tuple[Place, float], dict[str, Any]] = {}
 def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]:
     """Those of the paper's robot guided along a line, run once for all tests."""
     if (place, d_b) not in _figures:
-        line = FAST_LINES["guiding-lateral"].changed(start=place.start, move=place.move)
+        line = LINES["guiding-lateral"].changed(start=place.start, move=place.move)
         config = Config().replace("border.d_b", d_b)
         run = run_scenario(husky_panda(), data, line, config, physics="kinematic")
         _figures[place, d_b] = run.figures
@@ -238,7 +232,7 @@ def test_a_base_that_comes_back_while_the_hand_is_held_has_not_given_way(
 
     def back(*args: Any) -> Iterator[Any]:
         for session, step in steps_of(*args):
-            if step.t > 3.9:
+            if step.t > 7.9:
                 truth = step.truth._replace(base_pose=np.zeros(3))
                 step = step._replace(truth=truth)
             yield session, step
