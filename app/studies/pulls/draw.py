@@ -207,7 +207,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
     drawn["fault_at"] = draw_value("fault_at", ranges, rng) * duration * moving
     count = int(rng.integers(1, _MOST_FAULTS + 1)) if rng.random() < ranges.faulty else 0
-    faults = rng.permutation(FAULTS)[:count]
+    faults = rng.permutation(list(FAULTS))[:count]
     drawn |= {name: value for name, value in _NO_FAULTS.items() if name not in faults}
     return {
         "case": number,
