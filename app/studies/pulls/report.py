@@ -41,7 +41,7 @@ _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MOST_FAILURES = 200  # rows of the table of failures
-_SOON = 0.2  # [s] from a fault's begin, within which it is to be reported
+_SOON = 0.2  # [s] from a fault's begin; later reports are late
 
 _COLUMNS = {
     "case": "case",
