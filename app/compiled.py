@@ -8,9 +8,10 @@ which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding as llvm
 import numba
 from numba import types
 from numba.core import config, sigutils
@@ -101,17 +102,29 @@ class _PartLowering(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Makes machine code without vector instructions: loops of nine rounds are slower with them."""
+    """Makes machine code without vector instructions and unrolled loops.
 
-    _name = "lowering_without_vectors"
+    For loops of nine rounds vectors are slower, and unrolling doubles the size of the code, which
+    has to be read from memory in each control step.
+    """
+
+    _name = "compact_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        codegen, before = state.targetctx.codegen(), config.LOOP_VECTORIZE
-        config.LOOP_VECTORIZE = codegen._loopvect = 0
+        codegen = state.targetctx.codegen()
+        codegen._pass_builder = partial(_pass_builder, codegen)
         try:
             return super().run_pass(state)
         finally:
-            config.LOOP_VECTORIZE = codegen._loopvect = before
+            del codegen._pass_builder
+
+
+def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
+    """numba's, with other options."""
+    options = llvm.create_pipeline_tuning_options()
+    options.speed_level = config.OPT if opt is None else opt
+    options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
+    return llvm.create_pass_builder(codegen._tm, options)
 
 
 class _Compiler(CompilerBase):

@@ -328,19 +328,19 @@ def relocated(k: int, m: Measurement) -> Measurement:
 
 
 EVENTS = {
-    "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid"),
-    "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid"),
-    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "invalid"),
-    "localisation jumps": (relocated, "localisation"),
+    "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid", 0.3),
+    "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid", 0.3),
+    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "invalid", 0.3),
+    "localisation jumps": (relocated, "localisation", 0.8),  # the end-effector goes back by 0.1 m
 }
 
 
 @pytest.mark.parametrize("case", EVENTS)
 def test_nothing_leaps_at_an_event_and_it_is_named(run, case: str) -> None:
-    bend, fault = EVENTS[case]
+    bend, fault, most = EVENTS[case]
     found = run(bend, start=SIDE, pull=np.zeros(3), reference=still)
     assert found.faults[fault] <= 0.5
-    assert found.share < 0.8
+    assert found.share < most
     assert np.linalg.norm(np.diff(found.hand, axis=0), axis=1).max() < 0.0006  # 0.6 m/s
 
 

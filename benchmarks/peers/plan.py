@@ -105,7 +105,7 @@ def arrays_of(model: RobotModel, paths: Mapping[str, StartedLine]) -> dict[str, 
         zero = np.zeros(model.n_m)
         state.update(Measurement(np.zeros(3), np.zeros(2), np.array(line.q_m), zero))
         count = round(line.duration / DT)
-        found[f"{name}_p"] = np.array([line.position(k * DT)[0] for k in range(count + 1)])
+        found[f"{name}_p"] = np.array([line.place(k * DT) for k in range(count + 1)])
         found[f"{name}_R"] = state.T_world_ee.rotation.copy()
     return found
 

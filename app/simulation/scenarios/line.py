@@ -126,28 +126,24 @@ class LineScenario(Scenario):
             return True
         return self.regrasp_at is not None and t >= self.regrasp_at
 
-    def position(self, t: float) -> tuple[Array, Array, Array]:
-        """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
-        T, s = self.duration * self.moving, self._passed(t)
-        inside = 0.0 <= t <= T
-        move = np.array(self.move)
-        return (
-            self.place(t),
-            (6 * s * (1 - s) / T if inside else 0.0) * move,
-            (6 * (1 - 2 * s) / T**2 if inside else 0.0) * move,
-        )
-
     def reference(self, t: float, orientation: Array) -> Reference:
         """The end-effector's reference with a constant orientation, (3, 3)."""
         import pinocchio as pin
 
         from app.control.tasks import Reference
 
-        p, v, a = self.position(t)
-        zero = np.zeros(3)
+        T, s = self.duration * self.moving, self._passed(t)
+        speed, change = 6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2  # [1/s, 1/s²] of the way
+        if not 0.0 <= t <= T:
+            speed = change = 0.0
         return Reference(
-            pin.SE3(orientation, p), np.concatenate([v, zero]), np.concatenate([a, zero])
+            pin.SE3(orientation, self.place(t)), self._along(speed), self._along(change)
         )
+
+    def _along(self, rate: float) -> Array:
+        """(6,) a motion by a rate times the whole way, without rotation."""
+        x, y, z = self.move
+        return np.array([rate * x, rate * y, rate * z, 0.0, 0.0, 0.0])
 
     def _passed(self, t: float) -> float:
         """[-] of the time in which the point moves, 0 to 1."""

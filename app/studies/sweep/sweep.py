@@ -131,7 +131,7 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
     planned, start = plan.planned(trial), trial.start
     run, scenario = thinned(run_planned(planned, finder.model, finder.data)), planned.scenario
-    off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
+    off = np.linalg.norm(run.trace.of("p_ee") - scenario.place(scenario.duration), axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
     found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True))
