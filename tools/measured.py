@@ -45,6 +45,7 @@ PULLS = (
     *("--cases", "690", "--seed", "17", "--hand-stiffness", "300", "2000", "--hand-mass", "0", "0"),
     *("--base-delay", "0", "0", "--encoder-noise", "0", "0", "--mass-error", "0", "0"),
     *("--slip", "0", "0", "--v-max", "0.5", "0.5", "--speed", "0.3", "1.2"),
+    *("--payload", "0", "0", "--faulty", "0"),
 )
 """The study of the documentation: strong pulls on a robot as modelled."""
 INSIDE = ("--inside", "--cases", "5000", "--seed", "1")

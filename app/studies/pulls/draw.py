@@ -53,7 +53,7 @@ _HOLD = 1.0  # [s] after the pull, during which a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean
 _RELEASE = 0.3, 1.0  # [-] share of the pull after which the person releases
 _MAX_FAULTS = 3
-_NO_FAULTS = {name: parameter(PARAMETERS[name]).default for name in FAULTS}
+_LATER = ("payload", *FAULTS)  # drawn from a stream of their own: pulls are the same without them
 _APART = 0.1, 0.9  # [-] share of the remaining time without a grip
 
 
@@ -198,17 +198,17 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
     ranges = parameters.ranges
     speed = draw_value("speed", ranges, rng)
-    drawn: dict[str, float | None] = {n: draw_value(n, ranges, rng) for n in PARAMETERS}
+    drawn: dict[str, float | None] = {
+        n: draw_value(n, ranges, rng) for n in PARAMETERS if n not in _LATER
+    }
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
     move, duration, moving = _timed(move, speed, ranges.duration)
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     drawn |= {"speed": speed, "duration": duration, "moving": moving}
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
-    drawn["fault_at"] = draw_value("fault_at", ranges, rng) * duration * moving
-    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
-    faults = rng.permutation(FAULTS)[:count]
-    drawn |= {name: value for name, value in _NO_FAULTS.items() if name not in faults}
+    others = np.random.SeedSequence(parameters.seed, spawn_key=(number, 1))
+    drawn |= _draw_faults(ranges, duration * moving, np.random.default_rng(others))
     return {
         "case": number,
         "kind": f"{start.sector}, along" if along else start.sector,
@@ -251,6 +251,15 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
         move = move * ((longest - hold) / pulling)
         pulling = longest - hold
     return move, pulling + hold, pulling / (pulling + hold)
+
+
+def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
+    """The payload, and at most three of `FAULTS`; `pulling` [s] is how long the person pulls."""
+    drawn = {name: draw_value(name, ranges, rng) for name in _LATER}
+    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
+    for name in rng.permutation(list(FAULTS))[count:]:
+        drawn[name] = parameter(PARAMETERS[name]).default
+    return drawn | {"fault_at": draw_value("fault_at", ranges, rng) * pulling}
 
 
 def _draw_release(

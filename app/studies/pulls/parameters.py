@@ -14,14 +14,15 @@ from app.strict import Strict, check_range
 
 Interval = tuple[float, float]  # smallest and largest value; equal ones fix the value
 
-FAULTS = (
-    "sensor_delay",
-    "sensor_period",
-    "dropped",
-    "unknown_load",
-    "stated_period",
-)
-"""Disturbances that the controller has to notice: one to three in a case that has any."""
+FAULTS = {
+    "sensor_delay": "lag",
+    "sensor_period": "repeated",
+    "dropped": "repeated",
+    "unknown_load": "load",
+    "stated_period": "period",
+}
+"""Disturbances that the controller has to report, one to three in a case that has any; each with
+the fault (`app.control.readings.FAULTS`) as which it does."""
 
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",

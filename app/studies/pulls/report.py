@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from app.config import parameter
 from app.studies.page import Grid, Part, label, page_html
-from app.studies.pulls.case import entered_buffer, failed, met_base, met_itself
+from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
 from app.studies.pulls.figures import PICTURES
-from app.studies.pulls.parameters import StudyParameters
+from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
@@ -40,6 +41,7 @@ _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MAX_FAILURES = 200  # rows of the table of failures
+_SOON = 0.2  # [s] from a fault's begin; later reports are late
 
 _COLUMNS = {
     "case": "case",
@@ -84,6 +86,7 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
             kind: _fared([row for row in rows if row["kind"] == kind], *_BY_KIND)
             for kind in sorted({row["kind"] for row in rows})
         },
+        "faults": {name: _reported(rows, name) for name in FAULTS},
         "envelope": {
             **fitted.model_dump(mode="json"),
             "inside": tally([row for row in rows if fitted.holds(row)]),
@@ -97,6 +100,19 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
         "failures": [row["case"] for row in rows if failed(row)],
     }
     return summary, fitted
+
+
+def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
+    """How many cases have one of `FAULTS`, in how many it was reported, and in how many soon."""
+    none, column = parameter(PARAMETERS[name]).default, COLUMNS[name]
+    having = [row for row in rows if row.get(column, none) != none]
+    waits = [
+        row[f"fault_{FAULTS[name]}_s"] - (0.0 if name == "stated_period" else row["fault_at_s"])
+        for row in having
+        if row.get(f"fault_{FAULTS[name]}_s") is not None
+    ]
+    soon = sum(wait <= _SOON for wait in waits)
+    return {"cases": len(having), "reported": len(waits), "within_200_ms": soon}
 
 
 def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
@@ -148,6 +164,7 @@ def report_html(
         _envelope(envelope),
         forces,
         _counted("By where the pull comes from", "from", summary["by_kind"]),
+        _counted("Faults, and when they were reported", "fault", summary["faults"]),
         _failures(rows),
     ]
     return page_html(title, _lead(parameters), parts)
@@ -170,8 +187,10 @@ def _lead(parameters: StudyParameters) -> str:
         f"A person pulls the end-effector towards the base from random starts around and "
         f"above it. Robot {parameters.robot}, plant {parameters.physics}, seed "
         f"{parameters.seed}; {told} (SI units); the stiffness has a logarithmic, everything else a "
-        f"uniform distribution; {_percent(parameters.ranges.released)} of the pulls end early, in "
-        f"{_percent(parameters.ranges.regrasped)} of these the person takes hold again.{inside}"
+        f"uniform distribution; {_percent(parameters.ranges.faulty)} of the cases have one to three "
+        f"of {', '.join(FAULTS)}, the others none; {_percent(parameters.ranges.released)} of the "
+        f"pulls end early, in {_percent(parameters.ranges.regrasped)} of these the person takes hold "
+        f"again.{inside}"
     )
 
 
