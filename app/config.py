@@ -8,13 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from logging import getLogger
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from app.errors import ConfigError, did_you_mean
 from app.parameters import Parameter, Section, Shown, Tunable, read_tunable
 from app.strict import Strict, explain
+
+FORMER_NAMES = {
+    "activation.blend": "activation.closest_point_smoothing",
+    "barrier.leaving": "barrier.max_separation_speed",
+    "holding.speed": "ee_hold.min_speed",
+    "holding.weight": "ee_hold.weight",
+    "task.centring": "task.joint_centering",
+    "task.base_slowness": "task.base_time_scale",
+    "task.softness": "task.slack_weight",
+    "estimate.push_change": "estimate.external_drift",
+    "estimate.window": "estimate.noise_window",
+}
+"""Names of parameters in older files, and the present ones."""
 
 
 class BorderConfig(Strict):
@@ -54,8 +68,8 @@ class ActivationConfig(Strict):
         default=0.05, ge=0.0, le=0.05
     )
     """[m] distance at which the avoidance task is in full force."""
-    blend: Annotated[float, Shown("Closest-point blending", advanced=True)] = Field(
-        default=0.005, ge=0.001, le=0.05
+    closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
+        Field(default=0.005, ge=0.001, le=0.05)
     )
     """[m] smoothing of the closest point: parts of a link up to this much farther contribute."""
 
@@ -76,13 +90,13 @@ class BarrierConfig(Strict):
     """[m] minimum distance, as long as the torques suffice."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] approach rate: approach speed per remaining distance."""
-    leaving: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
+    max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
         default=0.3, ge=0.05, le=2.0
     )
     """[m/s] upper bound of the separation speed of a pair nearer than that, also in penetration."""
 
 
-class HoldingConfig(Strict):
+class EeHoldConfig(Strict):
     """Less base motion where the arm cannot compensate it at the end-effector."""
 
     speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
@@ -112,7 +126,7 @@ class TaskConfig(Strict):
     """[m/s] and [rad/s] upper bound of the end-effector's correction speed."""
     posture_stiffness: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s²] stiffness of the arm's posture task, towards its starting posture."""
-    centring: Annotated[float, Shown("Joint-limit stiffness")] = Field(
+    joint_centering: Annotated[float, Shown("Joint-limit stiffness")] = Field(
         default=8.0, ge=0.0, le=100.0
     )
     """[1/s²] stiffness towards the middle of a joint's range, at its limit."""
@@ -120,7 +134,7 @@ class TaskConfig(Strict):
     """[1/s] damping of the arm's posture task."""
     base_damping: Annotated[float, Shown("Base damping k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
-    base_slowness: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
+    base_time_scale: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
         default=5.0, ge=1.0, le=100.0
     )
     """[-] time scale of the base's gains relative to the arm's, because the base runs at 10 Hz."""
@@ -130,7 +144,7 @@ class TaskConfig(Strict):
         default=1e5, ge=1.0, le=1e7
     )
     """[-] weight of the end-effector's task relative to the posture task."""
-    softness: Annotated[float, Shown("Softness ε", advanced=True)] = Field(
+    slack_weight: Annotated[float, Shown("Softness ε", advanced=True)] = Field(
         default=1e-3, ge=1e-4, le=0.1
     )
     """[-] ε, softness of a fully active row of T_sca; that of the arm's limits is ε²."""
@@ -156,7 +170,7 @@ class LimitConfig(Strict):
 class EstimateConfig(Strict):
     """The filter of the arm's readings, which also estimates external torques."""
 
-    push_change: Annotated[float, Shown("External push noise")] = Field(
+    external_drift: Annotated[float, Shown("External push noise")] = Field(
         default=3.0, ge=0.1, le=100.0
     )
     """[rad/s²] process noise of the external joint acceleration in one second; or m/s²."""
@@ -168,7 +182,7 @@ class EstimateConfig(Strict):
         default=100.0, ge=1.0, le=1e4
     )
     """[1/s] lower bound of the velocity noise, relative to the position noise."""
-    window: Annotated[float, Shown("Noise window", advanced=True)] = Field(
+    noise_window: Annotated[float, Shown("Noise window", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )
     """[s] time window of the noise estimate."""
@@ -252,6 +266,8 @@ class DisturbanceConfig(Strict):
     """[kg] load at the end-effector that the controller does not know; its weight alone."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller takes for true; 0.001 is."""
+    begins: float = Field(default=0.0, ge=0.0, le=60.0)
+    """[s] when the readings become poor and the unknown load is there."""
 
 
 class Config(Strict):
@@ -267,7 +283,7 @@ class Config(Strict):
     """Repulsion"""
     barrier: BarrierConfig = BarrierConfig()
     """Barrier"""
-    holding: HoldingConfig = HoldingConfig()
+    ee_hold: EeHoldConfig = EeHoldConfig()
     """Holding"""
     task: TaskConfig = TaskConfig()
     """Tasks"""
@@ -283,6 +299,11 @@ class Config(Strict):
     """Person's hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
     """Disturbances"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_former_names(cls, data: Any) -> Any:
+        return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
         """A copy with some parameters changed, by their paths, as in `border.d_b`.
@@ -315,13 +336,13 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """The gains of the same closed loops, slower by the factor `base_slowness`.
+    """The gains of the same closed loops, slower by the factor `base_time_scale`.
 
     Stretching time by a factor divides stiffnesses by its square, and damping and rates by the
     factor itself. Velocity limits are approached at the rate of position limits.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
-    s = task.base_slowness
+    s = task.base_time_scale
     slow = {
         "task": {"ee_stiffness": task.ee_stiffness / s**2, "ee_damping": task.ee_damping / s},
         "repulsion": {"k_p": repulsion.k_p / s**2, "k_v": repulsion.k_v / s},
@@ -329,7 +350,10 @@ def slowed(config: Config) -> Config:
             "position_rate": limit.position_rate / s,
             "velocity_rate": limit.position_rate / s,
         },
-        "barrier": {"rate": barrier.rate / s, "leaving": barrier.leaving / s},
+        "barrier": {
+            "rate": barrier.rate / s,
+            "max_separation_speed": barrier.max_separation_speed / s,
+        },
     }
     return config.model_copy(
         update={
@@ -351,8 +375,38 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
         raise ConfigError(explain(error, Config, range_text)) from None
     if usual is None:
         return config
-    given = {f"{name}.{each}": v for name, part in data.items() for each, v in part.items()}
+    sections = _renamed(data).items()
+    given = {f"{name}.{each}": v for name, section in sections for each, v in section.items()}
     return usual.changed(given)
+
+
+def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested dictionaries of parameters with former names replaced by the present ones.
+
+    Raises:
+        ValueError: A parameter has a value under both names.
+    """
+    found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
+    for former, path in FORMER_NAMES.items():
+        (old_section, old), (section, name) = former.split("."), path.split(".")
+        values, target = found.get(old_section), found.get(section, {})
+        if not (isinstance(values, dict) and isinstance(target, dict) and old in values):
+            continue
+        if name in target:
+            raise ValueError(f"{former} is the former name of {path}: state only one of them")
+        found[section] = target | {name: values.pop(old)}
+        if not found[old_section]:
+            del found[old_section]
+        present_name(former)
+    return found
+
+
+@cache
+def present_name(path: str) -> str:
+    """The present name of a parameter; logs one line if the path is a former name."""
+    if path in FORMER_NAMES:
+        getLogger(__name__).warning("parameter %s is now %s", path, FORMER_NAMES[path])
+    return FORMER_NAMES.get(path, path)
 
 
 @cache
@@ -384,6 +438,7 @@ def tunable(path: str) -> Tunable:
     Raises:
         ConfigError: No such parameter.
     """
+    path = present_name(path)
     if path not in tunables():
         raise ConfigError(f"no parameter {path!r}{did_you_mean(path, tunables())}")
     return tunables()[path]

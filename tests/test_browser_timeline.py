@@ -35,7 +35,7 @@ def opened(browser, served):
 @pytest.fixture
 def tab(opened, served):
     """After 4 s in which the hand is pulled and the base gives way, time stands still."""
-    served.pull_at_base(4.0)
+    served.pull_at_base(4.0, opened)
     opened.wait("t => Math.abs(dbb.seen().now - t) < 0.01", served.loop.latest().t)
     yield opened
     opened.click("Back to now")

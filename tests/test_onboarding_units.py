@@ -12,7 +12,7 @@ import trimesh
 
 from app.onboarding.fit import units
 from app.onboarding.fit.bodies import ArmFitter
-from app.onboarding.fit.collision_sampling import Meetings, Poses
+from app.onboarding.fit.collision_sampling import Meetings, Poses, _grazing
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
 from app.onboarding.fit.units import Part, Unit, group_distances, neighbours, units_of_links
@@ -75,6 +75,24 @@ def test_what_is_fixed_to_the_base_never_rides_on_a_slide() -> None:
     cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,), frozenset({3}))]
     assert cuts
     assert not any({1, 3} <= set(group) for groups in cuts for group in groups)
+
+
+@pytest.mark.parametrize(
+    ("depths", "a", "expected"),
+    [
+        (np.full(30, 0.002), 2, True),
+        (np.full(29, 0.002), 2, False),  # too few poses to say how deep they can be
+        (np.append(np.full(29, 0.002), 0.01), 2, False),
+        (np.full(30, 0.002), 1, False),  # of the base
+    ],
+)
+def test_links_of_an_arm_that_pass_each_other_within_a_mesh_are_near_as_built(
+    depths: np.ndarray, a: int, expected: bool
+) -> None:
+    """As the wrist of a Stretch, 2 mm inside of the outermost tube of its drawn-in telescope."""
+    pair, gaps = (a, 4), np.append(-depths, np.full(70, 0.2))[:, None]
+    found = _grazing([unit(k) for k in range(5)], [pair], gaps)
+    assert found == (frozenset({pair}) if expected else frozenset())
 
 
 def test_a_head_on_a_torso_meets_the_shoulder_that_turns_beside_it() -> None:

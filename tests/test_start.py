@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 
 import numpy as np
 import pinocchio as pin
@@ -10,10 +11,12 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.errors import UnreachableError
-from app.robot.link_pairs import PairDistances
+from app.errors import AssetError, UnreachableError
+from app.robot.description import load_robot
+from app.robot.link_pairs import PairDistances, find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.scenarios import LINES
+from app.simulation.scenarios.posture import Found, PostureSearch
 from app.simulation.scenarios.start import StartSolver, find_start
 
 D_B = Config().border.d_b
@@ -90,6 +93,22 @@ def test_the_hand_points_steeply_down_where_nothing_hinders_it(robot, solver):
     assert -pointing[2] == pytest.approx(np.sin(np.pi / 4), abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("lean", "anyhow"), [(0.0, False), (0.3, False), (1.2, True), (3.1, False)]
+)
+def test_the_hand_of_an_arm_on_a_flank_points_as_it_can(robot, border_data, lean, anyhow):
+    """As an Alicia-D on a Jackal's side, 69 degrees tilted: away and down was out of its reach."""
+    model = RobotModel(robot.description)
+    model.pin.jointPlacements[2] = model.pin.jointPlacements[2] * pin.SE3(
+        pin.utils.rotate("x", lean), np.zeros(3)
+    )
+    solver, tried = StartSolver(model, border_data.pairs, D_B), []
+    solver._try = lambda target, *_: tried.append(target.z) or Found(None, 0.0, Counter())
+    with pytest.raises(UnreachableError):
+        solver.solve((0.3, 0.7, 0.3))
+    assert [each for each in tried if each is None] == ([None] if anyhow else [])
+
+
 @pytest.mark.slow
 def test_the_same_seed_gives_bitwise_the_same_start(robot, border_data, solver):
     again = StartSolver(robot, border_data.pairs, D_B)
@@ -135,7 +154,7 @@ def test_other_seeds_reach_the_same_places(robot, solver):
     ("place", "reason"),
     [
         ((2.5, 0.0, 0.5), "out of the arm's reach"),
-        ((0.3, 0.0, 3.0), "out of the arm's reach"),
+        ((1.32, 0.0, 0.5), "out of the arm's reach"),  # nearer than all offsets together
         ((0.2, 0.42, 0.15), "inside its buffer"),
         ((0.7, 0.1, 0.02), "touch the floor"),
         ((0.9, 0.0, -0.1), "the floor is z = 0"),
@@ -147,6 +166,23 @@ def test_a_start_that_cannot_be_is_refused_with_its_reason(solver, place, reason
     with pytest.raises(UnreachableError, match=reason) as caught:
         solver.solve(place)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["husky_panda", "stretch_se3"])
+def test_no_posture_brings_the_hand_beyond_the_length_of_the_arm(name: str):
+    """So a place that is farther is refused at once; the Stretch has five slides."""
+    try:
+        robot = RobotModel(load_robot(name))
+    except AssetError as error:
+        pytest.skip(str(error))
+    pairs, rng = find_link_pairs(robot, samples=20), np.random.default_rng(0)
+    search = PostureSearch(robot, pairs, D_B)
+    search.stand(np.array([1.0, -2.0, 2.5]))
+    reached = []
+    for q_m in search.guesses(rng, 300):
+        search.place(q_m)
+        reached.append(search.beyond(search.state.T_world_ee.translation))
+    assert max(reached) < 0.0
 
 
 def test_a_wider_buffer_is_kept_too(robot, border_data):

@@ -308,8 +308,10 @@ window.dbbControls = (box, ranges) => {
       window.dbbPanels.open("Help");
     } else if (e.key === "Escape") {
       const open = (kinds) => [...document.querySelectorAll(kinds)].some((each) => each.offsetHeight);
-      const over = live || !card.hidden || open(".mantine-Modal-content, .mantine-Notification-root");
-      if (!open("[role=listbox]")) ask(over ? "escape" : "now");
+      if (open("[role=listbox]")) return;
+      const over = !card.hidden || open(".mantine-Modal-content"); // messages go with the past
+      ask("escape");
+      if (!over && !live) ask("now");
     }
   }, { capture: true });
   // A change comes before the box has made a number of what is typed.

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 _NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
 """What a link may name, beside parameters by their paths."""
 _FARTHEST = 100.0  # [m] of a camera
-LARGEST = 8 * 2**20  # [bytes] of a case's file
 _COPY = (
     "const box=this.previousElementSibling;box.focus();box.select();document.execCommand('copy');"
     "history.replaceState(null,'',box.value)"
@@ -261,10 +260,6 @@ class SharePanel(Panel):
 
     def _play(self, event: Any) -> None:
         file = taken_upload(event.target)
-        if len(file.content) > LARGEST:
-            raise CaseError(
-                f"{file.name}: {len(file.content) / 1e6:.0f} MB is too large for a case"
-            )
         try:
             text = text_of(file.content)
         except ValueError as error:

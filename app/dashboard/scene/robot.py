@@ -1,11 +1,10 @@
 """Robot: what it looks like, read once for many viewers, and where its links are."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
@@ -14,12 +13,12 @@ import trimesh
 from app.dashboard.scene.colours import Rgb
 from app.errors import AssetError, RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
-from app.onboarding.read.links import read_mesh, urdf_mesh
-from app.onboarding.read.tree import numbers, origin
+from app.onboarding.read.links import read_mesh
 from app.robot.assets import ASSETS, bare_urdf, resolved_urdf, robot_folder
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
+from app.robot.urdf import colour, origin, urdf_mesh
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
@@ -187,20 +186,11 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
                 # Of positions only: textures would be copied with every part of it.
                 ready[key] = for_display(trimesh.Trimesh(mesh.vertices, mesh.faces))
             placement = frame.placement * origin(visual, where)
-            colour = _colour(visual.find("material"), materials, where)
-            visuals.append(Visual(f"{name}_{i}", frame.parentJoint, placement, ready[key], colour))
+            rgba = colour(visual, materials, where)
+            r, g, b = GREY if rgba is None else (round(255 * x) for x in rgba[:3])
+            look = Visual(f"{name}_{i}", frame.parentJoint, placement, ready[key], (r, g, b))
+            visuals.append(look)
     return visuals
-
-
-def _colour(material: Element | None, materials: Mapping[str | None, Element], where: str) -> Rgb:
-    """Of a visual's material, which may only name one of the robot's `materials`."""
-    if material is None:
-        return GREY
-    for each in (material, materials.get(material.get("name"), material)):
-        if (colour := each.find("color")) is not None:
-            r, g, b, _ = (255 * numbers(colour, "rgba", (0.0,) * 4, where)).round().astype(int)
-            return int(r), int(g), int(b)
-    return GREY
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

@@ -40,6 +40,7 @@ so many of those do they."""
 _FEWEST = 50  # [-] poses without a collision that say what is near
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
 _OVERLAP = 0.02  # [m] by which meshes of links may overlap that are built side by side
+_GRAZE = 0.003  # [m] by which hulls of two of the arm's links overlap at most that pass each other
 _RARE = 30  # [-] random poses in which a pair meets, below which others are searched for
 ENOUGH = 600
 """[-] poses with a collision that tell what share of them is seen, to half a percent."""
@@ -70,8 +71,8 @@ class Meetings:
     pairs: tuple[tuple[int, int], ...]
     """Pairs of units, by their indices, that are no neighbours."""
     close: frozenset[tuple[int, int]]
-    """Pairs that are within the buffer in most poses without a collision, as they are built: no
-    buffer can watch them."""
+    """Pairs that no buffer can watch, as they are built: within it in most poses without a
+    collision, or of the arm and never deeper in one another than a mesh is exact."""
     apart: frozenset[tuple[int, int]]
     """Those of the base and a link that moves on it which meet deeper than what is built side by
     side: limits of joints have to keep them apart."""
@@ -136,7 +137,13 @@ def sample_meetings(
             break
     rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
-    found = replace(found, rare=Poses(rare_q, gaps, np.all(gaps[:, barred] > 0.0, axis=1)))
+    graze = _grazing(units, pairs, np.vstack([distances, gaps]))
+    barred += [k for k, pair in enumerate(pairs) if pair in graze - close]
+    random, rare = (
+        Poses(q_m, each, np.all(each[:, barred] > 0.0, axis=1))
+        for q_m, each in ((q_m, distances), (rare_q, gaps))
+    )
+    found = replace(found, close=close | graze, random=random, rare=rare)
     if points:
         met: dict[tuple[int, int], Array] = {}
         for masks in workers.map(_met, [(found, model, k) for k in range(len(pairs))]):
@@ -169,6 +176,15 @@ def _built_near(
     if stopped:
         close -= apart
     return close, apart, [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
+
+
+def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
+    """Pairs of the arm's links that meet, in `_RARE` poses or more, and never any deeper."""
+    depths = np.sort(-distances, axis=0)[-_RARE:]
+    shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
+    return frozenset(
+        pair for pair in compress(pairs, shallow) if min(units[k].joint for k in pair) > 1
+    )
 
 
 class _Looked(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -15,10 +15,11 @@ import trimesh
 from scipy.spatial import QhullError
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import MESHES, mesh_path
-from app.onboarding.read.tree import Arm, Tree, numbers, origin, unit_of
+from app.onboarding.read.source import MESHES
+from app.onboarding.read.tree import Arm, Tree
 from app.robot.assets import floats, refuse_placeholder
 from app.robot.shapes import hull_mesh
+from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
 
 Array = np.ndarray
 
@@ -131,39 +132,6 @@ def swept_shape(shape: LinkShape, ways: Sequence[pin.SE3]) -> LinkShape:
         [shape.mesh.copy().apply_transform(T.homogeneous) for T in ways]
     )
     return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
-
-
-def urdf_mesh(
-    shape: Element, where: str, load: Callable[[Path, str], trimesh.Trimesh]
-) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles [m], and the radius of a round one; `load` reads those of a file.
-
-    Raises:
-        RobotFileError: It is none of a URDF's shapes, or says nothing sensible.
-    """
-
-    def sizes(key: str, count: int = 1) -> Array:
-        found = numbers(shape, key, (0.0,) * count, where)
-        if not (found > 0).all():
-            raise RobotFileError(f"{where}: the {key} of its {shape.tag} is not above zero")
-        return found
-
-    if shape.tag == "box":
-        return trimesh.creation.box(extents=sizes("size", 3)), None
-    if shape.tag == "mesh":
-        if not (address := shape.get("filename")):
-            raise RobotFileError(f"{where}: a mesh has no filename")
-        scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
-        return load(mesh_path(address), where).copy().apply_scale(scale), None
-    if shape.tag not in ("sphere", "cylinder", "capsule"):
-        raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
-    radius = float(sizes("radius")[0])
-    if shape.tag == "sphere":
-        return trimesh.creation.icosphere(subdivisions=3, radius=radius), radius
-    make = getattr(trimesh.creation, shape.tag)
-    mesh = make(height=float(sizes("length")[0]), radius=radius)
-    mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return mesh, radius
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:

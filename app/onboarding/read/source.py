@@ -209,11 +209,6 @@ def _missing(reference: str, folder: Path, packages: Mapping[str, Path]) -> str:
     return f"there is no file {folder / path}{did_you_mean(Path(path).name, near)}"
 
 
-def mesh_path(address: str) -> Path:
-    """The file behind what `mesh_address` gave."""
-    return resolve_package_uri(address) if address.startswith("package://") else Path(address)
-
-
 def _installed_address(path: Path) -> str | None:
     """`package://…` of a file that belongs to an installed package, or None."""
     full = path.resolve()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
@@ -13,6 +14,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
+from app.robot.urdf import numbers, origin, unit_of
 
 Array = np.ndarray
 
@@ -22,10 +24,8 @@ FREE = ("planar", "floating")
 ARM_ON_BASE = "arm_on_base"
 """The joint by which an arm of a file of its own is fixed to the base."""
 _MOST_NAMES = 40  # [-] that a message lists
-_FARTHEST = 10.0  # [m] of an origin: of a joint, a shape or a centre of mass
 _LONGEST = 6.0  # [m] of an arm, joint by joint
 _PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
-_MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
 
 
 class Joint(NamedTuple):
@@ -86,7 +86,14 @@ class Tree:
 
     def children(self, link: str) -> list[Joint]:
         """The joints below a link."""
-        return [joint for joint in self.joints.values() if joint.parent == link]
+        return self._children.get(link, [])
+
+    @cached_property
+    def _children(self) -> dict[str, list[Joint]]:
+        found: dict[str, list[Joint]] = {}
+        for joint in self.joints.values():
+            found.setdefault(joint.parent, []).append(joint)
+        return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
         """The joints from one link out to another.
@@ -155,8 +162,9 @@ def make_tree(robot: Element) -> Tree:
                 "chain at one of them"
             )
         joint_of[joint.child] = joint
-    _hang_together(links, joint_of)
-    return Tree(robot, links, joints, joint_of)
+    tree = Tree(robot, links, joints, joint_of)
+    _hang_together(tree)
+    return tree
 
 
 def _once(robot: Element, tag: str) -> None:
@@ -167,21 +175,18 @@ def _once(robot: Element, tag: str) -> None:
             raise RobotFileError(f"the {tag} {name!r} stands {count} times; names must be unique")
 
 
-def _hang_together(links: dict[str, Element], joint_of: dict[str, Joint]) -> None:
-    if len(roots := [name for name in links if name not in joint_of]) > 1:
+def _hang_together(tree: Tree) -> None:
+    roots = [name for name in tree.links if name not in tree.joint_of]
+    if len(roots) > 1:
         raise RobotFileError(
             f"the links do not hang together: {_some(roots)} hang on no joint; "
             "a robot has one such link"
         )
-    checked: set[str] = set()  # no link is passed twice, however long the chain is
-    for name in links:
-        seen, link = set(), name
-        while link in joint_of and link not in checked:
-            if link in seen:
-                raise RobotFileError(f"closed chain: the link {link!r} hangs on itself")
-            seen.add(link)
-            link = joint_of[link].parent
-        checked |= seen
+    if lost := tree.links.keys() - {link for root in roots for link in tree.below(root)}:
+        link = min(lost)
+        for _ in lost:  # up into the chain, if it hangs below it
+            link = tree.joint_of[link].parent
+        raise RobotFileError(f"closed chain: the link {link!r} hangs on itself")
 
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
@@ -238,49 +243,6 @@ def _mimic(element: Element, name: str) -> tuple[str, float, float] | None:
         for key, default in (("multiplier", 1.0), ("offset", 0.0))
     )
     return str(found.get("joint")), multiplier, offset
-
-
-def unit_of(length: float) -> str:
-    """The unit in which a length that is too large in metres may have been written."""
-    return "millimetres" if length >= 60.0 else "inches or centimetres"
-
-
-def origin(element: Element, where: str) -> pin.SE3:
-    """The `<origin>` of an element; the identity where there is none.
-
-    Raises:
-        RobotFileError: It is not six numbers, or they are in degrees or another unit of length.
-    """
-    at = element.find("origin")
-    rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
-    if np.abs(rpy).max() > _MOST_TURN:
-        words = " ".join(f"{angle:g}" for angle in rpy)
-        raise RobotFileError(
-            f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
-            "degrees are 1.5708"
-        )
-    xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
-    if (far := float(np.abs(xyz).max())) > _FARTHEST:
-        raise RobotFileError(
-            f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
-            f"like {unit_of(far)}"
-        )
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
-
-
-def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute, as many as the default has.
-
-    Raises:
-        RobotFileError: They are fewer, more or no numbers.
-    """
-    words = None if element is None else element.get(key)
-    if words is None:
-        return np.array(default)
-    values = floats(words, len(default))
-    if values is None:
-        raise RobotFileError(f"{where}: {key}={words!r} should be {len(default)} numbers")
-    return np.array(values)
 
 
 class Arm(NamedTuple):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import null_space
 
 from app.errors import RobotFileError
 from app.onboarding.read.links import LinkGeometry, LinkShape, link_geometry
@@ -102,7 +103,12 @@ def find_drive(
     """
     given = request.wheel_radius is not None and request.half_track is not None
     if request.kind == "holonomic" or given:
-        floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, _floor_below(tree, arm, geometry)]))
+        if (low := _lowest(tree, arm, geometry, arm.base_links)) is None:
+            raise RobotFileError(
+                f"--base: no link of {arm.base!r} has a shape; give one a <collision>, or another "
+                "--base"
+            )
+        floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
         return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else ""), None
     wheels = _find_wheels(tree, arm, geometry, request.wheels)
@@ -110,29 +116,17 @@ def find_drive(
     return wheels, _find_steering(request, tree, arm, wheels.T_base_floor) if steered else None
 
 
-def _floor_below(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> float:
-    """[m] the height of the lowest point of the base's shapes in its link's frame."""
-    if (low := _lowest(tree, arm, geometry, arm.base_links)) is None:
-        raise RobotFileError(
-            f"--base: no link of {arm.base!r} has a shape; give one a <collision>, or another "
-            "--base"
-        )
-    return low
-
-
 def _lowest(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], links: Sequence[str]
 ) -> float | None:
     """[m] the height of the lowest point of links' shapes in the base's frame, None if none has."""
-    return min(
-        (
-            float(tree.pose(link, arm.base).act(corner)[2])
-            for link in links
-            for shape in geometry[link].shapes
-            for corner in np.asarray(shape.hull.bounding_box.vertices)
-        ),
-        default=None,
-    )
+    places = [
+        (tree.pose(link, arm.base), geometry[link].corners)
+        for link in links
+        if geometry[link].shapes
+    ]
+    heights = [float((corners @ T.rotation[2]).min() + T.translation[2]) for T, corners in places]
+    return min(heights, default=None)
 
 
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> bool:
@@ -199,14 +193,15 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
     """The whole drive: both sides with what is like the two wheels."""
-    forward = _forward(left, right)
+    across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
+    sideways = across / np.linalg.norm(across)
+    forward = np.cross(sideways, [0.0, 0.0, 1.0])
     floor = float(np.mean([left.centre[2] - left.r, right.centre[2] - right.r]))
     like = {
         w.joint.name: w
         for w in wheels
         if abs(w.r - left.r) <= _ALIKE * left.r and abs(w.centre[2] - w.r - floor) < _SAME_PLACE
     }
-    sideways = np.cross([0.0, 0.0, 1.0], forward)
     y = {name: float(w.centre @ sideways) for name, w in like.items()}
     y_left, y_right = (float(w.centre @ sideways) for w in (left, right))
     sides = [[n for n in like if abs(y[n] - own) < _SAME_PLACE] for own in (y_left, y_right)]
@@ -222,13 +217,6 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
         joint_velocity=min(speeds) if speeds else None,
         how=left.how,
     )
-
-
-def _forward(left: _Wheel, right: _Wheel) -> Array:
-    """(3,) x forward: at a right angle to the way from the right to the left wheel."""
-    across = left.centre - right.centre
-    across[2] = 0.0
-    return np.cross(across / np.linalg.norm(across), [0.0, 0.0, 1.0])
 
 
 def _named(
@@ -286,11 +274,7 @@ def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
         kind = next(s.kind for s in shapes if s.radius is not None)
         return max(stated), f"{kind} of {joint.child}"
     points = np.vstack([np.asarray(s.hull.vertices) for s in shapes])
-    one = np.cross(joint.axis, [1.0, 0.0, 0.0])
-    if np.linalg.norm(one) < 0.5:
-        one = np.cross(joint.axis, [0.0, 1.0, 0.0])
-    one /= np.linalg.norm(one)
-    flat = points @ np.column_stack([one, np.cross(joint.axis, one)])
+    flat = points @ null_space(joint.axis[None])
     widths = [float(np.ptp(flat @ [np.cos(a), np.sin(a)])) for a in np.linspace(0, np.pi, 12)]
     r = float(np.linalg.norm(flat, axis=1).max())
     if max(widths) > (1 + _ROUND) * min(widths) or abs(2 * r / max(widths) - 1) > _ROUND:

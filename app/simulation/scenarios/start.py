@@ -21,6 +21,7 @@ _DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
 _BUFFER_MARGIN = 0.005  # [m] beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _LOST = 1e-3  # [m/rad or -] singular value of a direction in which the hand cannot move
+_UPRIGHT = 0.94  # [-] of an axis, by its z: it leans by 20 degrees at most
 _WAY_TOLERANCE = 0.01  # [-] weighted error of the hand on its way: 1 mm
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] of a line, where the way is looked at
 _KEPT = 100  # starts of a robot that are not searched again
@@ -51,9 +52,12 @@ class StartSolver:
         """Prepare for a robot and a buffer distance [m]."""
         self._model = model
         self._search = PostureSearch(model, pairs, d_b)
-        # Of less than six directions of motion some are lost: the hand points as it has to then.
+        # Of less than six directions of motion some are lost, and "away from the mount" is what an
+        # arm reaches whose first axis is upright: else the hand points as it has to.
         J = self._search.J_hand
-        self._points_anywhere = bool(np.linalg.matrix_rank(J, tol=_LOST) == 6)
+        first = next((axis for axis in J[3:].T if axis.any()), np.zeros(3))
+        full = np.linalg.matrix_rank(J, tol=_LOST) == 6
+        self._points_anywhere = bool(full and abs(first[2]) > _UPRIGHT)
 
     def solve(
         self,
@@ -84,6 +88,10 @@ class StartSolver:
         if not (np.isfinite(target).all() and target[2] > 0.0):
             raise UnreachableError(
                 f"start {_text(p_ee)}: the floor is z = 0, the hand must be above"
+            )
+        if (beyond := self._search.beyond(target)) > 0.0:
+            raise UnreachableError(
+                f"start {_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m at least", {OUT_OF_REACH: 1}
             )
         rng = np.random.default_rng(seed)
         flaws: Counter[str] = Counter()
@@ -133,6 +141,8 @@ class StartSolver:
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether the hand comes to `p_ee` [m] within the joints' limits, however it points."""
         target = Target(np.array(p_ee, dtype=float))
+        if self._search.beyond(target.p) > 0.0:
+            return False
         guesses = self._search.guesses(np.random.default_rng(seed), tries)
         found = self._search.best(
             guesses,
@@ -234,7 +244,9 @@ class GraspSolver:
         rng = np.random.default_rng(seed)
         best = Found(None, 0.0, Counter())
         target = pin.SE3.Identity()
-        for roll in _ROLLS:
+        self._search.stand(base_pose)
+        far = self._search.beyond(door.handle(angle).translation) > 0.0
+        for roll in () if far else _ROLLS:
             rolled = _rolled(door.handle(angle), roll)
             self._search.stand(base_pose)
             found = self._search.best(

@@ -34,9 +34,10 @@ from foxglove import messages as fg
 from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pb2, message_factory
 
-from app.robot.assets import floats, shown_urdf
+from app.robot.assets import shown_urdf
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
+from app.robot.urdf import colour, numbers, origin, primitive
 from app.simulation.trace.motion import (
     FRAMES,
     JOINTS,
@@ -56,7 +57,7 @@ from app.simulation.trace.trace import Trace
 from app.strict import Array
 from app.system import write_whole
 
-Colours = Mapping[str | None, Element | None]  # by the names of the robot's materials
+Materials = Mapping[str | None, Element]  # of the robot, by their names
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
 _BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
@@ -80,6 +81,7 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     Raises:
         OutputError: It cannot be written there.
         AssetError: The robot's URDF is not there.
+        RobotFileError: A visual of it says nothing sensible.
     """
     file = io.BytesIO()  # what cannot be written raises here, and not once a message in the library
     log = _Log(file, profile="ros2" if ros else None)
@@ -164,19 +166,17 @@ def _put_motion(log: _Log, trace: Trace, model: RobotModel, *, ros: bool) -> Non
 
 def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
     begin, urdf = trace.snapshots[0].t, ElementTree.fromstring(shown_urdf(model.description))
-    colours = {each.get("name"): each.find("color") for each in urdf.iterfind("material")}
-    looks = {
-        str(link.get("name")): [_visual(each, colours) for each in link.iterfind("visual")]
-        for link in urdf.iterfind("link")
-    }
+    materials = {each.get("name"): each for each in urdf.iterfind("material")}
+    links = {str(link.get("name")): link for link in urdf.iterfind("link")}
     bodies = [
         fg.SceneEntity(frame_id=body.frame, id=body.name, models=list(map(_body, body.shapes)))
         for body in model.description.bodies
     ]
-    robot = [
-        fg.SceneEntity(frame_id=name, id=name, models=list(filter(None, models)))
-        for name, models in looks.items()
-    ]
+    robot = []
+    for name, link in links.items():
+        models = [_visual(each, materials, name) for each in link.iterfind("visual")]
+        entity = fg.SceneEntity(frame_id=name, id=name, models=list(filter(None, models)))
+        robot.append(entity)
     log.put("/robot", begin, fg.SceneUpdate(entities=robot))
     log.put("/bodies", begin, fg.SceneUpdate(entities=bodies))
     for s in trace.snapshots:
@@ -211,43 +211,21 @@ def _fields(names: Iterable[str]) -> list[str]:
     return list(found)
 
 
-def _visual(visual: Element, colours: Colours) -> fg.ModelPrimitive | None:
+def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
     """A visual of the URDF; None where its mesh is too large, or of a format without a name."""
-    shape, at = visual.find("geometry/*"), visual.find("origin")
-    tint = _tint(visual.find("material"), colours)
-    turn = pin.rpy.rpyToMatrix(*_numbers(at, "rpy", 3))
-    T = pin.SE3(turn, np.array(_numbers(at, "xyz", 3)))
+    where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
         return None
+    T, rgba = origin(visual, where), colour(visual, materials, where)
+    tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
     if shape.tag != "mesh":
-        return _model(T, _GLB, _primitive(shape), tint or _GREY)
+        return _model(T, _GLB, _glb(primitive(shape, where)[0]), tint or _GREY)
     file = Path(unquote(urlsplit(shape.get("filename", "")).path))
     media = _MEDIA.get(file.suffix.lower())
     if media is None or file.stat().st_size > _LARGEST_MESH:
         return None
     tint = tint or (_GREY if media == _STL else None)  # other formats have colours of their own
-    return _model(T, media, file.read_bytes(), tint, _numbers(shape, "scale", 3, 1.0))
-
-
-def _tint(material: Element | None, colours: Colours) -> fg.Color | None:
-    """The colour of a material, which may only name one of the robot's `colours`."""
-    if material is None:
-        return None
-    own = material.find("color")
-    colour = colours.get(material.get("name")) if own is None else own
-    rgba = None if colour is None else floats(colour.get("rgba", ""), 4)
-    return fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
-
-
-def _primitive(shape: Element) -> bytes:
-    (radius,), (length,) = (_numbers(shape, key, 1) for key in ("radius", "length"))
-    if shape.tag == "box":
-        mesh = trimesh.creation.box(_numbers(shape, "size", 3))
-    elif shape.tag == "sphere":
-        mesh = trimesh.creation.icosphere(radius=radius)
-    else:
-        mesh = trimesh.creation.cylinder(radius, length)
-    return _glb(mesh)
+    return _model(T, media, file.read_bytes(), tint, numbers(shape, "scale", (1.0,) * 3, where))
 
 
 def _body(shape: Any) -> fg.ModelPrimitive:
@@ -341,11 +319,6 @@ def _turn(T: pin.SE3) -> fg.Quaternion:
 
 def _xyz(at: Array) -> dict[str, float]:
     return dict(zip("xyz", map(float, at), strict=True))
-
-
-def _numbers(element: Element | None, key: str, count: int, usual: float = 0.0) -> list[float]:
-    found = None if element is None else floats(element.get(key, ""), count)
-    return found or [usual] * count
 
 
 def _time(t: float) -> fg.Timestamp:

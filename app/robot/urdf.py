@@ -1,0 +1,130 @@
+"""Elements of a URDF as numbers, places, triangles and colours; one reading for all its readers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+
+from app.errors import RobotFileError
+from app.robot.assets import floats, resolve_package_uri
+from app.strict import Array
+
+if TYPE_CHECKING:
+    import trimesh
+
+_MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
+_FARTHEST = 10.0  # [m] of an origin: of a joint, a shape or a centre of mass
+
+
+def unit_of(length: float) -> str:
+    """The unit in which a length that is too large in metres may have been written."""
+    return "millimetres" if length >= 60.0 else "inches or centimetres"
+
+
+def origin(element: Element, where: str) -> pin.SE3:
+    """The `<origin>` of an element; the identity where there is none.
+
+    Raises:
+        RobotFileError: It is not six numbers, or they are in degrees or another unit of length.
+    """
+    at = element.find("origin")
+    rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
+    if np.abs(rpy).max() > _MOST_TURN:
+        words = " ".join(f"{angle:g}" for angle in rpy)
+        raise RobotFileError(
+            f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '
+            "degrees are 1.5708"
+        )
+    xyz = numbers(at, "xyz", (0.0, 0.0, 0.0), where)
+    if (far := float(np.abs(xyz).max())) > _FARTHEST:
+        raise RobotFileError(
+            f"{where}: its origin is {far:g} m away: lengths of a URDF are in metres, these look "
+            f"like {unit_of(far)}"
+        )
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+
+
+def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
+    """The numbers of an attribute, as many as the default has.
+
+    Raises:
+        RobotFileError: They are fewer, more or no numbers.
+    """
+    words = None if element is None else element.get(key)
+    if words is None:
+        return np.array(default)
+    values = floats(words, len(default))
+    if values is None:
+        raise RobotFileError(f"{where}: {key}={words!r} should be {len(default)} numbers")
+    return np.array(values)
+
+
+def colour(
+    visual: Element, materials: Mapping[str | None, Element], where: str
+) -> tuple[float, float, float, float] | None:
+    """Red, green, blue and opacity [0, 1] of a visual; None where the URDF states none.
+
+    Its material may only name one of the robot's `materials`.
+
+    Raises:
+        RobotFileError: They are not four numbers.
+    """
+    if (material := visual.find("material")) is None:
+        return None
+    for each in (material, materials.get(material.get("name"), material)):
+        if (found := each.find("color")) is not None:
+            r, g, b, a = numbers(found, "rgba", (0.0,) * 4, where).tolist()
+            return r, g, b, a
+    return None
+
+
+def mesh_path(address: str) -> Path:
+    """The file of a mesh's address, `package://…` or a path."""
+    return resolve_package_uri(address) if address.startswith("package://") else Path(address)
+
+
+def urdf_mesh(
+    shape: Element, where: str, load: Callable[[Path, str], trimesh.Trimesh]
+) -> tuple[trimesh.Trimesh, float | None]:
+    """A shape's triangles [m], and the radius of a round one; `load` reads those of a file.
+
+    Raises:
+        RobotFileError: It is none of a URDF's shapes, or says nothing sensible.
+    """
+    if shape.tag != "mesh":
+        return primitive(shape, where)
+    if not (address := shape.get("filename")):
+        raise RobotFileError(f"{where}: a mesh has no filename")
+    scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
+    return load(mesh_path(address), where).copy().apply_scale(scale), None
+
+
+def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
+    """Triangles [m] of a box, sphere, cylinder or capsule, and the radius of a round one.
+
+    Raises:
+        RobotFileError: It is another shape, or a size of it is not above zero.
+    """
+    from trimesh import creation  # takes long
+
+    def sizes(key: str, count: int = 1) -> Array:
+        found = numbers(shape, key, (0.0,) * count, where)
+        if not (found > 0).all():
+            raise RobotFileError(f"{where}: the {key} of its {shape.tag} is not above zero")
+        return found
+
+    if shape.tag == "box":
+        return creation.box(extents=sizes("size", 3)), None
+    if shape.tag not in ("sphere", "cylinder", "capsule"):
+        raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
+    radius = float(sizes("radius")[0])
+    if shape.tag == "sphere":
+        return creation.icosphere(subdivisions=3, radius=radius), radius
+    mesh = getattr(creation, shape.tag)(height=float(sizes("length")[0]), radius=radius)
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    return mesh, radius
