@@ -187,10 +187,10 @@ def _lead(parameters: StudyParameters) -> str:
         f"A person pulls the end-effector towards the base from random starts around and "
         f"above it. Robot {parameters.robot}, plant {parameters.physics}, seed "
         f"{parameters.seed}; {told} (SI units); the stiffness has a logarithmic, everything else a "
-        f"uniform distribution; {_percent(parameters.ranges.faulty)} of the cases have one to three "
-        f"of {', '.join(FAULTS)}, the others none; {_percent(parameters.ranges.released)} of the "
-        f"pulls end early, in {_percent(parameters.ranges.regrasped)} of these the person takes hold "
-        f"again.{inside}"
+        f"uniform distribution; {_percent(parameters.ranges.faulty)} of the cases have one to "
+        f"three of {', '.join(FAULTS)}, the others none; {_percent(parameters.ranges.released)} of "
+        f"the pulls end early, in {_percent(parameters.ranges.regrasped)} of these the person "
+        f"takes hold again.{inside}"
     )
 
 
