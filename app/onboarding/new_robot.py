@@ -398,7 +398,7 @@ def _distinct(
     """New names, with an end that makes them unique, for those that are foreign ones too."""
     renamed = {}
     for name in names:
-        if name and name in foreign:
+        if name and name in foreign and names.count(name) == 1:  # else the tree refuses it
             new = name + end
             while new in taken:
                 new += "_"
