@@ -8,50 +8,68 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from logging import getLogger
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from app.errors import ConfigError, did_you_mean
 from app.parameters import Parameter, Section, Shown, Tunable, read_tunable
 from app.strict import Strict, explain
 
+FORMER_NAMES = {
+    "activation.blend": "activation.closest_point_smoothing",
+    "barrier.leaving": "barrier.max_separation_speed",
+    "holding.speed": "ee_hold.min_speed",
+    "holding.weight": "ee_hold.weight",
+    "task.centring": "task.joint_centering",
+    "task.base_slowness": "task.base_time_scale",
+    "task.softness": "task.slack_weight",
+    "estimate.push_change": "estimate.external_drift",
+    "estimate.window": "estimate.noise_window",
+}
+"""Names of parameters in older files, and the present ones."""
+
 
 class BorderConfig(Strict):
     """§2.2: the distance buffer border."""
 
-    d_b: float = Field(default=0.15, ge=0.06, le=0.30)
+    d_b: Annotated[float, Shown("Buffer distance d_b")] = Field(default=0.15, ge=0.06, le=0.30)
     """[m] buffer distance."""
-    eps: Annotated[float, Shown("ε")] = Field(default=0.01, ge=0.002, le=0.02)
+    eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] tolerance ε of (3)."""
-    kind: Annotated[Literal["surface", "points"], Shown("acting point on")] = "surface"
+    kind: Annotated[Literal["surface", "points"], Shown("Acting point on")] = "surface"
     """[-] border as a continuous surface, or as the paper's points, among which p_act jumps."""
 
 
 class ForceConfig(Strict):
     """§3.1: acting point and force."""
 
-    f_max: float = Field(default=300.0, ge=0.0, le=600.0)
+    f_max: Annotated[float, Shown("Force at contact f_max")] = Field(
+        default=300.0, ge=0.0, le=600.0
+    )
     """[N] force at contact, f_max of (14)."""
-    f_arm: float = Field(default=5.0, ge=0.0, le=50.0)
+    f_arm: Annotated[float, Shown("Force on the arm f_arm")] = Field(default=5.0, ge=0.0, le=50.0)
     """[N] reaction force on a guided arm at contact: a released arm leaves the buffer."""
-    alpha_gain: Annotated[float, Shown("α gain", advanced=True)] = Field(
+    alpha_gain: Annotated[float, Shown("Step gain S_0", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
     """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and far from it S_0 d / |S|."""
-    alpha_min: Annotated[float, Shown("α_min")] = Field(default=0.02, ge=0.0, le=0.10)
+    alpha_min: Annotated[float, Shown("Smallest step α_min")] = Field(default=0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""
-    alpha_max: Annotated[float, Shown("α_max")] = Field(default=0.15, ge=0.10, le=0.40)
+    alpha_max: Annotated[float, Shown("Largest step α_max")] = Field(default=0.15, ge=0.10, le=0.40)
     """[m] upper bound of the step α."""
 
 
 class ActivationConfig(Strict):
     """§3.4: β rises from 0 at the buffer distance to 1 by the cubic of Figure 10."""
 
-    d_full: float = Field(default=0.05, ge=0.0, le=0.05)
+    d_full: Annotated[float, Shown("Full activation at d_full")] = Field(
+        default=0.05, ge=0.0, le=0.05
+    )
     """[m] distance at which the avoidance task is in full force."""
-    blend: Annotated[float, Shown("closest within", advanced=True)] = Field(
-        default=0.005, ge=0.001, le=0.05
+    closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
+        Field(default=0.005, ge=0.001, le=0.05)
     )
     """[m] smoothing of the closest point: parts of a link up to this much farther contribute."""
 
@@ -59,86 +77,116 @@ class ActivationConfig(Strict):
 class RepulsionConfig(Strict):
     """§3.2: acceleration that separates two links of the arm."""
 
-    k_p: float = Field(default=60.0, ge=0.0, le=200.0)
+    k_p: Annotated[float, Shown("Repulsion k_p")] = Field(default=60.0, ge=0.0, le=200.0)
     """[m/s²] constant part of (20)."""
-    k_v: float = Field(default=30.0, ge=0.0, le=200.0)
+    k_v: Annotated[float, Shown("Repulsion damping k_v")] = Field(default=30.0, ge=0.0, le=200.0)
     """[1/s] damping of (20)."""
 
 
 class BarrierConfig(Strict):
     """Minimum distance between arm and base, as a barrier; also the compared method `barrier`."""
 
-    d_min: float = Field(default=0.031, ge=0.0, le=0.30)
+    d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
     """[m] minimum distance, as long as the torques suffice."""
-    rate: Annotated[float, Shown("approach")] = Field(default=30.0, ge=1.0, le=100.0)
+    rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] approach rate: approach speed per remaining distance."""
-    leaving: Annotated[float, Shown(advanced=True)] = Field(default=0.3, ge=0.05, le=2.0)
+    max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
+        default=0.3, ge=0.05, le=2.0
+    )
     """[m/s] upper bound of the separation speed of a pair nearer than that, also in penetration."""
 
 
-class HoldingConfig(Strict):
+class EeHoldConfig(Strict):
     """Less base motion where the arm cannot compensate it at the end-effector."""
 
-    speed: Annotated[float, Shown("arm holds at", advanced=True)] = Field(
+    speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
     )
     """[m/s] end-effector speed at maximum joint speeds below which the arm cannot compensate."""
-    weight: Annotated[float, Shown("hand weighs")] = Field(default=3000.0, ge=0.01, le=1e5)
+    weight: Annotated[float, Shown("Weight of a dragged hand")] = Field(
+        default=3000.0, ge=0.01, le=1e5
+    )
     """[-] weight of an end-effector that the base would drag along, in masses of the base."""
 
 
 class TaskConfig(Strict):
     """The tasks below self-collision avoidance."""
 
-    ee_stiffness: Annotated[float, Shown("hand task k")] = Field(default=900.0, ge=0.0, le=4000.0)
+    ee_stiffness: Annotated[float, Shown("End-effector stiffness")] = Field(
+        default=900.0, ge=0.0, le=4000.0
+    )
     """[1/s²] position gain of the end-effector's task."""
-    ee_damping: Annotated[float, Shown("hand task d")] = Field(default=60.0, ge=0.0, le=200.0)
+    ee_damping: Annotated[float, Shown("End-effector damping")] = Field(
+        default=60.0, ge=0.0, le=200.0
+    )
     """[1/s] velocity gain of the end-effector's task."""
-    ee_speed: Annotated[float, Shown("hand task v")] = Field(default=0.5, ge=0.05, le=2.0)
+    ee_speed: Annotated[float, Shown("Correction speed limit")] = Field(
+        default=0.5, ge=0.05, le=2.0
+    )
     """[m/s] and [rad/s] upper bound of the end-effector's correction speed."""
-    posture_stiffness: Annotated[float, Shown("posture k")] = Field(default=4.0, ge=0.0, le=100.0)
+    posture_stiffness: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s²] stiffness of the arm's posture task, towards its starting posture."""
-    centring: Annotated[float, Shown("off limits k")] = Field(default=8.0, ge=0.0, le=100.0)
+    joint_centering: Annotated[float, Shown("Joint-limit stiffness")] = Field(
+        default=8.0, ge=0.0, le=100.0
+    )
     """[1/s²] stiffness towards the middle of a joint's range, at its limit."""
-    posture_damping: Annotated[float, Shown("posture d")] = Field(default=4.0, ge=0.0, le=100.0)
+    posture_damping: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s] damping of the arm's posture task."""
-    base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)
+    base_damping: Annotated[float, Shown("Base damping k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
-    base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=5.0, ge=1.0, le=100.0)
+    base_time_scale: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
+        default=5.0, ge=1.0, le=100.0
+    )
     """[-] time scale of the base's gains relative to the arm's, because the base runs at 10 Hz."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] cost of the base's acceleration relative to the arm's, in the posture task."""
-    ee_weight: Annotated[float, Shown(advanced=True)] = Field(default=1e5, ge=1.0, le=1e7)
+    ee_weight: Annotated[float, Shown("End-effector weight", advanced=True)] = Field(
+        default=1e5, ge=1.0, le=1e7
+    )
     """[-] weight of the end-effector's task relative to the posture task."""
-    softness: Annotated[float, Shown(advanced=True)] = Field(default=1e-3, ge=1e-4, le=0.1)
+    slack_weight: Annotated[float, Shown("Softness ε", advanced=True)] = Field(
+        default=1e-3, ge=1e-4, le=0.1
+    )
     """[-] ε, softness of a fully active row of T_sca; that of the arm's limits is ε²."""
 
 
 class LimitConfig(Strict):
     """Limits of the arm as constraints of the QP."""
 
-    position_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=100.0)
+    position_rate: Annotated[float, Shown("Position-limit rate", advanced=True)] = Field(
+        default=30.0, ge=1.0, le=100.0
+    )
     """[1/s] approach rate of position limits: joint speed per remaining distance."""
-    velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=70.0, ge=1.0, le=200.0)
+    velocity_rate: Annotated[float, Shown("Velocity-limit rate", advanced=True)] = Field(
+        default=70.0, ge=1.0, le=200.0
+    )
     """[1/s] approach rate of velocity limits: joint acceleration per remaining speed."""
-    torque_rate: Annotated[float, Shown("torque")] = Field(default=1000.0, ge=50.0, le=1e6)
+    torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
+        default=1000.0, ge=50.0, le=1e6
+    )
     """[N m/s] slew rate limit of the arm's torques; 1000 for a Panda."""
 
 
 class EstimateConfig(Strict):
     """The filter of the arm's readings, which also estimates external torques."""
 
-    push_change: Annotated[float, Shown("push drift")] = Field(default=3.0, ge=0.1, le=100.0)
+    external_drift: Annotated[float, Shown("External push noise")] = Field(
+        default=3.0, ge=0.1, le=100.0
+    )
     """[rad/s²] process noise of the external joint acceleration in one second; or m/s²."""
-    least_noise: Annotated[float, Shown(advanced=True)] = Field(default=2e-8, ge=1e-9, le=0.005)
+    least_noise: Annotated[float, Shown("Smallest position noise", advanced=True)] = Field(
+        default=2e-8, ge=1e-9, le=0.005
+    )
     """[rad] lower bound of the position noise, or m; the actual level is estimated."""
-    velocity_noise: Annotated[float, Shown(advanced=True)] = Field(default=100.0, ge=1.0, le=1e4)
+    velocity_noise: Annotated[float, Shown("Smallest velocity noise", advanced=True)] = Field(
+        default=100.0, ge=1.0, le=1e4
+    )
     """[1/s] lower bound of the velocity noise, relative to the position noise."""
-    window: Annotated[float, Shown("noise over", advanced=True)] = Field(
+    noise_window: Annotated[float, Shown("Noise window", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )
     """[s] time window of the noise estimate."""
-    delay: Annotated[float, Shown("readings late", advanced=True)] = Field(
+    delay: Annotated[float, Shown("Known reading age", advanced=True)] = Field(
         default=0.0, ge=0.0, le=0.03
     )
     """[s] known age of a reading when its step begins; older readings are noticed."""
@@ -147,47 +195,53 @@ class EstimateConfig(Strict):
 class PayloadConfig(Strict):
     """Load in the gripper that the controller knows: mass and centre, without its shape."""
 
-    mass: Annotated[float, Shown("payload")] = Field(default=0.0, ge=0.0, le=20.0)
+    mass: Annotated[float, Shown("Payload mass")] = Field(default=0.0, ge=0.0, le=20.0)
     """[kg] of the load."""
-    x: Annotated[float, Shown("payload x", advanced=True)] = Field(default=0.0, ge=-1.0, le=1.0)
+    x: Annotated[float, Shown("Payload centre x", advanced=True)] = Field(
+        default=0.0, ge=-1.0, le=1.0
+    )
     """[m] its centre of mass in the end-effector's frame."""
-    y: Annotated[float, Shown("payload y", advanced=True)] = Field(default=0.0, ge=-1.0, le=1.0)
+    y: Annotated[float, Shown("Payload centre y", advanced=True)] = Field(
+        default=0.0, ge=-1.0, le=1.0
+    )
     """[m] likewise."""
-    z: Annotated[float, Shown("payload z", advanced=True)] = Field(default=0.0, ge=-1.0, le=1.0)
+    z: Annotated[float, Shown("Payload centre z", advanced=True)] = Field(
+        default=0.0, ge=-1.0, le=1.0
+    )
     """[m] likewise."""
 
 
 class AdmittanceConfig(Strict):
     """§4.1: velocity command of the base, M_a v̇ + D_a v = F."""
 
-    mass: Annotated[float, Shown("base mass")] = Field(default=60.0, ge=5.0, le=300.0)
+    mass: Annotated[float, Shown("Virtual mass")] = Field(default=60.0, ge=5.0, le=300.0)
     """[kg] M_a, linear."""
-    inertia: Annotated[float, Shown("base inertia")] = Field(default=16.0, ge=0.5, le=60.0)
+    inertia: Annotated[float, Shown("Virtual inertia")] = Field(default=16.0, ge=0.5, le=60.0)
     """[kg m²] M_a, angular."""
-    damping: Annotated[float, Shown("base damping")] = Field(default=180.0, ge=0.0, le=600.0)
+    damping: Annotated[float, Shown("Linear damping")] = Field(default=180.0, ge=0.0, le=600.0)
     """[N s/m] D_a, linear."""
-    angular_damping: Annotated[float, Shown("turn damping")] = Field(
-        default=160.0, ge=0.0, le=600.0
-    )
+    angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
     """[N m s] D_a, angular."""
-    v_max: float = Field(default=0.5, ge=0.05, le=2.0)
+    v_max: Annotated[float, Shown("Top speed v_max")] = Field(default=0.5, ge=0.05, le=2.0)
     """[m/s] largest commanded speed, within the base's own limit and the arm's ability."""
-    omega_max: Annotated[float, Shown("ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
+    omega_max: Annotated[float, Shown("Top turn rate ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
     """[rad/s] largest commanded turn, within the base's own limit."""
-    period: Annotated[float, Shown("command period")] = Field(default=0.1, ge=0.001, le=0.5)
+    period: Annotated[float, Shown("Command period")] = Field(default=0.1, ge=0.001, le=0.5)
     """[s] between two velocity commands."""
 
 
 class HandConfig(Strict):
     """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
-    stiffness: Annotated[float, Shown("hand k")] = Field(default=300.0, ge=10.0, le=3000.0)
+    stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
     """[N/m] of the spring between the person's hand and the robot's."""
-    damping: Annotated[float, Shown("hand d")] = Field(default=25.0, ge=0.0, le=200.0)
+    damping: Annotated[float, Shown("Pull damping")] = Field(default=25.0, ge=0.0, le=200.0)
     """[N s/m] of the damper beside that spring."""
-    f_max: Annotated[float, Shown("hand force")] = Field(default=40.0, ge=1.0, le=150.0)
+    f_max: Annotated[float, Shown("Largest pull force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
-    mass: Annotated[float, Shown("hand mass", advanced=True)] = Field(default=0.0, ge=0.0, le=5.0)
+    mass: Annotated[float, Shown("Mass of the hand", advanced=True)] = Field(
+        default=0.0, ge=0.0, le=5.0
+    )
     """[kg] mass of hand and forearm; stopping it takes more force than the spring has."""
 
 
@@ -206,12 +260,14 @@ class DisturbanceConfig(Strict):
     """[s] age of all readings when they arrive."""
     sensor_period: float = Field(default=0.0, ge=0.0, le=0.05)
     """[s] for which each reading is repeated; 0 is a new one at each step."""
-    dropped: float = Field(default=0.0, ge=0.0, le=0.9)
+    dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of the readings that are lost, so that the last one is repeated."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
     """[kg] load at the end-effector that the controller does not know; its weight alone."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller takes for true; 0.001 is."""
+    begins: float = Field(default=0.0, ge=0.0, le=60.0)
+    """[s] when the readings become poor and the unknown load is there."""
 
 
 class Config(Strict):
@@ -227,7 +283,7 @@ class Config(Strict):
     """Repulsion"""
     barrier: BarrierConfig = BarrierConfig()
     """Barrier"""
-    holding: HoldingConfig = HoldingConfig()
+    ee_hold: EeHoldConfig = EeHoldConfig()
     """Holding"""
     task: TaskConfig = TaskConfig()
     """Tasks"""
@@ -240,9 +296,14 @@ class Config(Strict):
     admittance: AdmittanceConfig = AdmittanceConfig()
     """Admittance"""
     hand: HandConfig = HandConfig()
-    """Hand"""
+    """Person's hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
-    """Noise"""
+    """Disturbances"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_former_names(cls, data: Any) -> Any:
+        return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
         """A copy with some parameters changed, by their paths, as in `border.d_b`.
@@ -275,13 +336,13 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """The gains of the same closed loops, slower by the factor `base_slowness`.
+    """The gains of the same closed loops, slower by the factor `base_time_scale`.
 
     Stretching time by a factor divides stiffnesses by its square, and damping and rates by the
     factor itself. Velocity limits are approached at the rate of position limits.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
-    s = task.base_slowness
+    s = task.base_time_scale
     slow = {
         "task": {"ee_stiffness": task.ee_stiffness / s**2, "ee_damping": task.ee_damping / s},
         "repulsion": {"k_p": repulsion.k_p / s**2, "k_v": repulsion.k_v / s},
@@ -289,7 +350,10 @@ def slowed(config: Config) -> Config:
             "position_rate": limit.position_rate / s,
             "velocity_rate": limit.position_rate / s,
         },
-        "barrier": {"rate": barrier.rate / s, "leaving": barrier.leaving / s},
+        "barrier": {
+            "rate": barrier.rate / s,
+            "max_separation_speed": barrier.max_separation_speed / s,
+        },
     }
     return config.model_copy(
         update={
@@ -311,8 +375,38 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
         raise ConfigError(explain(error, Config, range_text)) from None
     if usual is None:
         return config
-    given = {f"{name}.{each}": v for name, part in data.items() for each, v in part.items()}
+    sections = _renamed(data).items()
+    given = {f"{name}.{each}": v for name, section in sections for each, v in section.items()}
     return usual.changed(given)
+
+
+def _renamed(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested dictionaries of parameters with former names replaced by the present ones.
+
+    Raises:
+        ValueError: A parameter has a value under both names.
+    """
+    found = {name: dict(s) if isinstance(s, Mapping) else s for name, s in data.items()}
+    for former, path in FORMER_NAMES.items():
+        (old_section, old), (section, name) = former.split("."), path.split(".")
+        values, target = found.get(old_section), found.get(section, {})
+        if not (isinstance(values, dict) and isinstance(target, dict) and old in values):
+            continue
+        if name in target:
+            raise ValueError(f"{former} is the former name of {path}: state only one of them")
+        found[section] = target | {name: values.pop(old)}
+        if not found[old_section]:
+            del found[old_section]
+        present_name(former)
+    return found
+
+
+@cache
+def present_name(path: str) -> str:
+    """The present name of a parameter; logs one line if the path is a former name."""
+    if path in FORMER_NAMES:
+        getLogger(__name__).warning("parameter %s is now %s", path, FORMER_NAMES[path])
+    return FORMER_NAMES.get(path, path)
 
 
 @cache
@@ -344,6 +438,7 @@ def tunable(path: str) -> Tunable:
     Raises:
         ConfigError: No such parameter.
     """
+    path = present_name(path)
     if path not in tunables():
         raise ConfigError(f"no parameter {path!r}{did_you_mean(path, tunables())}")
     return tunables()[path]

@@ -1,6 +1,5 @@
 """What a slider, a file or a help text needs to know of a parameter, read off its field."""
 
-import re
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from pydantic.fields import FieldInfo
@@ -24,12 +23,12 @@ class _Tuned(Strict):
     """Section and name, as in `border.d_b`."""
     help: str
     label: str
-    """Name for people, without the unit."""
+    """Name for people, then the symbol if there is one, without the unit."""
     advanced: bool
 
     @property
     def title(self) -> str:
-        """Label and unit, as in `α_min [m]`; a word has no unit."""
+        """Label and unit, as in `Buffer distance d_b [m]`; a word has no unit."""
         return self.label
 
 
@@ -92,13 +91,11 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
     marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
     shown: Shown = marks.get("Shown", Shown())
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
-    # A letter with an index, as d_b, stays what it is.
-    plain = name if re.match("[a-z]_", name) else name.replace("_", " ")
     common = {
         "path": f"{section}.{name}",
         "default": field.default,
         "help": text.strip(),
-        "label": shown.label or plain,
+        "label": shown.label or name.replace("_", " ").capitalize(),
         "advanced": shown.advanced,
     }
     if get_origin(field.annotation) is Literal:

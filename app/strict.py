@@ -36,8 +36,10 @@ Array = np.ndarray
 MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
 
 _MOST_PARTS = 500  # [-] dots and brackets of a line of TOML that is read in this process
-LARGEST_TEXT = 10_000_000  # [bytes] of a file of TOML, JSON or XML
+LARGEST_TEXT = 10_000_000  # [bytes] of a file of XML, or of a log as CSV
+LARGEST_DATA = 10**6  # [characters] of TOML or JSON; the checks of each value take 400 bytes
 _MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
+_MOST_LISTED = 1000  # [-] of a file that are looked at, which takes 1 kB each
 
 
 class Strict(BaseModel):
@@ -86,11 +88,15 @@ def explain(
     `wanted` gives what would be right, from a problem's place and kind; None for pydantic's own
     words.
     """
-    problems = error.errors()
-    told = [_explain(problem, model, wanted) for problem in problems[:_MOST_PROBLEMS]]
-    if len(problems) > len(told):
-        told.append(f"and {len(problems) - len(told)} more")
+    told = [_explain(each, model, wanted) for each in problems_of(error)[:_MOST_PROBLEMS]]
+    if more := error.error_count() - len(told):
+        told.append(f"and {more} more" if told else f"{more:,} wrong values, too many to list")
     return "; ".join(told)
+
+
+def problems_of(error: ValidationError) -> list[ErrorDetails]:
+    """The problems of a validation error; none if there are too many to list."""
+    return error.errors() if error.error_count() <= _MOST_LISTED else []
 
 
 def _explain(
@@ -194,8 +200,8 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
     """What a text holds, by a reader of TOML or JSON, whoever wrote it.
 
     Raises:
-        ValueError: It is none, or takes more than its budget to read, or nests too deeply, or an
-            integer in it has thousands of digits.
+        ValueError: It is none, is too long, takes more than its budget to read, nests too deeply,
+            or an integer in it has thousands of digits.
     """
     return _read(loads, text, len(text))
 
@@ -208,6 +214,8 @@ def from_toml(text: str) -> dict[str, Any]:
 
 
 def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
+    if len(text) > LARGEST_DATA:
+        raise ValueError(f"it has more than the {LARGEST_DATA / 1e6:.0f} MB of any such file")
     return within_budget(_loaded, loads, text, size=size)
 
 

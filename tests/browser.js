@@ -59,7 +59,8 @@
     pixel,
     pixels: (name, points) => points.map((point) => pixel(name, point)),
     // In the scene's frame, z up; three.js itself has y up.
-    position: (name) => node("").worldToLocal(world(name, [0, 0, 0])).toArray(),
+    place: (name, point) => node("").worldToLocal(world(name, point)).toArray(),
+    position: (name) => dbbTest.place(name, [0, 0, 0]),
     // Times, lines and cursor of a plot.
     plot: (title) => {
       for (const { chart } of Object.values(window.__viserTestpoints.uplots ?? {})) {

@@ -17,6 +17,7 @@ from app.dashboard import job
 from app.errors import DbbError
 from app.jobs.process import run_in_process
 from app.robot.model import RobotModel
+from app.simulation.trace import arrow
 from tests.browser import chromium
 from tests.robots import husky_panda
 
@@ -84,6 +85,16 @@ def robot() -> RobotModel:
 def border_data(robot: RobotModel) -> BorderData:
     """Pairs and clouds of the paper's robot, as they ship."""
     return load_border_data(robot, progress=False)
+
+
+@pytest.fixture(autouse=True)
+def _logs_are_read_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log is read in this process, but by tests of the budget for that.
+
+    The child process that reads a larger one takes most of the time for its imports.
+    """
+    if not request.node.get_closest_marker("budget"):
+        monkeypatch.setattr(arrow, "within_budget", lambda read, *args, **_: read(*args))
 
 
 @pytest.fixture

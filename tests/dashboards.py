@@ -13,7 +13,7 @@ from app.dashboard.robots import StartLoop
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.simulation.loop.commands import Compare, Pause, Reset, Speed
-from tests.browser import wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.robots import husky_panda
 
@@ -35,11 +35,16 @@ class Served(NamedTuple):
             self.loop.send(command)
         self.loop.commands.clear()
 
-    def pull_at_base(self, seconds: float) -> None:
-        """As the loop does it, once the dashboard has seen that all begins anew."""
+    def pull_at_base(self, seconds: float, tab: DashboardTab | None = None) -> None:
+        """As the loop does it, once dashboard and tab have seen that all begins anew.
+
+        Until its page has seen that, a viewer who looks back is led to now by it.
+        """
         self.loop.send(Pause(True))
         self.loop.send(Reset())
         wait_for(lambda: self.server.shared.last <= 0.0, what="a new beginning")
+        if tab is not None:
+            tab.wait("() => dbb.seen().now === 0")
         self.loop.pull_at_base(seconds)
 
 

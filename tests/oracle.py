@@ -130,7 +130,7 @@ class Oracle:
             known = np.linalg.solve(w.M[n_b:, n_b:], w.u_a - w.h[n_b:])
             x = self.estimate.x
             now = x[1] + self.dt * (known + x[2])  # the reading's own x stays
-            fades = np.exp(-self.dt / self.config.estimate.window)
+            fades = np.exp(-self.dt / self.config.estimate.noise_window)
             w.x_est = np.array([x[0] + self.dt * now, now, fades * x[2]])
             w.qd = np.append(w.qd[:n_b], now)
             w.P_est, w.noise_var, w.q_last = (
@@ -221,7 +221,11 @@ class Oracle:
         )
 
     def _points(self, row: Row) -> Array:
-        T_a, T_b, blend = self._placed(row.a), self._placed(row.b), self.config.activation.blend
+        T_a, T_b, blend = (
+            self._placed(row.a),
+            self._placed(row.b),
+            self.config.activation.closest_point_smoothing,
+        )
         a, b = row.a.shapes(T_a)[row.part], row.b.shapes(T_b)
         return closest_points(a, row.a.core(T_a)[0], b, row.b.core(T_b), blend)
 
@@ -337,7 +341,9 @@ class Oracle:
         weight = np.append(np.full(self.n_b, task.base_weight), np.ones(self.n_m))
         damped = task.posture_damping * w.qd[self.n_b :]
         arm = task.posture_stiffness * (w.q_posture - w.q_m) - damped
-        wanted = np.append(-task.base_damping * w.qd[: self.n_b], arm - task.centring * half * s**5)
+        wanted = np.append(
+            -task.base_damping * w.qd[: self.n_b], arm - task.joint_centering * half * s**5
+        )
         w.H_low, w.c_low = np.diag(weight), -weight * wanted
 
     def _end_effector(self, slowness: float) -> tuple[Array, float]:
@@ -364,7 +370,7 @@ class Oracle:
         self, H: Array, c: Array, rows: slice, b: Array, fixed: int = 0
     ) -> tuple[Array, Array]:
         """(29): springs of compliance (1 − β + ε)/β times J H⁻¹ Jᵀ."""
-        w, softness = self.w, self.config.task.softness
+        w, softness = self.w, self.config.task.slack_weight
         inverse = np.linalg.inv(H[fixed:, fixed:])
         H, c = H.copy(), c.copy()
         for J, b_i, beta in zip(w.J_sca[rows], b, w.B[rows], strict=True):
@@ -399,7 +405,7 @@ class Oracle:
             np.concatenate(
                 [high - w.h[n_b:], (bounds[1] - pushed) / unit, np.full(len(rows), np.inf)]
             ),
-            np.append(np.zeros(self.n_m), np.full(count, self.config.task.softness**2)),
+            np.append(np.zeros(self.n_m), np.full(count, self.config.task.slack_weight**2)),
         )
 
     def _joint_bounds(self, slowness: float) -> Array:
@@ -433,7 +439,7 @@ class Oracle:
     def _barrier(self, k: int, slowness: float, buffers: bool) -> float:
         """ḧ + 2 λ ḣ + λ² h >= 0 with h = d − d_min, which counts down to −v/λ."""
         w, keep = self.w, self.config.barrier
-        rate, leaving = keep.rate / slowness, keep.leaving / slowness
+        rate, leaving = keep.rate / slowness, keep.max_separation_speed / slowness
         d_min = w.d_b if buffers and not self.rows[k].mobile else keep.d_min
         h = max(w.d[k] - d_min, -leaving / rate)
         return -2 * rate * w.d_dot[k] - rate**2 * h - w.Jdqd[k]
@@ -462,7 +468,7 @@ class Oracle:
     def _free_motion(self) -> Array | None:
         """Base and arm together, at slow gains and without the base's rows."""
         w, n_b, task, rep = self.w, self.n_b, self.config.task, self.config.repulsion
-        slow = task.base_slowness
+        slow = task.base_time_scale
         if w.tracking:
             H, c = self._tracking(slow, 0.0, task.ee_weight)
         else:
@@ -482,7 +488,7 @@ class Oracle:
 
     def _undragged(self) -> Array:
         """Nearest to a_des, in the metric of the inertia, with a mass hung on a hand that drags."""
-        w, base, hold = self.w, self.base, self.config.holding
+        w, base, hold = self.w, self.base, self.config.ee_hold
         reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.speed
         follows = reach @ reach.T
         moved = w.J_ee[:3, : self.n_b] @ base.to_q
@@ -495,7 +501,7 @@ class Oracle:
     def _make_room(self) -> None:
         """The least change with which the arm holds T_ee within its limits, seen ahead."""
         w, n_b, task = self.w, self.n_b, self.config.task
-        slow = task.base_slowness
+        slow = task.base_time_scale
         _, give = self._end_effector(slow)
         H, c = self._tracking(slow, give, task.base_weight * task.ee_weight)
         H, c = self._with_rows(H, c, slice(n_b), w.b_sca[:n_b])

@@ -36,7 +36,7 @@ class Estimate:
         way = np.abs(q - self.x[0] - dt * self.x[1])
         continued = np.isfinite(known[0]) and (way <= FARTHEST * dt * self._qd_max).all()
         if continued:
-            self._learn(q, qd, known, config.window)
+            self._learn(q, qd, known, config.noise_window)
         else:
             self.last = np.array([qd, q, np.full_like(q, np.nan)])
         least, ratio = config.least_noise, config.velocity_noise
@@ -46,10 +46,10 @@ class Estimate:
             [noise, np.max([of_qd, ratio**2 * of_q, np.full_like(q, (least / dt) ** 2)], axis=0)]
         )
         if continued and self.samples >= FEWEST:
-            self._filter(q, qd, known, noise, config.push_change)
+            self._filter(q, qd, known, noise, config.external_drift)
         else:
             self.x = np.array([q, qd, self.x[2]])
-            drift = np.full_like(q, config.push_change**2)
+            drift = np.full_like(q, config.external_drift**2)
             self.P = np.array([np.diag(each) for each in np.array([*noise, drift]).T])
         self.v_last = m.base_velocity.copy()
 

@@ -127,7 +127,7 @@ def posture_of(
     model: RobotModel, at: RobotState | ControlStep, q_posture: Array, task: TaskConfig
 ) -> Objective:
     """The posture task."""
-    gains = task.posture_stiffness, task.posture_damping, task.centring
+    gains = task.posture_stiffness, task.posture_damping, task.joint_centering
     base = task.base_weight, task.base_damping
     return Objective(*posture_objective(at.qd, at.q_m, q_posture, model.q_limits, *gains, *base))
 

@@ -76,6 +76,17 @@ def test_a_log_holds_the_marked_interval(tab, tmp_path, kind):
     np.testing.assert_allclose(times, np.arange(BEGIN, END + 0.01, 0.02), atol=1e-6)
 
 
+def test_one_escape_leads_back_to_now_while_a_message_lies_over_the_scene(tab, tmp_path):
+    """The client says for some seconds that a file has come."""
+    timeline = next(iter(tab.pages.values())).timeline
+    timeline.go_to(END)
+    tab.page.locator("#dbb-past").wait_for()
+    download(tab, "Log (CSV)", tmp_path)
+    tab.page.locator(".mantine-Notification-root").first.wait_for()
+    tab.page.keyboard.press("Escape")
+    wait_for(lambda: timeline.live, what="now")
+
+
 @pytest.fixture
 def made_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is asked for is made in this process; a film shows that it is in one of its own."""
@@ -129,9 +140,7 @@ def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
     tab.choose("Film format", ".gif")
     tab.click("Film")
     tab.page.get_by_text("Film: ").filter(visible=True).first.wait_for(timeout=PATIENCE)
-    for _ in range(2):  # the first one closes a message over the scene, if there is one
-        tab.page.keyboard.press("Escape")
-        tab.page.wait_for_timeout(500)
+    tab.page.keyboard.press("Escape")
     wait_for(lambda: page.timeline.live, what="now")
     tab.click("Cancel")
     wait_for(lambda: job.progress is None, what="the end of the work")

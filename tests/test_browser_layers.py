@@ -142,7 +142,7 @@ LAYERS = (
     Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
-    Layer("Acting points", of(acting), 60, 200, share=0.7),
+    Layer("Acting points", of(acting), 110, 200),
     Layer("Point labels", of(named), 110, 80),
     Layer("Forces", of(pushed), 60, 100),
     Layer("Trails", passed, 12, 40),
@@ -169,7 +169,11 @@ def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, l
     tab.wait_for_picture(before, most=layer.least // 4)
 
 
-TITLES = {"determinant": "det(J", "reachability": "reachability R", "score": "score S"}
+TITLES = {
+    "determinant": "Mobility of the base",
+    "reachability": "Reachability by the arm",
+    "score": "How well the base gives way",
+}
 
 
 @pytest.mark.parametrize(("pair", "quantities"), [("lm-lEE", list(TITLES)), ("lm-l3", ["score"])])

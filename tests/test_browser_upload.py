@@ -20,6 +20,7 @@ from app.dashboard import robots
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.server import DashboardServer
 from app.jobs.process import Report
+from app.onboarding import new_robot
 from app.onboarding.new_robot import finish
 from app.onboarding.request import Request
 from app.robot.model import RobotModel
@@ -56,8 +57,12 @@ SAMPLING = SamplingConfig(
 
 
 def make_of_few(report: Report, request: Request) -> None:
-    """What the process does that makes the robot; its border is kept beside the robots."""
-    with few_samples(request.out.parent):
+    """What the process does that makes the robot, with the one line on which it is pulled here.
+
+    Its border is kept beside the robots.
+    """
+    with few_samples(request.out.parent), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(new_robot, "SIDES", ("guiding-front",))
         finish(
             request,
             tell=lambda text: report(text, -1.0),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.cli.main import main
-from app.config import Config
+from app.config import FORMER_NAMES, Config
 from app.errors import CaseError, DbbError
 from app.simulation.case import Planned, RunCase
 from app.simulation.loop.commands import Pull
@@ -117,14 +117,25 @@ def test_every_scenario_comes_back_from_its_file(scenario):
 def test_a_case_of_another_version_says_what_differs():
     case = RunCase.of(Planned("husky_panda", CHALLENGE, Config(), "dbb", "planar"))
     content = json.loads(case.text()) | {"version": "0.1"}
-    del content["parameters"]["holding.weight"]
+    del content["parameters"]["ee_hold.weight"]
     content["parameters"]["border.former"] = 7.0
     version, gone, new = RunCase.read(json.dumps(content), "case.json").differences()
     assert "0.1" in version
     assert "border.former" in gone
     assert "7.0" in gone
-    assert "holding.weight" in new
+    assert "ee_hold.weight" in new
     assert "3000" in new
+
+
+def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
+    config = Config().replace("task.slack_weight", 0.01)
+    case = RunCase.of(Planned("husky_panda", CHALLENGE, config, "dbb", "planar"))
+    content = json.loads(case.text())
+    for former, path in FORMER_NAMES.items():
+        content["parameters"][former] = content["parameters"].pop(path)
+    read = RunCase.read(json.dumps(content), "case.json")
+    assert read.config() == config
+    assert read.differences() == []
 
 
 @pytest.mark.parametrize(

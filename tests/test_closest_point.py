@@ -20,7 +20,7 @@ Array = np.ndarray
 
 PARALLEL = np.array([1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618])
 """[rad] the hand beside the flank at 0.043 m, its capsule parallel to it within 1e-5 rad."""
-D_B, BLEND = Config().border.d_b, Config().activation.blend
+D_B, BLEND = Config().border.d_b, Config().activation.closest_point_smoothing
 
 
 class Follower:

@@ -5,7 +5,16 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from app.config import Config, make_config, parameter, sections, slowed, tunable
+from app.config import (
+    FORMER_NAMES,
+    Config,
+    make_config,
+    parameter,
+    present_name,
+    sections,
+    slowed,
+    tunable,
+)
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 
@@ -95,7 +104,7 @@ def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
     config = Config()
     slow = slowed(config)
     task, repulsion, limit = slow.task, slow.repulsion, slow.limit
-    s = config.task.base_slowness
+    s = config.task.base_time_scale
     fast = config.task.ee_damping / (2 * config.task.ee_stiffness**0.5)
     assert task.ee_damping / (2 * task.ee_stiffness**0.5) == pytest.approx(fast)
     assert (task.ee_stiffness / config.task.ee_stiffness) ** 0.5 == pytest.approx(1 / s)
@@ -129,7 +138,7 @@ def test_every_title_is_short_and_says_by_itself_which_parameter_it_is() -> None
 
 def test_a_logarithmic_scale_is_for_ranges_of_three_decades_and_more() -> None:
     scales = {path: parameter(path).log for path in PATHS}
-    assert (scales["task.softness"], scales["task.ee_weight"]) == (True, True)
+    assert (scales["task.slack_weight"], scales["task.ee_weight"]) == (True, True)
     assert (scales["border.d_b"], scales["force.f_max"]) == (False, False)
 
 
@@ -164,3 +173,25 @@ def test_of_thousands_of_problems_a_few_are_told() -> None:
     with pytest.raises(ConfigError, match="and 4992 more") as caught:
         make_config({f"{'x' * 100}{i}": i for i in range(5000)})
     assert len(str(caught.value)) < 2000
+
+
+def test_every_former_name_sets_the_parameter_of_the_present_name(caplog):
+    for former, path in FORMER_NAMES.items():
+        present_name.cache_clear()
+        value = 0.9 * Config().value(path)
+        (old_section, old), (section, name) = former.split("."), path.split(".")
+        expected = Config().replace(path, value)
+        assert make_config({old_section: {old: value}}) == expected
+        assert make_config({old_section: {old: value}}, Config()) == expected
+        assert Config().replace(former, value) == expected
+        with pytest.raises(ConfigError, match=f"{former} is the former name of {path}"):
+            make_config({**{section: {name: value}}, **{old_section: {old: value, name: value}}})
+        lines = [each.message for each in caplog.records if former in each.message]
+        assert lines == [f"parameter {former} is now {path}"]
+        caplog.clear()
+
+
+def test_a_former_name_beside_another_parameter_of_its_section():
+    given = {"task": {"softness": 0.01, "ee_weight": 1e4}, "barrier": {"leaving": 0.5}}
+    task = make_config(given).task
+    assert (task.slack_weight, task.ee_weight) == (0.01, 1e4)

@@ -36,7 +36,7 @@ from tests.qps import (
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6).replace("limit.velocity_rate", 30.0)
 """Limits of joints count early, so that poses at which none does are far from them."""
-UNHELD = AT_ONCE.replace("holding.weight", 0.01)
+UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
 """The hand weighs nothing, so that the base does what (29) says."""
 
 
@@ -165,7 +165,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     robot: RobotModel, controller: Controller, seed: int, pair: str
 ) -> None:
     """The controller solves base and arm apart; (29) with its rows at once gives the same."""
-    config = UNHELD.replace("task.base_slowness", 1.0)
+    config = UNHELD.replace("task.base_time_scale", 1.0)
     controller.configure(config)
     m = in_buffer(robot, controller, seed, pair)
     controller.reset()
@@ -176,7 +176,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     controller.configure(AT_ONCE)
     links = len(output.pairs) - output.n_mob
     rows = Rows(output.J_sca, output.b_sca, output.B).of(np.arange(2 + links))
-    state, softness = controller.state, config.task.softness
+    state, softness = controller.state, config.task.slack_weight
     hand = hand_task(state, reference, config.task)
     objective = with_hand(posture_of(robot, state, m.q_m, config.task), hand, state, config.task)
     objective = inserted(objective, rows, softness)
@@ -248,7 +248,7 @@ def test_a_base_without_an_answer_costs_the_arm_nothing_and_is_counted(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     """Only the QP over base and arm fails: its gains, which nothing else has, are no numbers."""
-    task = Config().task.model_copy(update={"base_slowness": np.nan})
+    task = Config().task.model_copy(update={"base_time_scale": np.nan})
     controller = Controller(robot, border_data, Config().model_copy(update={"task": task}))
     m = measured(robot, np.array(robot.description.arm.ready_position))
     output = controller.step(m, reference_at(robot, m))

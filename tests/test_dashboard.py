@@ -33,7 +33,13 @@ from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import CARDS, CLOSE, NEXT, SHOW
-from app.dashboard.panels.run import machine_rows, pairs_html, scores_html, status_rows
+from app.dashboard.panels.run import (
+    machine_rows,
+    outcomes_html,
+    pairs_html,
+    scores_html,
+    status_rows,
+)
 from app.dashboard.panels.why import header_html, why_html
 from app.dashboard.plans import plot_plans
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
@@ -585,7 +591,7 @@ def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
     view.borders["lm-l3"] = "determinant"
     assert cloud.update(view, config)
     assert [legend.pair for legend in cloud.legends] == ["lm-lEE", "lm-l3"]
-    assert [legend.title[:3] for legend in cloud.legends] == ["sco", "det"]
+    assert [legend.title[:3] for legend in cloud.legends] == ["How", "Mob"]
 
 
 @pytest.mark.parametrize("quantity", ["determinant", "reachability", "score"])
@@ -775,7 +781,7 @@ def test_a_door_has_a_plot_that_comes_with_it(loop, robot):
     first, *others = snapshot.pairs
     opened = (first, *others, first._replace(name=data.of_door, d=0.42))
     plan = plot_plans(robot, data.pairs, data.of_door)[1]
-    assert [curve.label for curve in plan.curves] == ["door – base", "d_b"]
+    assert [curve.label for curve in plan.curves] == ["door – base", "buffer d_b"]
     assert len(plan.colours) == len(plan.hints) == len(plan.curves)
     assert plan.curves[0].value(replace(snapshot, pairs=opened)) == 0.42
     assert np.isnan(plan.curves[0].value(snapshot))
@@ -868,6 +874,11 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
         )
         for name, (least, contacts) in OUTCOMES.items()
     )
+    assert outcomes_html(scores).split("<br>") == [
+        "<b>dbb</b>, with avoidance: no contact, least distance 104 mm",
+        "<b>none</b>, without avoidance: bodies overlap by 8 mm",
+        "<b>repulsive</b>, arm repulsion only: contact, least distance 50 mm",
+    ]
     html = scores_html(scores)
     assert coloured(html, "contact") == 2
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)

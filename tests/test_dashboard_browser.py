@@ -61,7 +61,7 @@ def tab(opened, served):
 
 def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     assert tab.page.title() == f"{PRODUCT} · {served.server.shared.model.description.title}"
-    texts = "out of its own arm's way", "hand – base", "score S, (10)", "Nearest", "Pause"
+    texts = "out of its own arm's way", "hand – base", "score S (10)", "Nearest", "Pause"
     for text in texts:
         tab.page.get_by_text(text).filter(visible=True).first.wait_for(timeout=10_000)
     assert tab.page.get_by_text("no explanation for this instant").first.is_visible()
@@ -75,7 +75,11 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
 
     tab.open_tab("Plots")
     assert tab.page.locator(".uplot canvas").count() == 3
-    for title in ("distance [m]", "activation β_m", "avoidance acceleration of the base, β ẍ"):
+    for title in (
+        "distance [m]",
+        "activation of the avoidance β_m",
+        "avoidance acceleration of the base, β ẍ",
+    ):
         wait_for(lambda title=title: tab.plot(title).shape[1] > 5, what=title)
     for pair, line in zip(served.loop.latest().pairs, tab.plot("distance [m]")[1:], strict=False):
         np.testing.assert_allclose(line, pair.d, atol=1e-5, err_msg=pair.name)
@@ -111,12 +115,12 @@ def test_the_robot_is_framed_by_the_scene(tab, served):
 def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     before = tab.picture()
     tab.open_tab("Tune")
-    tab.set_slider("d_b [m]", 0.25)
+    tab.set_slider("Buffer distance d_b [m]", 0.25)
     wait_for(lambda: any(isinstance(c, Configure) for c in served.loop.commands))
     assert served.loop.commands[-1].config.border.d_b == 0.25
     tab.page.get_by_text("= 0.250 m").wait_for(timeout=40_000)
     tab.wait_for_change(before, 5000)
-    tab.set_slider("d_b [m]", 0.15)
+    tab.set_slider("Buffer distance d_b [m]", 0.15)
     tab.page.get_by_text("= 0.150 m").wait_for(timeout=40_000)
     tab.open_tab("Run")
 
@@ -179,11 +183,11 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
     tab.set_slider("Speed", 2.5)
     wait_for(lambda: served.loop.latest().speed == 2.5)
     tab.open_tab("Run")
-    tab.choose("Controller", "none")
+    tab.choose("Controller", "none: without avoidance")
     wait_for(lambda: served.loop.latest().controller == "none")
     wanted = [Play(SCENARIOS["guiding-front"]), Speed(2.5), Choose("none")]
     assert served.loop.commands == wanted, "each once"
-    tab.choose("Controller", "dbb")
+    tab.choose("Controller", "dbb: with avoidance")
     wait_for(lambda: served.loop.latest().controller == "dbb")
 
 
@@ -240,7 +244,7 @@ def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, se
 def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served):
     tab.open_tab("Compare")
     assert tab.page.get_by_text("No comparison is running.").is_visible()
-    tab.choose("Second robot", "repulsive")
+    tab.choose("Second robot", "repulsive: arm repulsion only")
     wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
     hand = served.loop.latest().p_ee
     assert not tab.is_shown("/ghost_0"), "where it coincides it would only tint the robot"
@@ -258,7 +262,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
     wait_for(lambda: in_scene(tab, hand), what="the ghost's hand beside the panels")
     with_ghost = tab.picture_at_rest()
-    tab.choose("Third robot", "none")
+    tab.choose("Third robot", "none: without avoidance")
     wait_for(lambda: len(served.loop.latest().ghosts) == 2)
     tab.choose("Second robot", "off")
     wait_for(lambda: served.loop.commands[-1] == Compare(("none",), "path"))

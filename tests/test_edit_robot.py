@@ -15,6 +15,7 @@ from app.config import Config
 from app.dashboard import robots
 from app.dashboard.panels.edit import SIZE, half_extents, placed, resized
 from app.errors import DescriptionError, OutputError
+from app.jobs.bounded import Budget
 from app.jobs.process import Report
 from app.onboarding.check import Row
 from app.onboarding.write import BY_HAND, HandMade, save_by_hand
@@ -91,6 +92,18 @@ def test_what_is_saved_by_hand_says_so_and_all_else_stays(
     ]
     assert comments[0] == comments[1]
     RobotModel(after)  # its URDF came along
+
+
+def test_what_was_there_before_is_read_within_its_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "before"
+    source.mkdir()
+    text = (robot_folder("husky_panda") / "robot.toml").read_text()
+    (source / "robot.toml").write_text(text + "# nothing\n" * 2000)
+    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(1.0, 1000))
+    with pytest.raises(DescriptionError, match=f"{source}.*takes more than"):
+        save_by_hand(source, tmp_path / "mine", CHANGES)
 
 
 def test_a_robot_of_ones_own_is_saved_in_its_place_and_no_other_one_is(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def reading(tab: DashboardTab, label: str) -> str:
 
 def greatest_activation(tab: DashboardTab) -> float:
     """The highest β_m on the plot of activation."""
-    return float(tab.plot("activation β_m")[1].max())
+    return float(tab.plot("activation of the avoidance β_m")[1].max())
 
 
 def pull_towards_base(tab: DashboardTab) -> None:
@@ -100,7 +100,7 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
     tab = DashboardTab(browser, served.address, draws=True)
     tab.open_tab("Lab")
     tab.open_tab("Plots")
-    tab.wait("() => dbbTest.plot('activation β_m') !== null")
+    tab.wait("() => dbbTest.plot('activation of the avoidance β_m') !== null")
     assert reading(tab, "pull") == "none"
     assert greatest_activation(tab) == 0.0
     start = tab.position(GIZMO)

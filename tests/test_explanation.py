@@ -28,7 +28,7 @@ from app.simulation.trace.snapshot import make_snapshot
 from tests.qps import Limits, Objective, Rows, hand_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
-UNHELD = AT_ONCE.replace("holding.weight", 0.01)
+UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
 """The hand weighs nothing, so that the base does what (29) says."""
 REST = np.zeros(2)
 SEEDS = range(4)
@@ -205,7 +205,7 @@ def test_the_posture_gives_up_what_its_joints_do_not_get(robot, dbb, seed):
     lower, upper = robot.q_limits
     out = (2.0 * m.q_m - lower - upper) / (upper - lower)
     task = AT_ONCE.task  # the posture is the present one
-    wanted = -task.posture_damping * m.qd_m - task.centring * (upper - lower) / 2 * out**5
+    wanted = -task.posture_damping * m.qd_m - task.joint_centering * (upper - lower) / 2 * out**5
     expected = np.linalg.norm(qdd_of(dbb, output)[2:] - wanted)
     assert level(why, "posture").angular == pytest.approx(expected, abs=1e-5)
 
@@ -377,9 +377,11 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
         why, output = explained(controllers["barrier"], near(robot, "lm-lEE", seed, 0.01, 0.06))
         qdd = qdd_of(controllers["barrier"], output)
         c, moves = AT_ONCE.barrier, zip(output.Jdqd, output.d_dot, output.d, strict=True)
-        bounds = [barrier_bound(*at, d - c.d_min, c.rate, c.leaving) for *at, d in moves]
+        bounds = [
+            barrier_bound(*at, d - c.d_min, c.rate, c.max_separation_speed) for *at, d in moves
+        ]
         for J, least, pair in zip(output.J, bounds, output.pairs, strict=True):
-            at = J @ qdd < least + AT_ONCE.task.softness + TOLERANCE
+            at = J @ qdd < least + AT_ONCE.task.slack_weight + TOLERANCE
             name = pair.name
             assert (Bound(name, "barrier", upper=False) in why.bounds) == at
             reading = next((p for p in why.near if f"{p.a}-{p.b}" == name), None)

@@ -20,6 +20,8 @@ from app.dashboard.export.offscreen import (
     CODECS,
     captioned,
     film_pictures,
+    side_by_side,
+    story,
     with_ghosts,
     write_film,
 )
@@ -115,6 +117,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
         ("--out x.avi", "--out: x.avi should end in .mp4 or .webm or .webp or .gif"),
         ("--out x.mp4 --codec vp9", "unknown --codec of .mp4 'vp9'"),
         ("--out x.mp4 --beside nobody", "unknown controller of --beside 'nobody'"),
+        ("--out x.mp4 --side-by-side", "--side-by-side needs --beside CONTROLLER"),
         ("--out x.mp4 --rate 0", "--rate: 0 1/s is not within 1 to 60 1/s"),
         ("--out x.mp4 --span 3 2", "--span: the begin: 3 s is not within 0 to 2 s"),
         ("--out x.mp4 --span 0 99", "--span: 99 s is not within 0 to 8 s"),
@@ -155,6 +158,34 @@ def test_the_caption_says_time_distance_and_ghost(run: list[Snapshot], robot: Ro
     assert (alone != 20).any()
     assert (one != other).any()
     assert (one != alone).any(axis=-1).sum() > 100  # the ghost's line
+
+
+def test_words_for_strangers_say_method_cause_distance_and_way(run: list[Snapshot]) -> None:
+    x, y, phi = run[0].base_pose
+    gone = replace(run[0], base_pose=np.array([x + 0.3, y - 0.4, phi]))
+    texts = [line if isinstance(line, str) else line[0] for line in story(gone, run[0])]
+    assert texts[0] == "With avoidance"
+    assert texts[1] == "a person pulls the hand"
+    assert texts[2].startswith("arm ")
+    assert texts[2].endswith(" mm from its own base")
+    assert texts[3] == "base moved 0.50 m from the outline"
+    inside = [pair._replace(d=-0.01) for pair in run[0].pairs]
+    without = replace(run[0], controller="none", mode="tracking", ee_error=0.086, pairs=inside)
+    texts = [line if isinstance(line, str) else line[0] for line in story(without, run[0])]
+    assert texts[0] == "Without avoidance"
+    assert texts[1] == "the hand tracks a line, 86 mm off"
+    assert texts[2] == "the arm hits its own base"
+
+
+def test_pictures_stand_side_by_side_in_their_order() -> None:
+    pairs = zip(grey(3), reversed(list(grey(3))), strict=True)
+    wholes = [side_by_side(pair) for pair in pairs]
+    assert [whole.size for whole in wholes] == [(2 * SIZE[0], SIZE[1])] * 3
+    assert [(w.getpixel((0, 0))[0], w.getpixel((SIZE[0], 0))[0]) for w in wholes] == [
+        (0, 80),
+        (40, 40),
+        (80, 0),
+    ]
 
 
 @pytest.mark.browser

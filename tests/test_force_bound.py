@@ -43,7 +43,10 @@ class Near:
 
     def distance(self) -> Distance:
         """That pair's in the state as it is now."""
-        found, i = self._monitor.find_nearest(Config().activation.blend), self._nearest
+        found, i = (
+            self._monitor.find_nearest(Config().activation.closest_point_smoothing),
+            self._nearest,
+        )
         n, core = found.points[:, 2], found.points[:, 3]
         J, _, d_dot = self.state.distance_motions(found.joints, core, n)
         return Distance(float(found.d[i]), J[i], float(d_dot[i]))

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.config import HoldingConfig
+from app.config import EeHoldConfig
 from app.control.transition import limit_ee_drag, uncompensated_base_jacobian
 from app.robot.assets import package_roots
 from app.robot.description import load_robot
@@ -17,7 +17,7 @@ from tests.robots import husky_panda, random_state
 
 Array = np.ndarray
 
-SPEED, WEIGHT = HoldingConfig().speed, HoldingConfig().weight
+SPEED, WEIGHT = EeHoldConfig().min_speed, EeHoldConfig().weight
 
 
 @cache

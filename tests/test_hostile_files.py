@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 
 from app.border.cache import DamagedFileError, read
 from app.cli.common import as_json
@@ -24,6 +25,7 @@ from app.cli.options import make_folder
 from app.config_file import decode_config
 from app.dashboard.robots import robot_entries
 from app.errors import (
+    AssetError,
     CaseError,
     ConfigError,
     DescriptionError,
@@ -31,16 +33,21 @@ from app.errors import (
     OutputError,
     RobotFileError,
 )
-from app.jobs.bounded import SMALL, within_budget
+from app.jobs.bounded import SMALL, Budget, within_budget
 from app.onboarding.read.links import is_foreign
 from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
+from app.robot.shapes import ConvexMesh
 from app.simulation.case import read_case
+from app.simulation.trace import log_file
+from app.simulation.trace.arrow import read_arrow
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.strict import file_text, from_toml, parsed
+from app.strict import LARGEST_DATA, file_text, from_toml, parsed
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
+
+pytestmark = pytest.mark.budget
 
 PROJECT = Path(__file__).resolve().parent.parent
 HOSTILE = {
@@ -233,6 +240,16 @@ def expanding(path: Path, rows: int) -> Path:
     return path
 
 
+def equal(path: Path) -> Path:
+    """A file that a process reads itself for its size, of 400 MB in memory."""
+    table = pa.table({"t_s": pa.array(np.zeros(10**6))})
+    with pq.ParquetWriter(path, table.schema, compression="zstd") as writer:
+        for _ in range(50):
+            writer.write_table(table)
+    assert path.stat().st_size < SMALL
+    return path
+
+
 BUDGET = "to read, which no such file needs"
 EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
     "a key of many parts": (lambda _: from_toml("a" + ".b" * 30_000 + " = 1"), BUDGET),
@@ -241,11 +258,50 @@ EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
         "nest too deeply",
     ),
     "rows of a log": (lambda at: read_trace(expanding(at / "a.parquet", 300_000)), BUDGET),
+    "many equal rows": (lambda at: read_trace(equal(at / "a.parquet")), BUDGET),
     "rows that are drawn": (
         lambda at: read_trace(expanding(at / "a.parquet", 22_000)),
         "22000 rows to be drawn are too many",
     ),
 }
+
+
+def test_rows_that_are_not_drawn_count_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_file, "_CELL", 0)
+    write_trace(tmp_path / "a.csv", trace_of(random_snapshots(2, 3)))
+    read = read_arrow(tmp_path / "a.csv")
+    log_file._trace(*read, Budget(1.0, 10_000))
+    with pytest.raises(LogError, match="3 rows are too many"):
+        log_file._trace(*read, Budget(1.0, 1000))
+
+
+def test_problems_beyond_count_are_not_listed(tmp_path):
+    path = tmp_path / "robot.toml"
+    hull = '[[bodies]]\n[[bodies.shapes]]\ntype = "hull"\nvertices_m = ['
+    path.write_text(f"{hull}{'0,' * 2000}]")
+    with pytest.raises(DescriptionError, match="wrong values, too many to list"):
+        load_description(path)
+    with pytest.raises(LogError, match="too many to list"):
+        log_file.LogHeader.read('{"dbb_log": {"pairs": [' + "1," * 2000 + '1]}, "rows": 1}')
+    with pytest.raises(LogError, match="longer than those of any log"):
+        log_file.LogHeader.read(" " * (LARGEST_DATA + 1))
+
+
+@pytest.mark.parametrize("read", [from_toml, partial(parsed, json.loads)])
+def test_toml_and_json_are_shorter_than_other_files(read):
+    with pytest.raises(ValueError, match="more than the 1 MB"):
+        read(" " * (LARGEST_DATA + 1))
+
+
+def test_a_shape_takes_a_mesh_within_its_budget(tmp_path, monkeypatch):
+    mesh = tmp_path / "a.stl"
+    trimesh.creation.icosphere(4).export(mesh)
+    monkeypatch.setattr("app.robot.shapes.resolve_package_uri", lambda _: mesh)
+    shape = ConvexMesh(type="convex_mesh", file="package://a/a.stl", scale=(1.0, 1.0, 2.0))
+    assert shape.hull().extents == pytest.approx([2.0, 2.0, 4.0])
+    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(1.0, 1000))
+    with pytest.raises(AssetError, match=f"package://a/a.stl: .*{BUDGET}"):
+        shape.hull()
 
 
 SLOW = {

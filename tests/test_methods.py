@@ -59,7 +59,7 @@ def realised(controller: Controller, output: ControlStep) -> np.ndarray:
 
 def bound(Jdqd: float, d_dot: float, d: float, config: BarrierConfig) -> float:
     """[m/s²] of a barrier."""
-    return barrier_bound(Jdqd, d_dot, d - config.d_min, config.rate, config.leaving)
+    return barrier_bound(Jdqd, d_dot, d - config.d_min, config.rate, config.max_separation_speed)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -117,7 +117,7 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     assert output.n_limits == 2 * robot.n_m + len(output.pairs)
     for J, Jdqd, d_dot, d in zip(output.J, output.Jdqd, output.d_dot, output.d, strict=True):
         least = bound(Jdqd, d_dot, d, AT_ONCE.barrier)
-        assert J @ qdd >= least - 2 * Config().task.softness * (20.0 + abs(least))
+        assert J @ qdd >= least - 2 * Config().task.slack_weight * (20.0 + abs(least))
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -11,6 +11,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
+from app.control import CONTROLLERS
 from app.control.contract import JointOrder
 from app.control.control_loop import ControlLoop
 from app.control.tasks import Reference
@@ -18,6 +19,8 @@ from app.errors import ConfigError, MeasurementError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
 from app.simulation.plants.kinematic import Kinematic
+from app.simulation.run import run_scenario
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 
 Array = np.ndarray
@@ -156,6 +159,34 @@ def test_poor_readings_are_named_and_change_little(run, plain: Run, case: str) -
     assert found.share < 1.05
     assert found.nearest > 0.02
     np.testing.assert_allclose(found.base, plain.base, atol=0.04)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("scenario", LINES)
+def test_perfect_readings_have_no_fault(
+    robot: RobotModel, border_data: BorderData, scenario: str, controller: str
+) -> None:
+    line = LINES[scenario].changed(duration=3.0)
+    found = run_scenario(
+        robot, border_data, line, Config(), controller=controller, physics="kinematic"
+    )
+    assert found.figures["fault_s"] == {}
+
+
+def test_torques_of_others_are_no_lag(robot: RobotModel, border_data: BorderData, starts) -> None:
+    """The arm is moved by another controller: the own torques explain nothing, at any age."""
+    moving, watching = (
+        ControlLoop(robot, border_data, Config().changed({"barrier.rate": rate}))
+        for rate in (5.0, 20.0)
+    )
+    plant, faults = Kinematic(robot), set()
+    plant.reset(np.zeros(3), starts[FRONT])
+    for _ in range(1000):
+        command = moving.step(plant.measure())
+        faults |= set(watching.step(plant.measure()).faults)
+        plant.step(command.u_a, command.base_velocity, PULL)
+    assert faults == set()
 
 
 @pytest.mark.parametrize(
@@ -297,19 +328,19 @@ def relocated(k: int, m: Measurement) -> Measurement:
 
 
 EVENTS = {
-    "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid"),
-    "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid"),
-    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "invalid"),
-    "localisation jumps": (relocated, "localisation"),
+    "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid", 0.3),
+    "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid", 0.3),
+    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "invalid", 0.3),
+    "localisation jumps": (relocated, "localisation", 0.8),  # the end-effector goes back by 0.1 m
 }
 
 
 @pytest.mark.parametrize("case", EVENTS)
 def test_nothing_leaps_at_an_event_and_it_is_named(run, case: str) -> None:
-    bend, fault = EVENTS[case]
+    bend, fault, most = EVENTS[case]
     found = run(bend, start=SIDE, pull=np.zeros(3), reference=still)
     assert found.faults[fault] <= 0.5
-    assert found.share < 0.8
+    assert found.share < most
     assert np.linalg.norm(np.diff(found.hand, axis=0), axis=1).max() < 0.0006  # 0.6 m/s
 
 
@@ -379,6 +410,24 @@ def test_a_load_is_estimated_named_and_carried_when_stated(
         assert load[150] == pytest.approx(0.0 if stated else mass, abs=0.3)
     seen.update_kinematics(at_rest(robot, ready))
     assert seen.p_ee[2] - fell[True] < 0.005 < seen.p_ee[2] - fell[False]
+
+
+def test_a_person_who_pulls_straight_down_is_no_load(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    """A spring from the hand down to a person who moves away at 0.3 m/s, up to 40 N."""
+    loop, plant, seen = ControlLoop(robot, border_data), Kinematic(robot), RobotState(robot)
+    plant.reset(np.zeros(3), np.array(robot.description.arm.ready_position))
+    seen.update_kinematics(plant.measure())
+    origin, felt = float(seen.p_ee[2]), 0.0
+    for k in range(600):
+        seen.update_kinematics(plant.measure())
+        pull = min(max(300.0 * (seen.p_ee[2] - origin + 0.0003 * k), 0.0), 40.0)
+        command = loop.step(plant.measure())
+        assert "load" not in command.faults
+        felt = max(felt, command.load)
+        plant.step(command.u_a, command.base_velocity, np.array([0.0, 0.0, -pull]))
+    assert felt > 0.5
 
 
 def test_gravity_has_a_name(robot: RobotModel, border_data: BorderData) -> None:

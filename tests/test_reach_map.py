@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.optimize import root
 
 from app.border.reach import (
     FINE_SAMPLES,
@@ -79,40 +78,91 @@ def slide(urdf: str) -> str:
     return f'{head}<joint name="panda_joint3" type="prismatic">{tail}'
 
 
-def solutions(
-    model: RobotModel, chain: Chain, target: pin.SE3, held: np.ndarray, rng: np.random.Generator
-) -> int:
-    """How many distinct solutions a search from 40 random configurations finds for a pose.
+def places(chain: Chain, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 4, 4) T_base_point at joint positions (N, k), and (N, 6, k) its Jacobian, in the base.
 
-    Only those within the joint limits and without self-collision count; `held` are the positions of
-    the free joints [rad or m].
+    Of joints that turn about their z axis; many at once, and without pinocchio.
     """
-    free = list(free_joints(chain))
+    first, data = np.zeros(q.shape[1]), chain.pin.createData()
+    pin.forwardKinematics(chain.pin, data, first)
+    point = data.oMi[q.shape[1]].actInv(chain.pose_and_jacobian(first)[0]).homogeneous
+    T, axes, origins = np.tile(np.eye(4), (len(q), 1, 1)), [], []
+    for angle, placement in zip(q.T, list(chain.pin.jointPlacements)[1:], strict=True):
+        T = T @ placement.homogeneous
+        axes.append(T[:, :3, 2])
+        origins.append(T[:, :3, 3])
+        turn = np.tile(np.eye(4), (len(q), 1, 1))
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+        turn[:, 1, 0] = np.sin(angle)
+        turn[:, 0, 1] = -np.sin(angle)
+        T = T @ turn
+    T = T @ point
+    columns = [
+        np.hstack([np.cross(z, T[:, :3, 3] - o), z]) for z, o in zip(axes, origins, strict=True)
+    ]
+    return T, np.stack(columns, axis=-1)
+
+
+def misses(T: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """(N, 6) [m] and [rad] from targets (N, 4, 4) to poses, in the base."""
+    E = T[:, :3, :3] @ targets[:, :3, :3].transpose(0, 2, 1)
+    twice = np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]])
+    sine = np.linalg.norm(twice, axis=0) / 2
+    angle = np.arctan2(sine, (np.trace(E, axis1=1, axis2=2) - 1) / 2)
+    turned = (twice / 2 * angle / np.maximum(sine, 1e-300)).T
+    return np.hstack([T[:, :3, 3] - targets[:, :3, 3], turned])
+
+
+def found_by_newton(
+    chain: Chain, targets: np.ndarray, q: np.ndarray, sought: list[int]
+) -> np.ndarray:
+    """(N,) whether Newton's method brings q (N, k), which it changes, to the targets (N, 4, 4)."""
+    left = np.arange(len(q))
+    for _ in range(30):
+        T, J = places(chain, q[left])
+        e = misses(T, targets[left])[:, : chain.asked]
+        far = np.abs(e).max(axis=1) > 1e-8
+        left, e, J = left[far], e[far], J[far][:, : chain.asked, sought]
+        JJ = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(chain.asked)
+        step = (J.transpose(0, 2, 1) @ np.linalg.solve(JJ, e[:, :, None]))[:, :, 0]
+        step /= np.maximum(np.abs(step).max(axis=1, initial=0.0), 1.0)[:, None]
+        q[np.ix_(left, sought)] -= step
+    last = misses(places(chain, q)[0], targets)[:, : chain.asked]
+    return np.abs(last).max(axis=1) < 1e-6
+
+
+def solutions(
+    model: RobotModel, chain: Chain, targets: list[pin.SE3], rng: np.random.Generator
+) -> list[int]:
+    """How many distinct solutions a search from 40 random configurations finds for each pose.
+
+    The free joints are held where chance puts them. Only those within the joint limits and without
+    self-collision count.
+    """
+    tries, free = 40, list(free_joints(chain))
     sought = [i for i in range(len(chain.joints)) if i not in free]
+    q = np.array([[chain.random(rng) for _ in range(tries)] for _ in targets])
+    q[:, :, free] = q[:, :1, free]
+    q = q.reshape(-1, q.shape[-1])
+    poses = np.repeat([target.homogeneous for target in targets], tries, axis=0)
+    there = found_by_newton(chain, poses, q, sought)
+    low, high = chain.lower, chain.upper
+    own = low + (q - low) % (2 * np.pi)
+    there &= (own <= high).all(axis=1)
     names = model.body_names
     known = names[: names.index(chain.body) + 1]
     distances = PairDistances(model, [p for p in candidate_pairs(model) if p.b in known])
-    found: list[np.ndarray] = []
-    for _ in range(40):
-        q = chain.random(rng)
-        q[free] = held
-
-        def miss(x: np.ndarray, q: np.ndarray = q) -> np.ndarray:
-            q[sought] = x
-            off = target.actInv(chain.pose_and_jacobian(q)[0])
-            return pin.log6(off).vector if chain.asked == 6 else off.translation
-
-        q[sought] = root(miss, q[sought]).x
-        if np.abs(miss(q[sought])).max() > 1e-6:
+    found: list[list[np.ndarray]] = [[] for _ in targets]
+    for k in np.flatnonzero(there):
+        others = found[k // tries]
+        if any(np.abs(own[k] - each).max() <= 1e-3 for each in others):
             continue
-        low, high = chain.lower, chain.upper
-        own = low + (q - low) % (2 * np.pi)
         q_m = model.q_lower.copy()
-        q_m[chain.joints] = own
+        q_m[chain.joints] = own[k]
         distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
-        if (own <= high).all() and min(distances.distances()) > 0.0:
-            found += [own] if all(np.abs(own - each).max() > 1e-3 for each in found) else []
-    return len(found)
+        if min(distances.distances()) > 0.0:
+            others.append(own[k])
+    return [len(each) for each in found]
 
 
 def test_the_bodies_are_those_that_three_joints_move():
@@ -163,13 +213,13 @@ def test_the_map_is_the_mean_number_of_solutions_that_a_search_finds(joints, bod
     assert (chain.asked, chain.free) == (asked, len(chain.joints) - asked)
     found = sample_reach_map(model, body, samples=40_000)
     band = (found.rho > 0.3) & (found.rho < 0.6)
-    rng, counted = np.random.default_rng(3), []
+    rng, targets = np.random.default_rng(3), []
     for p in rng.choice(found.points[band], 300):
         q = rng.standard_normal(4)
         turn = pin.Quaternion(q / np.linalg.norm(q)).matrix()
-        target = pin.SE3(turn, p + found.spacing_m * rng.uniform(-0.5, 0.5, 3))
-        held = chain.random(rng)[list(free_joints(chain))]
-        counted.append(solutions(model, chain, target, held, rng))
+        near = p + found.spacing_m * rng.uniform(-0.5, 0.5, 3)
+        targets.append(pin.SE3(turn, near))
+    counted = solutions(model, chain, targets, rng)
     error = np.std(counted) / np.sqrt(len(counted))
     assert np.mean(counted) > 5 * error
     assert np.mean(counted) == pytest.approx(found.found[band].mean(), abs=3 * error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -38,17 +39,30 @@ def drawn(tab: DashboardTab) -> dict[str, int]:
     return tab.page.evaluate("() => ({ ...window.__viserTestpoints.rendererInfo.render })")
 
 
+def settled(tab: DashboardTab, holds: Callable[[dict[str, int]], object], what: str) -> dict:
+    """The same once something holds of it and nothing is on its way any more."""
+    seen: list[dict[str, int]] = [{}]
+
+    def rests() -> bool:
+        seen.append(drawn(tab))
+        tab.page.wait_for_timeout(500)  # [ms] the server sends one mesh after the other
+        counts = [{k: each.get(k) for k in ("triangles", "calls", "points")} for each in seen[-2:]]
+        return counts[0] == counts[1] and bool(holds(seen[-1]))
+
+    wait_for(rests, what=what)
+    return seen[-1]
+
+
 @needs_pybullet
 def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_other(browser, served):
     tab = DashboardTab(browser, served.server.address, honest=True)
     assert served.page().view.light
-    wait_for(lambda: drawn(tab)["points"], what="the border")
-    light = drawn(tab)
+    light = settled(tab, lambda now: now["points"], "the border")
     assert light["points"] <= LIGHT_POINTS
     tab.open_tab("View")
     tab.check("Low detail", on=False)
-    wait_for(lambda: drawn(tab)["triangles"] > 8 * light["triangles"], what="the fine drawing")
-    assert drawn(tab)["calls"] > 1.5 * light["calls"]
+    fine = settled(tab, lambda now: now["triangles"] > 8 * light["triangles"], "the fine drawing")
+    assert fine["calls"] > 1.5 * light["calls"]
     assert not tab.page.get_by_text("Software WebGL rendering").count(), "it is said once"
     tab.check("Low detail", on=True)
     wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")

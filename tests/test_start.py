@@ -11,11 +11,12 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.errors import UnreachableError
-from app.robot.link_pairs import PairDistances
+from app.errors import AssetError, UnreachableError
+from app.robot.description import load_robot
+from app.robot.link_pairs import PairDistances, find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.scenarios import LINES
-from app.simulation.scenarios.posture import Found
+from app.simulation.scenarios.posture import Found, PostureSearch
 from app.simulation.scenarios.start import StartSolver, find_start
 
 D_B = Config().border.d_b
@@ -153,7 +154,7 @@ def test_other_seeds_reach_the_same_places(robot, solver):
     ("place", "reason"),
     [
         ((2.5, 0.0, 0.5), "out of the arm's reach"),
-        ((0.3, 0.0, 3.0), "out of the arm's reach"),
+        ((1.32, 0.0, 0.5), "out of the arm's reach"),  # nearer than all offsets together
         ((0.2, 0.42, 0.15), "inside its buffer"),
         ((0.7, 0.1, 0.02), "touch the floor"),
         ((0.9, 0.0, -0.1), "the floor is z = 0"),
@@ -165,6 +166,23 @@ def test_a_start_that_cannot_be_is_refused_with_its_reason(solver, place, reason
     with pytest.raises(UnreachableError, match=reason) as caught:
         solver.solve(place)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["husky_panda", "stretch_se3"])
+def test_no_posture_brings_the_hand_beyond_the_length_of_the_arm(name: str):
+    """So a place that is farther is refused at once; the Stretch has five slides."""
+    try:
+        robot = RobotModel(load_robot(name))
+    except AssetError as error:
+        pytest.skip(str(error))
+    pairs, rng = find_link_pairs(robot, samples=20), np.random.default_rng(0)
+    search = PostureSearch(robot, pairs, D_B)
+    search.stand(np.array([1.0, -2.0, 2.5]))
+    reached = []
+    for q_m in search.guesses(rng, 300):
+        search.place(q_m)
+        reached.append(search.beyond(search.state.T_world_ee.translation))
+    assert max(reached) < 0.0
 
 
 def test_a_wider_buffer_is_kept_too(robot, border_data):

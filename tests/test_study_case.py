@@ -25,8 +25,8 @@ from app.studies.pulls.draw import (
     sector_of,
 )
 from app.studies.pulls.envelope import Envelope
+from app.studies.pulls.parameters import FAULTS, StudyParameters, StudyRange
 from app.studies.pulls.parameters import PARAMETERS as DRAWN
-from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.runs import Row, rounded
 
 RANGES = StudyRange(duration=0.2, released=0.6, regrasped=0.6)
@@ -92,18 +92,27 @@ def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
 def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases):
     ranges = PARAMETERS.ranges
     for case in cases:
-        for name in ("speed", *DRAWN):
-            low, high = getattr(ranges, name)
-            assert low <= case[COLUMNS[name]] <= high
         config = planned_of(case, PARAMETERS).config
-        assert config.disturbance.base_delay == case["base_delay_s"]
-        assert config.disturbance.encoder_noise == case["encoder_noise_rad"]
-        assert config.disturbance.mass_error == case["mass_error"]
-        assert config.disturbance.slip == case["slip"]
-        assert config.admittance.v_max == case["v_max_mps"]
-        assert config.hand.f_max == case["hand_f_max_n"]
-        assert config.hand.stiffness == case["hand_stiffness_npm"]
-        assert config.hand.mass == case["hand_mass_kg"]
+        for name in ("speed", *DRAWN):
+            value = case[COLUMNS[name]]
+            low, high = getattr(ranges, name)
+            assert low <= value <= high
+            if name in DRAWN:
+                assert config.value(DRAWN[name]) == value
+        assert config.disturbance.begins == case["fault_at_s"]
+
+
+def test_a_case_has_no_faults_or_one_to_three_that_begin_during_the_pull(sources, cases):
+    healthy = {name: Config().value(DRAWN[name]) for name in FAULTS}
+    counts = []
+    for case in cases:
+        counts.append(sum(case[COLUMNS[name]] != healthy[name] for name in FAULTS))
+        assert 0.0 <= case["fault_at_s"] <= 0.5 * case["moving"] * case["duration_s"]
+    assert 0 in counts
+    assert max(counts) in (1, 2, 3)
+    never = RANGES.model_copy(update={"faulty": 0.0})
+    case = draw_case(PARAMETERS.model_copy(update={"ranges": never}), 0, sources)
+    assert {name: case[COLUMNS[name]] for name in FAULTS} == healthy
 
 
 def test_a_soft_and_a_stiff_spring_are_as_likely(sources):
@@ -233,6 +242,12 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
         slip=(0.0, 0.2),
         hand_stiffness=(300.0, 2000.0),
         hand_mass=(0.0, 1.5),
+        payload=(0.0, 0.5),
+        sensor_delay=(0.0, 0.01),
+        sensor_period=(0.0, 0.0),
+        dropped=(0.0, 0.2),
+        unknown_load=(0.0, 0.0),
+        stated_period=(0.001, 0.001),
     )
     study = PARAMETERS.model_copy(update={"ranges": envelope.narrowed(RANGES)})
     for number in range(2):

@@ -47,6 +47,12 @@ def row(case: int, force: float, speed: float, delay: float, contacts: int) -> R
         "slip": 0.0,
         "hand_stiffness_npm": 500.0,
         "hand_mass_kg": 1.0,
+        "payload_kg": 0.0,
+        "sensor_delay_s": 0.0,
+        "sensor_period_s": 0.0,
+        "dropped": 0.0,
+        "unknown_load_kg": 0.0,
+        "stated_period_s": 0.001,
         "hand_f_max_n": 100.0,
         "hand_force_clear_max_n": force,
         "contacts": contacts,
@@ -147,6 +153,8 @@ def test_beyond_what_was_drawn_nothing_is_inside():
         "slip": 0.4,
         "hand_stiffness_npm": 250.0,
         "hand_mass_kg": 3.0,
+        "sensor_delay_s": 0.03,
+        "unknown_load_kg": 4.0,
     }.items():
         assert not fitted.holds({**row(1, 1.0, 0.4, 0.1, 0), column: value}), column
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,16 @@ def test_a_damaged_line_in_the_middle_is_named(tmp_path):
     (tmp_path / "cases.jsonl").write_bytes(whole.replace(b'"case": 1', b'"case" 1'))
     with pytest.raises(StudyError, match="line 2 of"):
         Journal(tmp_path, IDENTITY)
+
+
+def test_a_line_without_an_end_takes_no_memory(tmp_path):
+    fill(tmp_path, 3)
+    with (tmp_path / "cases.jsonl").open("ab") as file:
+        file.truncate(file.tell() + 30_000_000)
+    tracemalloc.start()
+    try:
+        with pytest.raises(StudyError, match="line 4 of"):
+            Journal(tmp_path, IDENTITY)
+        assert tracemalloc.get_traced_memory()[1] < 3_000_000
+    finally:
+        tracemalloc.stop()

@@ -14,7 +14,7 @@ import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.config import Config, parameter, sections, tunable
+from app.config import Config, parameter, sections, tunable, tunables
 from app.config_file import MOST_BYTES, decode_config, save_config
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.tuning import (
@@ -23,6 +23,7 @@ from app.dashboard.panels.tuning import (
     file_name,
     score_html,
     slider_step,
+    unbroken,
 )
 from app.dashboard.shared import BURST, MOST_STEPS, Tuning
 from app.errors import ConfigError
@@ -287,6 +288,14 @@ def test_every_parameter_has_widgets_with_its_range_unit_value_and_help(desk):
             assert handle.label.replace("\N{NO-BREAK SPACE}", " ") == about.title, path
 
 
+def test_every_label_names_its_quantity_before_the_symbol():
+    for path, about in tunables().items():
+        first = about.label.split()[0]
+        assert first[0].isupper(), path
+        assert len(first) >= 3, path
+        assert not about.label.endswith("]"), path
+
+
 def test_every_default_lies_on_a_step_of_its_slider():
     for path in NUMBERS:
         about = parameter(path)
@@ -383,7 +392,7 @@ def test_what_is_changed_is_marked_on_its_label_and_folder_until_it_is_set_back(
     put(desk.handle("force.f_max"), 200.0, Person())
     put(desk.handle("force.alpha_min"), 0.05, Person())
     desk.update()
-    assert desk.handle("force.f_max").label == "f_max [N]" + MARK
+    assert desk.handle("force.f_max").label == unbroken("Force at contact f_max [N]") + MARK
     assert MARK not in desk.handle("force.alpha_max").label
     assert "Force · 2 changed" in labels()
     press(desk.panels[0]._gui, "Changes", "Reset all")

@@ -38,9 +38,9 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
         tab.open_tab("Tune")
     first, second = tabs
 
-    first.set_slider("d_b [m]", 0.225)
+    first.set_slider("Buffer distance d_b [m]", 0.225)
     wait_for(lambda: configured(loop) == [Config().replace("border.d_b", 0.225)])
-    wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
+    wait_for(lambda: box(second, "Buffer distance d_b [m]").input_value() == "0.225")
     second.page.get_by_text("Border · 1 changed").wait_for()
 
     path = tmp_path / "wide.toml"
@@ -53,22 +53,23 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
     with second.page.expect_file_chooser() as chooser:
         second.click("Load")
     chooser.value.set_files(path)
-    wait_for(lambda: box(first, "d_b [m]").input_value() == "0.25")
+    wait_for(lambda: box(first, "Buffer distance d_b [m]").input_value() == "0.25")
     first.click("Undo")
-    wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
+    wait_for(lambda: box(second, "Buffer distance d_b [m]").input_value() == "0.225")
 
     said = []
     monkeypatch.setattr(Notifier, "warn", lambda self, client, text: said.append(text))
     for wrong in ("7", "abc", "", "1e9", "-5"):
-        box(second, "d_b [m]").click()
+        box(second, "Buffer distance d_b [m]").click()
         second.page.keyboard.press("Control+a")
         second.page.keyboard.press("Delete")
         second.page.keyboard.type(wrong)
         second.page.keyboard.press("Tab")
         named = f"“{wrong}”" if wrong else "nothing"
-        line = f"d_b [m] takes a number from 0.06 to 0.3, not {named}; it stays at 0.225."
+        range_ = "takes a number from 0.06 to 0.3"
+        line = f"Buffer distance d_b [m] {range_}, not {named}; it stays at 0.225."
         wait_for(lambda line=line: said[-1:] == [line], what=line)
-        assert box(second, "d_b [m]").input_value() == "0.225"
+        assert box(second, "Buffer distance d_b [m]").input_value() == "0.225"
     assert configured(loop)[-1] == Config().replace("border.d_b", 0.225)
     assert all(config.border.d_b <= 0.25 for config in configured(loop))
     for tab in tabs:

@@ -14,9 +14,13 @@ from typing import Any
 import pytest
 import viser
 from viser import _messages
+from websockets.asyncio.server import ServerConnection
 
+from app.dashboard import job, notifications, server, viser_compat
 from app.dashboard.server import is_loopback
 from app.dashboard.viser_compat import Channel, _Buffer, close_server, open_server
+from tests.browser import wait_for
+from tests.raw_client import RawClient
 
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
@@ -105,13 +109,34 @@ def test_what_no_page_says_calls_nothing() -> None:
 def test_what_strangers_can_cause_is_written_once_a_minute(caplog, monkeypatch) -> None:
     monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
     close_server(open_server("127.0.0.1", 0))
+    modules = job, notifications, server, viser_compat
     for _ in range(3):
-        try:
-            int("a defect")
-        except ValueError as error:
-            logging.getLogger("app.dashboard.notifications").error("failed", exc_info=error)
+        for module in modules:
+            try:
+                int("a defect")
+            except ValueError as error:
+                module.logger.error(f"{module.__name__} failed", exc_info=error)
         logging.getLogger("asyncio").warning("socket.send() raised exception.")
-    assert sorted(caplog.messages) == ["failed", "socket.send() raised exception."]
+    failed = [f"{module.__name__} failed" for module in modules]
+    assert sorted(caplog.messages) == [*failed, "socket.send() raised exception."]
+
+
+def test_no_connection_has_the_thread_for_long(monkeypatch) -> None:
+    read, usual = [], ServerConnection.data_received
+    monkeypatch.setattr(
+        ServerConnection,
+        "data_received",
+        lambda self, data: (read.append(len(data)), usual(self, data)),
+    )
+    opened = open_server("127.0.0.1", 0)
+    try:
+        with RawClient(f"http://127.0.0.1:{opened.get_port()}") as client:
+            wait_for(opened.get_clients, what="the client")
+            client.send_raw(b"x" * 10**6)
+            wait_for(lambda: sum(read) > 10**6, what="all bytes")
+    finally:
+        close_server(opened)
+    assert max(read) <= 2**13
 
 
 @pytest.mark.parametrize(

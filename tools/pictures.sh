@@ -11,5 +11,10 @@ shoot() {
 shoot guiding-front --at 3.5 --width 900 --height 600 --out "$docs/front.png"
 shoot guiding-lateral --at 0 4 8 --width 520 --height 400 --light --out "$docs/lateral.png"
 shoot guiding-lateral --at 3.8 --width 1280 --height 720 --page --out "$docs/page.png"
-"$dbb" film guiding-front --beside none --span 2.5 7.5 --rate 12 --width 640 --height 400 --out "$docs/front.webp"
+# Two robots side by side: a pull without and with avoidance; the wheel axis, where a distance constraint stops.
+pair() {
+    "$dbb" film "$@" --side-by-side --layer none --rate 10 --width 480 --height 360
+}
+pair guiding-lateral --move 0 -0.375 0 --beside none --out "$docs/pull.webp"
+pair tracking --start 0 0.72 0.3 --move 0 -0.3 0 --beside barrier --speed 4 --out "$docs/axis.webp"
 cp "$docs"/*.png out/pictures/

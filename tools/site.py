@@ -106,7 +106,7 @@ def make_site(
     borders = [
         _border(out, model, data, snapshots, pair, layer) for pair, layer in track(looks, "borders")
     ]
-    shutil.copy(PROJECT / "docs/pictures/front.webp", out / "front.webp")
+    shutil.copy(PROJECT / "docs/pictures/pull.webp", out / "pull.webp")
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from contextlib import closing
+from collections.abc import Generator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -18,7 +19,7 @@ from app.cli.records import Given, from_record
 from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
-from app.errors import check_name
+from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.case import Planned
 from app.strict import check_range
@@ -27,7 +28,10 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from PIL import Image
 
+    from app.simulation.trace.snapshot import Snapshot
+
 _MOST_PICTURES = 12
+Place = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
 
 def screenshot(
@@ -98,6 +102,8 @@ class Filming:
     """[deg/s] by which the camera turns around the robot."""
     span: tuple[float, float] | None = None
     """[s] of the scenario; all of it if not given."""
+    side_by_side: bool = False
+    """The controllers of --beside at the left, each in a picture of its own, not as ghosts."""
     codec: str = ""
     """h264 or h265 of .mp4, vp9 or vp8 of .webm; the first of them if none is given."""
 
@@ -114,6 +120,8 @@ def film(
     beside: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER")] = (),
     filming: Annotated[Given, from_record(Filming)],
     picture: Annotated[Given, from_record(Look, leave=("page", "pair"))],
+    start: Place = None,
+    move: Place = None,
     setup: options.SetupOptions,
     config: options.ConfigOption = None,
     json: options.Json = False,
@@ -124,6 +132,8 @@ def film(
         scenario: As for `dbb run`, or the file of a case, JSON.
         out: The film: .mp4, .webm, .webp (animated) or .gif.
         beside: Other controllers, whose robots are seen as ghosts.
+        start: [m] where the hand starts, in the world, as in `dbb run`.
+        move: [m] how far the hand is led, in the world, as in `dbb run`.
     """
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.export.offscreen import CODECS
@@ -134,9 +144,12 @@ def film(
     look, how = Look(**picture), Filming(**filming)
     options.check_file("--out", out, tuple(CODECS))
     codecs = CODECS[out.suffix.lower()]
+    if how.side_by_side and not beside:
+        raise ConfigError("--side-by-side needs --beside CONTROLLER")
     codec = how.codec or next(iter(codecs))
     check_name(f"--codec of {out.suffix}", codec, codecs)
     asked = wanted(scenario, setup, config)
+    asked = asked._replace(scenario=asked.scenario.changed(start=start, move=move))
     told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     told |= _film(asked, beside, how, codec, look, out)
     print_json(told) if json else print(out)
@@ -146,7 +159,12 @@ def _film(
     asked: Planned, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
     from app.dashboard.export.browser import chromium
-    from app.dashboard.export.offscreen import film_pictures, with_ghosts, write_film
+    from app.dashboard.export.offscreen import (
+        film_pictures,
+        side_by_side,
+        with_ghosts,
+        write_film,
+    )
 
     duration = asked.scenario.duration
     begin, end = how.span or (0.0, duration)
@@ -158,16 +176,22 @@ def _film(
         model, data = load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
         found = [filmed(run, model, data, times) for run in runs]
-        pictures = film_pictures(
-            browser,
-            with_ghosts(found[0], found[1:]),
-            times,
-            model,
-            data.clouds,
-            look,
-            math.radians(how.orbit) / how.rate,
-        )
-        with progress_bar(out.name, len(times)) as on_progress, closing(pictures):
+        orbit = math.radians(how.orbit) / how.rate
+
+        def drawn(shown: list[Snapshot], *seen: Snapshot) -> Generator[Image.Image, None, None]:
+            return film_pictures(
+                browser, shown, times, model, data.clouds, look, orbit=orbit, seen=seen
+            )
+
+        if how.side_by_side:
+            everything = [snapshot for each in found for snapshot in each]
+            films = [drawn(each, *everything) for each in (*found[1:], found[0])]
+            pictures = (side_by_side(each) for each in zip(*films, strict=True))
+        else:
+            films = [pictures := drawn(with_ghosts(found[0], found[1:]))]
+        with progress_bar(out.name, len(times)) as on_progress, ExitStack() as stack:
+            for each in films:
+                stack.enter_context(closing(each))
             began = perf_counter()
             count = write_film(out, pictures, how.rate, codec, on_progress)
             took = perf_counter() - began

@@ -295,7 +295,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
         robot.firsts,
         robot.sought,
         placed,
-        gains.blend,
+        gains.closest_point_smoothing,
     )
     put_rows(w.p_a, points[:, 0])
     put_rows(w.p_b, points[:, 1])
@@ -391,7 +391,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
         robot.q_limits,
         gains.posture_stiffness,
         gains.posture_damping,
-        gains.centering,
+        gains.joint_centering,
         gains.base_weight,
         gains.base_damping,
     )
@@ -506,12 +506,12 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
     gain = gains.response_gain
-    drag = uncompensated_base_jacobian(w.J_ee, robot.qd_max, robot.J_m_inv, gains.hold_speed)
+    drag = uncompensated_base_jacobian(w.J_ee, robot.qd_max, robot.J_m_inv, gains.ee_hold_min_speed)
     return limit_ee_drag(
         clip(w.a_base_des, -robot.a_max, robot.a_max),
         w.a_base_free / gain + gains.response_drag * w.base_velocity,
         robot.inertia,
-        w.B[0] * gains.hold_weight * robot.mass,
+        w.B[0] * gains.ee_hold_weight * robot.mass,
         drag * gain,
     )
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 
+from app.compiled import compiled, direct
 from app.config import Config, sections
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
@@ -105,6 +107,22 @@ class JointOrder:
         return q[places], qd[places] if qd.size else np.full(len(places), np.nan)
 
 
+@compiled("b1(f8[:,:], f8[:], f8[:], f8[:])")
+def is_motion(R: Array, p: Array, velocity: Array, acceleration: Array) -> bool:
+    """Whether R (3, 3) is a rotation, and p (3,) and both (6,) are finite numbers."""
+    if not math.isfinite(p.sum() + velocity.sum() + acceleration.sum()):
+        return False
+    for i in range(3):
+        for j in range(3):
+            product = R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j]
+            if not abs(product - (1.0 if i == j else 0.0)) < _ROUNDING:
+                return False
+    return True
+
+
+_usable = direct(is_motion)
+
+
 def checked_reference(reference: Reference) -> Reference:
     """The same with arrays of floats.
 
@@ -132,9 +150,9 @@ def checked_reference(reference: Reference) -> Reference:
         if values.shape != (6,):
             raise MeasurementError(f"reference.{name} must be 6 numbers, was {each!r}")
         found.append(values)
-    R = pose.rotation
-    if not np.isfinite(pose.translation.sum() + sum(each.sum() for each in found)):
+    if not _usable(pose.rotation, pose.translation, *found):
+        finite = np.isfinite([*pose.translation, *pose.rotation.ravel(), *np.concatenate(found)])
+        if finite.all():
+            raise MeasurementError("reference.pose: its rotation is no rotation matrix")
         raise MeasurementError("reference: an entry is not a finite number")
-    if not np.abs(R.T @ R - np.eye(3)).max() < _ROUNDING:
-        raise MeasurementError("reference.pose: its rotation is no rotation matrix")
     return Reference(pose, *found)

@@ -84,8 +84,8 @@ class ControlLoop:
             model, data or load_border_data(model), config, name=name, dt=dt
         )
         """Algorithm 2."""
-        self._reported: set[str] = set()
-        self._tracked = False
+        self.reported: set[str] = set()
+        """Names of all faults of the readings since `reset`."""
         self._references = References(dt) if interpolate else None
 
     def joint_order(self, names: Sequence[str]) -> JointOrder:
@@ -103,7 +103,7 @@ class ControlLoop:
         the posture and the estimate are forgotten.
         """
         self.controller.reset()
-        self._reported.clear()
+        self.reported.clear()
         self._end_reference()
 
     def _end_reference(self) -> None:
@@ -125,11 +125,10 @@ class ControlLoop:
             MeasurementError: A reading or the reference has another number of entries, or the
                 first reading is that of another pose or unit.
         """
-        if reference is not None:
-            reference = self._reference(checked_reference(reference))
-        elif self._tracked:
+        if reference is None:
             self._end_reference()
-        self._tracked = reference is not None
+        else:
+            reference = self._reference(checked_reference(reference))
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
         if np.count_nonzero(step.faults):
@@ -149,8 +148,8 @@ class ControlLoop:
     def _report(self, command: Command) -> None:
         """Log each fault of the readings once until `reset`."""
         for name in command.faults:
-            if name not in self._reported:
-                self._reported.add(name)
+            if name not in self.reported:
+                self.reported.add(name)
                 more = {
                     "lag": f" ({command.step.lag * self.controller.dt * 1000:.0f} ms)",
                     "period": f" ({self.controller.dt * 1000:.2f} ms)",

@@ -7,7 +7,6 @@ and distances.
 from collections.abc import Mapping
 
 import numpy as np
-import pinocchio as pin
 
 from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData
@@ -35,7 +34,13 @@ from app.errors import check_name
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState, checked, pinocchio_views
+from app.robot.state import (
+    Measurement,
+    RobotState,
+    checked,
+    compute_dynamics,
+    pinocchio_views,
+)
 from app.strict import Array
 
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
@@ -206,7 +211,7 @@ class Controller:
             raise implausible(self._model, measurement.q_m)
         if w.valid:
             self.state.drive = measurement.drive
-            pin.computeAllTerms(self.state.pin, data, w.q_pin, w.v_pin)
+            compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
         self._distances.write_distances(w.d)
         if reference is not None:

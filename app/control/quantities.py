@@ -98,16 +98,17 @@ history | | 128 n_m | rad/s² | joints | readings |
     memory: known accelerations of the last periods, in a ring
 periods | | | 1 | | readings | memory: the newest row of the ring
 known | | | 1 | | readings | memory: rows of the ring since the last gap
-differences | | 3 n_m | rad | joints | readings |
-    memory: last position, and its last first and second differences
-lag_error | | 25 | rad² | | readings | memory: third differences that each lag leaves unexplained
-lag_samples | | | 1 | | readings | memory: readings in these sums
+read_before | | 3 n_m | rad | joints | readings | memory: positions of the last three readings
+read_ages | | 3 | 1 | | readings | memory: periods since them
+evidence | | 26 | 1 | | readings |
+    memory: readings that speak for each lag, and for a longer one
 travel | | 2 n_m | rad | joints | readings |
     memory: positions from which the period is measured, and the integral of the velocities
 since | | | 1 | | readings | memory: readings in that integral
 load | m | | kg | | readings |
     memory: mass at the end-effector whose weight explains the external torques best
-loaded | | | s | | readings | memory: time for which it explains them well
+load_first | | | kg | | readings | memory: the same as the force began
+loaded | | | s | | readings | memory: time for which it explains them well; −∞ if it has changed
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: position, velocity, external acceleration q̈_ext of now
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |

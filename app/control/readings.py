@@ -5,8 +5,7 @@ to the newest reading; torques and base have moved the robot since then, and the
 predicted from that, over the reading's age. So a reading that is repeated, dropped or known to be
 late is one and the same case. Three quantities are found in the readings themselves:
 
-- **The lag**, by which the accelerations that torques and base make appear in the positions: the
-  one that leaves the smallest third differences unexplained.
+- **The lag**, by which the accelerations that torques and base make appear in the positions.
 - **The period**: the way of a joint, divided by its velocities' integral over the stated period,
   is 1; three times another ratio in a row, while the readings come at regular intervals, and the
   loop does not run at that period.
@@ -53,11 +52,14 @@ _LEAST_WAY = 0.002  # [rad] over which the period is measured
 _NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
 _AGREED = 2  # intervals that agree with the first one on another ratio
 _MOST_LAG = 24  # periods
-_CLEARLY = 0.25  # [-] of the unexplained motion, with which another lag is right
+_CLEARLY = 10.0  # [-] squared errors of other predictions, in that of a lag that is right
+_CONVINCING = 10.0  # readings that must speak for another lag
 _LEAST_LOAD = 0.3  # [kg] that is reported
-_LOAD_TIME = 0.15  # [s] for which a force must look like a load
+_LOAD_BEGINS = 0.03  # [s] in which a load is there
+_LOAD_TIME = 0.15  # [s] from its begin, until which its mass must stay the same
+_LOAD_CHANGES = 0.05  # [-] of a mass that is the same
 _GRAVITY = 9.81  # [m/s²]
-_LEAST_CURVE = 1e-12  # [rad²] of unexplained third differences that say anything about the lag
+_LEAST_CURVE = 1e-14  # [rad²] of a reading's surprise, from which it says anything about the lag
 
 
 @compiled()
@@ -182,40 +184,88 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 
 @compiled()
+def _explained(w: Any, dt: float, count: int) -> Array:
+    """(count, n_m) [rad] ways that the known accelerations explain, since the oldest period.
+
+    The first row is the newest period.
+    """
+    found = np.zeros((count, w.history.shape[1]))
+    for i in range(found.shape[1]):
+        way = speed = 0.0
+        for k in range(count - 2, -1, -1):
+            speed += dt * w.history[(int(w.periods[()]) - k) % HISTORY, i]
+            way += dt * speed
+            found[k, i] = way
+    return found
+
+
+@compiled()
+def _parabola(ages: Array) -> Array:
+    """(3,) weights of values of some ages, with which the parabola through them is at age 0."""
+    found = np.ones(3)
+    for k in range(3):
+        for j in range(3):
+            if j != k:
+                found[k] *= ages[j] / (ages[j] - ages[k])
+    return found
+
+
+@compiled()
 def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     """Measure by how many periods the readings are late, in `w.lag`.
 
-    Of each lag the squared third differences that it leaves unexplained are summed over the window
-    of the noise: another lag is right where it leaves a small part of those.
+    Each lag predicts how far the newest reading lies from the parabola through the three before
+    it. A lag gains evidence where it predicts that far better than the one in use, and than no
+    prediction at all; else it loses some (the sums of a CUSUM test). A reading counts for one at
+    most, so that no single event decides.
     """
-    dt, d = gains.dt, w.differences
-    known = int(w.known[()])
-    regular = age == 0 and known > _MOST_LAG + 2
-    kept = math.exp(-dt / gains.noise_window)
-    curves = np.empty(len(q))
+    ages = w.read_ages
+    for k in range(3):
+        ages[k] += age + 1.0
+    weights, measured, size = _parabola(ages), q.copy(), 0.0
     for i in range(len(q)):
-        step = q[i] - d[0, i]
-        curve = step - d[1, i]
-        curves[i] = curve - d[2, i]
-        d[0, i], d[1, i], d[2, i] = q[i], step, curve
-    if not regular:
-        w.lag_samples[()] = 0.0
-        fill(w.lag_error, 0.0)
-        return
-    w.lag_samples[()] += 1.0
-    now = int(w.periods[()])
-    for lag in range(_MOST_LAG + 1):
-        a, b = w.history[(now - lag) % HISTORY], w.history[(now - lag - 1) % HISTORY]
-        error = 0.0
-        for i in range(len(q)):
-            error += (curves[i] - dt**2 * (a[i] - b[i])) ** 2
-        w.lag_error[lag] = kept * w.lag_error[lag] + error
-    used, best = int(w.lag[()]), int(np.argmin(w.lag_error))
-    clear = w.lag_error[best] < _CLEARLY * w.lag_error[used]
-    if w.lag_samples[()] > _MOST_LAG and clear and w.lag_error[used] > _LEAST_CURVE:
+        for k in range(3):
+            measured[i] -= weights[k] * w.read_before[k, i]
+        size += measured[i] ** 2
+    count = int(ages[2]) + len(w.evidence)
+    if size > _LEAST_CURVE and count <= min(int(w.known[()]), HISTORY):
+        _weigh_lags(w, weights, measured, _explained(w, gains.dt, count), size)
+    for k in (2, 1):
+        put(w.read_before[k], w.read_before[k - 1])
+        ages[k] = ages[k - 1]
+    put(w.read_before[0], q)
+    ages[0] = 0.0
+
+
+@compiled()
+def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: float) -> None:
+    """Count the evidence of one more reading, and use the lag for which it is clear.
+
+    Args:
+        w: `STEP`.
+        weights: (3,) of `_parabola`.
+        measured: (n_m,) [rad] from the parabola to the newest reading.
+        ways: (k, n_m) [rad] of `_explained`.
+        size: [rad²] squared length of `measured`: the error without any prediction.
+    """
+    errors = np.zeros(len(w.evidence))
+    for lag in range(len(errors)):
+        for i in range(len(measured)):
+            error = measured[i] - ways[lag, i]
+            for k in range(3):
+                error += weights[k] * ways[lag + int(w.read_ages[k]), i]
+            errors[lag] += error**2
+    others = min(errors[int(w.lag[()])], size)
+    for lag in range(len(errors)):
+        error = _CLEARLY * errors[lag]
+        gained = (others - error) / (others + error + _LEAST_CURVE)
+        w.evidence[lag] = max(w.evidence[lag] + gained, 0.0)
+    best = int(np.argmax(w.evidence))
+    if best <= _MOST_LAG and w.evidence[best] > _CONVINCING:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)
+        fill(w.evidence, 0.0)
 
 
 @compiled()
@@ -270,7 +320,8 @@ def _begin(gains: Any, w: Any, q: Array) -> None:
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 1.0
     _measure_from(w, q)
-    put(w.differences[0], q)
+    for k in range(3):
+        w.read_ages[k] = HISTORY * (k + 1.0)  # there are no readings before
 
 
 @compiled()
@@ -292,7 +343,8 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 def _estimate_load(gains: Any, w: Any) -> None:
     """The mass whose weight at the end-effector explains the external torques best.
 
-    It is reported where it does so well for a while: a person rarely pulls straight down.
+    It is reported where it does so at once, and by the same mass for a while. The force of a person
+    grows, and changes as the hand moves.
     """
     n_b = len(w.g) - len(w.q_m)
     torque, lift = times(w.M[n_b:, n_b:], w.x_est[2]), w.J_ee[2, n_b:]
@@ -306,6 +358,10 @@ def _estimate_load(gains: Any, w: Any) -> None:
     w.load[()] = -along / size / _GRAVITY
     alike = along**2 > 0.8 * total * size and w.load[()] > _LEAST_LOAD
     w.loaded[()] = w.loaded[()] + gains.dt if alike else 0.0
+    if w.loaded[()] <= _LOAD_BEGINS:
+        w.load_first[()] = w.load[()]
+    elif abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * w.load_first[()]:
+        w.loaded[()] = -math.inf
     w.faults[LOAD] = 1.0 if w.loaded[()] > _LOAD_TIME else 0.0
 
 

@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from app.control.tasks import Reference
+from app.compiled import compiled, direct
+from app.control.tasks import Reference, pose_error
 from app.strict import Array
 
 _LEAP = 10.0  # [m/s² and rad/s²] of a reference in one period, from which it is a sample
@@ -23,6 +24,32 @@ _LONGEST = 0.25  # [s] between samples of one motion
 _LATE = 1.75  # [-] mean intervals, after which there is no further sample
 _PEAK = 1.875  # [-] largest over mean speed of the polynomial from rest to rest
 _POWERS = np.arange(6)
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")
+def way_between(
+    R_a: Array, p_a: Array, R_b: Array, p_b: Array, velocity: Array, dt: float
+) -> tuple[Array, bool]:
+    """The way from pose a to pose b, and whether a velocity does not explain it.
+
+    Args:
+        R_a: (3, 3) rotation of a in the world.
+        p_a: (3,) [m] origin of a in the world.
+        R_b: (3, 3)
+        p_b: (3,)
+        velocity: (6,) linear [m/s] over angular [rad/s].
+        dt: [s] time in which the way is covered.
+
+    Returns:
+        (6,) linear [m] over angular [rad], in axes of the world; and whether b is a leap.
+    """
+    way, leaps = pose_error(p_a, R_a, p_b, R_b), False
+    for i in range(6):
+        leaps = leaps or abs(way[i] - dt * velocity[i]) > _LEAP * dt**2
+    return way, leaps
+
+
+_way_between = direct(way_between)
 
 
 class References:
@@ -48,9 +75,10 @@ class References:
         """
         last, self._raw = self._raw, sent
         self._since += self.dt
-        if last is None:
+        if last is None or (last is sent and self._way is None):
             return sent
-        if self._leaps(last, sent):
+        way, leaps = _way(last.pose, sent.pose, sent.velocity, self.dt)
+        if leaps:
             between, self._since = self._since, 0.0
             if self._way is None:
                 self._begin(last)
@@ -61,18 +89,10 @@ class References:
                 mean = self._interval or between
                 self._interval = mean + _RATE * (between - mean)
                 own = sent.velocity.any()
-                way = _difference(last.pose, sent.pose) / between
-                self._aim(sent, sent.velocity if own else way, speed)
+                self._aim(sent, sent.velocity if own else way / between, speed)
         elif self._way is None:
             return sent
         return self._now(sent, speed)
-
-    def _leaps(self, last: Reference, sent: Reference) -> bool:
-        """Whether its velocity does not explain how a reference moves within a period."""
-        if last.pose is sent.pose:
-            return False
-        way = _difference(last.pose, sent.pose) - self.dt * sent.velocity
-        return float(np.abs(way).max()) > _LEAP * self.dt**2
 
     def _begin(self, at: Reference) -> None:
         """Begin a polynomial at a reference."""
@@ -85,7 +105,7 @@ class References:
         """Go on from the present reference to a sample, to arrive there at a velocity (6,)."""
         state = self._state(self._t)
         self._origin = _moved(self._origin, state[0])
-        goal = _difference(self._origin, sent.pose)
+        goal, _ = _way(self._origin, sent.pose, sent.velocity, self.dt)
         far = max(np.linalg.norm(goal[:3]), np.linalg.norm(goal[3:]))
         duration = max(2.0 * self._interval, 2.0 * self.dt)
         slow = _PEAK * far / speed
@@ -117,14 +137,13 @@ class References:
         return Reference(_moved(self._origin, way), v, a)
 
 
-def _difference(a: pin.SE3, b: pin.SE3) -> Array:
-    """(6,) from a pose to another: linear [m] over angular [rad], in axes of the world."""
-    turned = pin.log3(b.rotation @ a.rotation.T)
-    return np.concatenate([b.translation - a.translation, turned])
+def _way(a: pin.SE3, b: pin.SE3, velocity: Array, dt: float) -> tuple[Array, bool]:
+    """`way_between` of two poses."""
+    return _way_between(a.rotation, a.translation, b.rotation, b.translation, velocity, dt)
 
 
 def _moved(a: pin.SE3, way: Array) -> pin.SE3:
-    """The pose after a way (6,) of `_difference`."""
+    """The pose after a way (6,) of `way_between`."""
     return pin.SE3(pin.exp3(way[3:]) @ a.rotation, a.translation + way[:3])
 
 

@@ -147,7 +147,7 @@ def posture_objective(
     q_limits: Array,
     stiffness: float,
     damping: float,
-    centering: float,
+    joint_centering: float,
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
@@ -165,7 +165,7 @@ def posture_objective(
         q_limits: (2, n_m) lower and upper joint limits.
         stiffness: [1/s²] towards the posture.
         damping: [1/s] of the joints.
-        centering: [1/s²] pull at a joint limit towards the middle.
+        joint_centering: [1/s²] pull at a joint limit towards the middle.
         base_weight: [-] cost of the base's acceleration.
         base_damping: [1/s] of the base.
     """
@@ -182,7 +182,7 @@ def posture_objective(
         c[n_b + i] = (
             damping * qd[n_b + i]
             - stiffness * (q_posture[i] - q_m[i])
-            + centering * half * share**5
+            + joint_centering * half * share**5
         )
     return H, c
 

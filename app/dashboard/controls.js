@@ -114,6 +114,14 @@ window.dbbControls = (box, ranges) => {
     ink.setTransform(dpr, 0, 0, dpr, 0, 0);
     ink.clearRect(0, 0, w, h);
     const text = getComputedStyle(bar).color, foot = h - 13, head = 12;
+    const name = (words, side, left, low) => { // over curves, on a ground of its own
+      ink.textAlign = side;
+      ink.lineWidth = 3;
+      ink.strokeStyle = getComputedStyle(bar).backgroundColor;
+      ink.strokeText(words, left, low);
+      ink.fillText(words, left, low);
+      ink.textAlign = "left";
+    };
     const y = (d) => foot - Math.min(Math.max(d, 0) / FULL, 1) * (foot - head);
     if (begin !== null) {
       ink.fillStyle = "rgba(38, 132, 214, .25)";
@@ -154,10 +162,11 @@ window.dbbControls = (box, ranges) => {
     const step = [0.5, 1, 2, 5, 10, 30, 60, 120].find((s) => (s / span) * w > 55) ?? 120;
     for (let t = Math.ceil(Math.max(from(), 0) / step) * step; t <= until(); t += step) {
       ink.fillRect(x(t), foot, 1, 3);
-      const name = t >= 60 ? `${Math.floor(t / 60)}:${String(Math.round(t % 60)).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
-      ink.fillText(name, x(t) + 3, h - 2);
+      const clock = t >= 60 ? `${Math.floor(t / 60)}:${String(Math.round(t % 60)).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
+      ink.fillText(clock, x(t) + 3, h - 2);
     }
-    ink.fillText(`d_b ${Math.round(1000 * d_b)} mm`, w - 66, y(d_b) - 3);
+    name("nearest distance", "left", 4, foot - 3);
+    name(`buffer d_b ${Math.round(1000 * d_b)} mm`, "right", w - 4, y(d_b) + 11);
     ink.globalAlpha = 1;
     for (const [, t, kind] of events.values()) {
       const px = x(t);
@@ -179,7 +188,7 @@ window.dbbControls = (box, ranges) => {
   const say = () => {
     const ago = `${(now - at).toFixed(2)} s ago`;
     where.textContent = `t = ${at.toFixed(2)} s, ${live ? (paused ? "now, paused" : "now") : ago}`;
-    said.textContent = `Viewing the past: t = ${at.toFixed(2)} s, ${ago}`;
+    said.textContent = `Viewing the past, ${ago}`;
     pause.textContent = paused ? "Continue" : "Pause";
     play.textContent = playing ? "■ Stop" : "▶ Replay";
     edge.hidden = past.hidden = live;
@@ -299,8 +308,10 @@ window.dbbControls = (box, ranges) => {
       window.dbbPanels.open("Help");
     } else if (e.key === "Escape") {
       const open = (kinds) => [...document.querySelectorAll(kinds)].some((each) => each.offsetHeight);
-      const over = live || !card.hidden || open(".mantine-Modal-content, .mantine-Notification-root");
-      if (!open("[role=listbox]")) ask(over ? "escape" : "now");
+      if (open("[role=listbox]")) return;
+      const over = !card.hidden || open(".mantine-Modal-content"); // messages go with the past
+      ask("escape");
+      if (!over && !live) ask("now");
     }
   }, { capture: true });
   // A change comes before the box has made a number of what is typed.

@@ -204,8 +204,7 @@ class Gate:
         """The refusal of a request, or None if it may go on to viser."""
         headers, more = request.headers, ""
         path, _, query = request.path.partition("?")
-        twice = [name for name in _SINGLE if len(headers.get_all(name)) > 1]
-        if twice:
+        if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             status = http.HTTPStatus.BAD_REQUEST
             why = f"the request has the header {twice[0]} twice"
         elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_names):
@@ -226,7 +225,7 @@ class Gate:
                 return None
             # Relative, for a server that a proxy has below a path.
             status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
-            more = f'<p>Without what is wrong: <a href="{address}">{address}</a></p>'
+            more = f'<p>Without that: <a href="{address}">{escape(rest) or "the page"}</a></p>'
         body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
         kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
@@ -238,6 +237,7 @@ class Gate:
         async def handle(connection: ServerConnection) -> None:
             if connection.subprotocol != _VERSION:  # viser would print each one
                 return await connection.close(1002, "this page is of another version; reload it")
+            connection.transport.max_size = 2**13  # [bytes] that are read before others' turn
             uploads = Uploads(self._largest_upload, self._uploads)
             self._uploads.add(uploads)
             try:
@@ -290,7 +290,7 @@ def read_no_link(query: str) -> tuple[str, str]:
 @lru_cache(maxsize=2)
 def with_script(page: bytes, encoding: str) -> bytes:
     """The page of viser with `_HEAD` before its own; `encoding` is gzip or identity."""
-    html = gzip.decompress(page) if encoding == "gzip" else page
+    html = (gzip.decompress if encoding == "gzip" else bytes)(page)
     html = html.replace(b"<head>", _HEAD.encode(), 1)
     return gzip.compress(html) if encoding == "gzip" else html
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
 _CORES = max(1, usable_cores() - 1)  # of a job: one core is the simulation's
 FILM_RATE = 25.0  # [1/s] pictures of a film
 _PATIENCE = 10.0  # [s] for a thread to end

@@ -9,7 +9,7 @@ import viser
 from app.dashboard.markup import plain
 from app.errors import DbbError
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
 _LONGEST = 2000  # [characters] of a notification
 
 

@@ -126,8 +126,8 @@
   // What the page's address asks for is told once; the client may connect again and again.
   let asked = location.search.slice(1);
   window.dbbAsked = () => [asked, (asked = "")][0];
-  const touch = () => {
-    if (touched) return;
+  const touch = (event) => { // by a person, also through a screen reader; not by this script
+    if (touched || !event.isTrusted) return;
     touched = true;
     look();
   };
@@ -166,7 +166,7 @@
     set: (value) => {
       points = value;
       if (timer) return;
-      for (const kind of ["pointerdown", "keydown", "wheel"]) {
+      for (const kind of ["pointerdown", "click", "keydown", "wheel"]) {
         window.addEventListener(kind, touch, true);
       }
       document.body.addEventListener("keydown", press);

@@ -46,16 +46,22 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
         Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
         for i, most in enumerate(model.tau_max)
     ]
-    beta = Curve("β_m", lambda s: s.beta_m)
+    beta = Curve("activation β_m", lambda s: s.beta_m)
     avoidance = [_avoidance(i, axis) for i, axis in enumerate(axes)]
     of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
-    error = Curve("error", lambda s: 1000.0 * s.ee_error)
+    error = Curve("hand error", lambda s: 1000.0 * s.ee_error)
     step = Curve("mean over 1 s", lambda s: s.step_time_us)
     return [
         _distances("distance [m]", model, names, 160),
         _distances("distance to the door [m]", model, [door], 100),
         PlotPlan(
-            "activation β_m", [beta], (BETA,), (-0.02, 1.05), 100, fill=True, hints=(_ACTIVATION,)
+            "activation of the avoidance β_m",
+            [beta],
+            (BETA,),
+            (-0.02, 1.05),
+            100,
+            fill=True,
+            hints=(_ACTIVATION,),
         ),
         PlotPlan(
             "avoidance acceleration of the base, β ẍ",
@@ -102,7 +108,7 @@ def _distances(title: str, model: RobotModel, names: list[str], height: int) -> 
     ]
     return PlotPlan(
         title,
-        [*curves, Curve("d_b", lambda s: s.d_b)],
+        [*curves, Curve("buffer d_b", lambda s: s.d_b)],
         (*_series(len(names)), _THRESHOLD),
         _soft(0.0, 0.4),
         height,
@@ -135,7 +141,8 @@ def _avoidance(i: int, axis: Axis) -> Curve:
     """The acceleration of avoidance along an axis of the base."""
     unit = "rad/s²" if axis.angular else "m/s²"
     return Curve(
-        f"{acceleration_symbol(axis)} [{unit}]", lambda s: float(s.avoidance_acceleration[i])
+        f"{'turn' if axis.angular else axis.way} {acceleration_symbol(axis)} [{unit}]",
+        lambda s: float(s.avoidance_acceleration[i]),
     )
 
 

@@ -27,7 +27,7 @@ from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
 _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
 FRAME = 1 / 30  # [s] between two pictures

@@ -37,7 +37,7 @@ from app.dashboard.gate import (
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
-logger = logging.getLogger(__name__)
+logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
 
 _ENDING = 10.0  # [s] for viser's thread, on a busy machine
 LOOK = 0.5  # [s] between two looks at the connections
@@ -118,7 +118,7 @@ def open_server(
         ServerError: viser starts in a way that is not known.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
-    for name in ("websockets.server", "asyncio", "app.dashboard.notifications"):
+    for name in ("websockets.server", "asyncio", logger.name):
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private

@@ -55,7 +55,7 @@ _TOUCHED = {
 _STILL = f"; the base gives way by less than {GIVES_WAY:g} m"
 _HELD = (
     ", as the arm cannot hold its hand where it is (`hand held`) and keeps away by itself; a "
-    "smaller holding.weight lets the base give way more"
+    "smaller ee_hold.weight lets the base give way more"
 )
 
 

@@ -19,6 +19,8 @@ import tomlkit
 from tomlkit.items import Item
 
 from app.config import Config
+from app.errors import DescriptionError
+from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding import ROOT
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
@@ -29,6 +31,7 @@ from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
 from app.robot.urdf import mesh_path
+from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
 
 if TYPE_CHECKING:
@@ -104,15 +107,35 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
     """Write a robot's folder with changes, in its place or as a copy; all else stays as it stands.
 
     Raises:
-        DescriptionError: It would be no robot that the core takes.
+        DescriptionError: It would be no robot that the core takes, or the present description
+            takes more than its budget to read.
         OutputError: `out` is another robot's, or cannot be written.
     """
-    document: Any = tomlkit.parse((source / "robot.toml").read_text(encoding="utf-8"))
+    before = file_text(source / "robot.toml")
     in_place = out.resolve() == source.resolve()
-    if not in_place:
-        document["name"], document["title"] = out.name, f"{document['title']} ({BY_HAND})"
-    for (name, i), shape in changes.shapes.items():
-        body = next(each for each in document["bodies"] if each["name"] == name)
+    name = None if in_place else out.name
+    try:
+        text = within_budget(_changed_text, before, name, changes, size=len(before))
+    except BudgetError as error:
+        raise DescriptionError(f"{source / 'robot.toml'}: {error}") from None
+    with temporary_folder() as tried:  # what is wrong with it must not be kept
+        write_whole(tried / "robot.toml", text)
+        load_description(tried / "robot.toml")
+    if in_place:
+        write_whole(out / "robot.toml", text)
+        return
+    with whole_folder(out) as folder:
+        shutil.copytree(source, folder, symlinks=True, dirs_exist_ok=True)
+        write_whole(folder / "robot.toml", text)
+
+
+def _changed_text(text: str, name: str | None, changes: HandMade) -> str:
+    """A description's text with changes, and with another name if one is given."""
+    document: Any = tomlkit.parse(text)
+    if name is not None:
+        document["name"], document["title"] = name, f"{document['title']} ({BY_HAND})"
+    for (body_name, i), shape in changes.shapes.items():
+        body = next(each for each in document["bodies"] if each["name"] == body_name)
         body["source"] = BY_HAND
         body["shapes"][i] = tomlkit.item(shape_content(shape))
     if not changes.unwatched:
@@ -123,15 +146,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         document["arm"]["ready_position"] = list(changes.ready)
         document["arm"]["ready_position"].comment(BY_HAND)
         document["arm"]["source"]["ready_position"] = BY_HAND
-    with temporary_folder() as tried:  # what is wrong with it must not be kept
-        write_whole(tried / "robot.toml", tomlkit.dumps(document))
-        load_description(tried / "robot.toml")
-    if in_place:
-        write_whole(out / "robot.toml", tomlkit.dumps(document))
-        return
-    with whole_folder(out) as folder:
-        shutil.copytree(source, folder, symlinks=True, dirs_exist_ok=True)
-        write_whole(folder / "robot.toml", tomlkit.dumps(document))
+    return tomlkit.dumps(document)
 
 
 def shape_content(shape: Shape) -> dict[str, Any]:

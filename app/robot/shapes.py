@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import coal
@@ -18,7 +19,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from app.errors import extras_named
+from app.errors import AssetError, extras_named
+from app.jobs.bounded import BudgetError, within_budget
 from app.robot.assets import resolve_package_uri
 from app.strict import Positive, Strict, Vector3
 
@@ -120,15 +122,14 @@ class ConvexMesh(_Placed):
         """The hull, in the shape's own frame.
 
         Raises:
-            AssetError: The file is not there.
+            AssetError: The file is not there, or takes more than its budget to read.
         """
-        # Imported here: only this shape needs trimesh, which takes longer to import than all else.
-        with extras_named():
-            import trimesh
-
-        loaded = trimesh.load(resolve_package_uri(self.file), force="mesh")
-        assert isinstance(loaded, trimesh.Trimesh)
-        return hull_mesh(loaded.apply_scale(self.scale).vertices)
+        path = resolve_package_uri(self.file)
+        try:
+            points = within_budget(_mesh_points, path, size=path.stat().st_size)
+        except BudgetError as error:
+            raise AssetError(f"{self.file}: {error}") from None
+        return hull_mesh(points * self.scale)
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(self.hull().vertices)
@@ -167,6 +168,17 @@ class Superquadric(_Placed):
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(self.vertices())
+
+
+def _mesh_points(path: Path) -> Array:
+    """(N, 3) the vertices of a mesh file, in its unit."""
+    # Imported here: only this shape needs trimesh, which takes longer to import than all else.
+    with extras_named():
+        import trimesh
+
+    loaded = trimesh.load(path, force="mesh")
+    assert isinstance(loaded, trimesh.Trimesh)
+    return np.array(loaded.vertices)
 
 
 def hull_mesh(points: Array) -> trimesh.Trimesh:

@@ -51,14 +51,15 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
             break
     else:
         return measurement
-    n_d = model.n_d if np.size(measurement.drive) else 0
-    sizes, found = (3, model.n_b, model.n_m, model.n_m, n_d), dict[str, Array]()
-    for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
+    found = dict[str, Array]()
+    fields = zip(Measurement._fields, measurement, model.reading_shapes, strict=True)
+    for name, each, shapes in fields:
         try:
             array = np.asarray(each, dtype=float)
         except (TypeError, ValueError):
             array = np.empty(0)
-        if array.shape != (size,):
+        if array.shape not in shapes:
+            size = shapes[0][0]
             raise MeasurementError(f"measurement.{name} must be {size} numbers, was {each!r}")
         found[name] = array
     return measurement._replace(**found)
@@ -311,6 +312,17 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
     return twists, biases, J_p, v_p, Jdqd
 
 
+def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
+    """Compute M, C q̇ + g, g, the Jacobian and all placements: the results of `pinocchio_views`.
+
+    `pin.computeAllTerms` computes energies and the centre of mass too, which takes 1.5 times as
+    long.
+    """
+    pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
+    pin.nonLinearEffects(model, data, q, v)
+    pin.computeGeneralizedGravity(model, data, q)
+
+
 def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     """Pinocchio's results as arrays that later calls overwrite, by their names in a control step.
 
@@ -435,7 +447,7 @@ class RobotState:
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
         q, v = self._take(measurement)
-        pin.computeAllTerms(self.pin, self.data, q, v)
+        compute_dynamics(self.pin, self.data, q, v)
         M, h, g = reduced_dynamics(*self._dynamics, self._B)
         self._store(M=M, h=h, g=g)
         self._update_motion(v)

@@ -5,10 +5,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator
 from typing_extensions import Self
 
-from app.config import Config, tunables
+from app.config import Config, present_name, tunables
 from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, check_name
 from app.simulation.plants import chosen_plant
@@ -55,6 +55,11 @@ class RunCase(Strict):
     """All of them, by their paths."""
     figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MOST)
     """What came of it, by the names of `dbb run`'s figures."""
+
+    @field_validator("parameters")
+    @classmethod
+    def _accept_former_names(cls, values: dict[str, float | str]) -> dict[str, float | str]:
+        return {present_name(path): value for path, value in values.items()}
 
     @classmethod
     def of(cls, run: Planned) -> Self:

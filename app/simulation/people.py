@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled
+from app.compiled import compiled, direct
 from app.config import HandConfig
 from app.errors import TargetError
 from app.robot.model import RobotModel
@@ -137,18 +137,20 @@ class PersonHand:
         if target is None:
             self.motion = self._mass = None
             return np.zeros(3)
-        place = checked_target(target)
+        place = np.asarray(target, dtype=float)
+        if place.shape != (3,) or not _within_reach(place):
+            checked_target(target)
         if self.motion is None:
             self.motion = np.array([p_ee, np.zeros(3)], dtype=float)
         config = self.config
         spring = config.stiffness, config.damping, config.f_max
-        self.motion, force = _pull(self.motion, place, p_ee, v_ee, *spring, self._dt)
+        self.motion, force = _pull_once(self.motion, place, p_ee, v_ee, *spring, self._dt)
         if config.mass == 0.0:
             self._mass = None
             return force
         if self._mass is None:  # it moves with what it takes hold of
             self._mass = np.array([p_ee, v_ee], dtype=float)
-        self._mass, force = _push_mass(
+        self._mass, force = _push_once(
             self._mass, self.motion[0], p_ee, v_ee, *spring, config.mass, self._dt
         )
         return force
@@ -174,12 +176,12 @@ def checked_target(target: Sequence[float] | Array) -> Array:
             numbers.
     """
     place = _finite_point(target, "the hand's target")
-    x, y, z = place.tolist()
+    if _within_reach(place):
+        return place
+    z = place.item(2)
     if z < 0:
         raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor, which is z = 0")
-    if max(abs(x), abs(y), z) > _FARTHEST:
-        raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
-    return place
+    raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
@@ -204,6 +206,12 @@ def _finite_point(point: Sequence[float] | Array, what: str) -> Array:
     if place.shape != (3,) or not all(map(math.isfinite, place.tolist())):
         raise TargetError(f"{what} must be three finite numbers, was {point!r}")
     return place
+
+
+@compiled("b1(f8[:])")
+def _within_reach(p: Array) -> bool:
+    """Whether a person can pull to p (3,) [m]; False where a coordinate is not a number."""
+    return bool(0.0 <= p[2] <= _FARTHEST and max(abs(p[0]), abs(p[1])) <= _FARTHEST)
 
 
 @compiled()
@@ -288,3 +296,6 @@ def _push_mass(
     v = (driven + dt * push) / alone
     x = held[0] + dt * v
     return np.stack((x, v)), _GRIP * (x - grip) + grip_damping * (v - v_ee)
+
+
+_pull_once, _push_once = direct(_pull), direct(_push_mass)

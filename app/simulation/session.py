@@ -195,7 +195,8 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        pushes = (*person.pushes, *self._weights)
+        weights = self._weights[self.t >= self.config.disturbance.begins]
+        pushes = (*person.pushes, *weights)
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
@@ -223,20 +224,18 @@ class Session:
         self.t += DT
         return step
 
-    def _weights_of(self, config: Config) -> tuple[Push, ...]:
-        """The weights of the payload and of the one that the controller does not know."""
-        known, model = config.payload, self.model
+    def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
+        """The weight of the payload; the same and that of the load that is not known."""
+        payload, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
-        loads = (
-            (known.mass, (known.x, known.y, known.z)),
-            (config.disturbance.unknown_load, (0.0, 0.0, 0.0)),
-        )
-        return tuple(
-            Push(joint, at.act(np.array(centre)), mass * model.pin.gravity.linear)
-            for mass, centre in loads
-            if mass > 0.0
-        )
+
+        def weight(mass: float, *centre: float) -> tuple[Push, ...]:
+            force = mass * model.pin.gravity.linear
+            return (Push(joint, at.act(np.array(centre)), force),) if mass > 0.0 else ()
+
+        known = weight(payload.mass, payload.x, payload.y, payload.z)
+        return known, known + weight(config.disturbance.unknown_load, 0.0, 0.0, 0.0)
 
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
@@ -257,7 +256,7 @@ class Session:
         return self._watch.update(self.state, control, DT, gives_way=way)
 
     def _disturb(self, config: DisturbanceConfig) -> None:
-        self._disturbances.config = config
+        self._disturbances.configure(config)
         self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
 
     def close(self) -> None:
@@ -274,15 +273,26 @@ class Disturbances:
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
         """Begin like after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
-        self.config = config
-        """What is disturbed by how much; may be replaced at any time."""
         self._dt = dt
         self._seed = seed
+        self.configure(config)
         longest = round(parameter("disturbance.base_delay").high / dt)
         self._commands: deque[Array] = deque(maxlen=longest + 1)
         oldest = round(parameter("disturbance.sensor_delay").high / dt)
         self._sent: deque[Measurement] = deque(maxlen=oldest + 1)
         self.reset()
+
+    def configure(self, config: DisturbanceConfig) -> None:
+        """Disturb by these amounts from the next step on."""
+        self._encoder_noise, self._dropped, self._slip = (
+            config.encoder_noise,
+            config.dropped,
+            config.slip,
+        )
+        self._command_late = round(config.base_delay / self._dt)  # [-] steps
+        self._sensor_late = round(config.sensor_delay / self._dt)
+        self._sensor_every = max(round(config.sensor_period / self._dt), 1)
+        self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
         """Begin the noise anew and forget all commands."""
@@ -300,10 +310,10 @@ class Disturbances:
         on a robot with encoders only, it is made from the noisy positions by `VelocityTracking`.
         The base's sensors have no noise. All readings are then late, repeated or lost.
         """
-        if self.config.encoder_noise == 0.0:
+        if self._encoder_noise == 0.0:
             self._tracking = None
             return self._arrived(truth)
-        noise = self.config.encoder_noise * self._rng.standard_normal(len(truth.q_m))
+        noise = self._encoder_noise * self._rng.standard_normal(len(truth.q_m))
         q_m = truth.q_m + noise
         if self._tracking is None:
             self._tracking = VelocityTracking(truth.q_m, truth.qd_m, self._dt)
@@ -311,13 +321,15 @@ class Disturbances:
 
     def _arrived(self, sent: Measurement) -> Measurement:
         """The readings that the controller has: late, repeated, or the last ones for those lost."""
-        c, dt = self.config, self._dt
         self._sent.append(sent)
-        due = self._steps % max(round(c.sensor_period / dt), 1) == 0
-        lost = c.dropped > 0.0 and self._rng.random() < c.dropped
+        if self._steps < self._begins:
+            due, lost, late = True, False, 0
+        else:
+            due, late = self._steps % self._sensor_every == 0, self._sensor_late
+            lost = self._dropped > 0.0 and self._rng.random() < self._dropped
         self._steps += 1
         if self._seen is None or (due and not lost):
-            self._seen = self._sent[max(-1 - round(c.sensor_delay / dt), -len(self._sent))]
+            self._seen = self._sent[max(-1 - late, -len(self._sent))]
         return self._seen
 
     def arriving(self, command: Array) -> Array:
@@ -326,9 +338,9 @@ class Disturbances:
         `command` is in force at this control step; before the first there was rest.
         """
         self._commands.append(command)
-        steps = round(self.config.base_delay / self._dt)
+        steps = self._command_late
         late = self._commands[-1 - steps] if steps < len(self._commands) else np.zeros_like(command)
-        return (1.0 - self.config.slip) * late
+        return late if self._slip == 0.0 else (1.0 - self._slip) * late
 
 
 class VelocityTracking:

@@ -31,7 +31,7 @@ def flattened(figures: Mapping[str, Any]) -> Row:
     row: Row = {}
     for key, value in figures.items():
         if isinstance(value, Mapping):
-            stem, unit = (key[:-2], "_m") if key.endswith("_m") else (key, "")
+            stem, unit = (key[:-2], key[-2:]) if key.endswith(("_m", "_s")) else (key, "")
             row |= {f"{stem}_{inner}{unit}": each for inner, each in value.items()}
         else:
             row[key] = value

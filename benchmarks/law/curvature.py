@@ -105,7 +105,7 @@ def _samples(pose: Pose) -> list[Sample]:
     reader.update_from(state.data)
     config = Config()
     monitor = DistanceMonitor(state, robot.data.pairs.all)
-    nearest = monitor.find_nearest(config.activation.blend)
+    nearest = monitor.find_nearest(config.activation.closest_point_smoothing)
     found = []
     for i, pair in enumerate(reader.pairs):
         closest = nearest.closest(i)

@@ -9,7 +9,6 @@ from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from app.control import controller as controller_module
 from app.control.control_loop import ControlLoop
@@ -142,7 +141,7 @@ def time_stages(loop: ControlLoop, paths: Sequence[Path]) -> dict[str, float]:
 
 _PARTS = (
     ("update_estimate", controller_module, "_estimate"),
-    ("pinocchio", pin, "computeAllTerms"),
+    ("pinocchio", controller_module, "compute_dynamics"),
     ("distances", PairDistances, "update_from"),
     ("algorithm_2", controller_module, "_law"),
 )

@@ -25,7 +25,16 @@ from app.dashboard.export import Look
 from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
 from app.dashboard.scene.canvas import Lens
-from app.dashboard.scene.colours import BACKGROUND, GHOSTS, Rgb, css, set_theme
+from app.dashboard.scene.colours import (
+    BACKGROUND,
+    CONTACT,
+    GHOSTS,
+    PERSON,
+    TRAIL_BASE,
+    Rgb,
+    css,
+    set_theme,
+)
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
@@ -63,6 +72,7 @@ CODECS = {
     ".gif": {"gif": ["gif", "-loop", "0", "-filter_complex", _PALETTE]},
 }
 """By the ending of a file: its codecs, the usual one first, each with what ffmpeg needs."""
+_LIFT, _OUTLINE = 0.005, 2.5  # [m] above the floor, [px]
 _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # both have two chroma samples a pixel row and column
 
 
@@ -132,6 +142,23 @@ class OffscreenScene:
         self._lens = lens_of(eye, target, self._look.height, window)
         return eye, target
 
+    def outline(self, base_pose: np.ndarray) -> None:
+        """Draw on the floor the outline of the base at a pose (3,) [m, m, rad]."""
+        base = [body for body in self._data.parts.bodies if not body.joint]
+        around = np.vstack([body.mesh.bounds + body.placement.translation for body in base])
+        (low_x, low_y), (high_x, high_y) = around.min(axis=0)[:2], around.max(axis=0)[:2]
+        xs, ys = (low_x, high_x, high_x, low_x), (low_y, low_y, high_y, high_y)
+        x, y, phi = base_pose
+        corners = np.column_stack([xs, ys, np.full(4, _LIFT)]) @ pin.utils.rotate("z", phi).T
+        corners += (x, y, 0.0)
+        self._server.scene.add_line_segments(
+            "/start",
+            np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
+            np.array(TRAIL_BASE, np.uint8),
+            thickness=_OUTLINE,
+            thickness_units="screen",
+        )
+
     def draw(self, t: float, *, texts: bool = True) -> None:
         """Draw the snapshot at a time [s], with trails that lead up to it if `texts` are due."""
         snapshot = self._loop.go_to(t)
@@ -143,6 +170,7 @@ class OffscreenScene:
 
 def choose_layer(view: View, layer: str, pair: str = "") -> None:
     """Colour the border that is drawn, or that of the pair named, by a `Look.layer`."""
+    view.slice = layer != "none"
     for each, quantity in view.borders.items():
         if each == pair or (not pair and quantity != HIDDEN):
             view.borders[each] = HIDDEN if layer == "none" else layer
@@ -257,11 +285,14 @@ def film_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
     orbit: float = 0.0,
+    seen: Sequence[Snapshot] = (),
 ) -> Generator[Image.Image, None, None]:
     """The pictures of a film, one by one; none depends on how long it took.
 
     Each shows the last of the snapshots, in order of time, that is not later than its time [s].
-    From one to the next the camera turns by `orbit` [rad] around the robot.
+    From one to the next the camera turns by `orbit` [rad] around the robot. As a part of a picture
+    of several robots, all of which are `seen` over time, it has their camera, the outline of the
+    base at the start, and words for those who know nothing of it.
 
     Raises:
         AssetError: A mesh of the robot is not there.
@@ -270,7 +301,10 @@ def film_pictures(
     with own_page(browser, look) as (server, page):
         scene = OffscreenScene(server, loop, model, clouds, look, labels=False)
         server.scene.configure_default_lights(enabled=True, cast_shadow=False)
-        eye, target = scene.look([loop.go_to(t) for t in times])
+        eye, target = scene.look(seen or [loop.go_to(t) for t in times])
+        first = loop.go_to(times[0])
+        if seen:
+            scene.outline(first.base_pose)
         scene.draw(times[0])
         open_page(page, server)
         page.add_style_tag(content=ONLY_SCENE)
@@ -282,7 +316,36 @@ def film_pictures(
             told = [BARRIER, k, at.tolist(), target.tolist(), ground]
             jpeg = base64.b64decode(page.evaluate("told => dbbPage.still(told)", told))
             picture = Image.open(io.BytesIO(jpeg)).convert("RGB")
-            yield captioned(picture, loop.go_to(t), model.body_names, look)
+            shown = loop.go_to(t)
+            if seen:
+                yield label(picture, story(shown, first), dark=look.dark)
+            else:
+                yield captioned(picture, shown, model.body_names, look)
+
+
+def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Pictures of one size, one beside the other."""
+    width, height = pictures[0].size
+    whole = Image.new("RGB", (len(pictures) * width, height))
+    for k, picture in enumerate(pictures):
+        whole.paste(picture, (k * width, 0))
+    return whole
+
+
+def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
+    """In plain words: method, what leads the hand, how near the arm is, how far the base went."""
+    method = METHODS.get(shown.controller, shown.controller)
+    near = f"arm {millimetres(shown.clearance)} from its own base"
+    touches = ("the arm hits its own base", CONTACT)
+    way = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
+    tracks = shown.mode == "tracking"
+    off = f"the hand tracks a line, {millimetres(shown.ee_error)} off"
+    return [
+        method.capitalize(),
+        (off if tracks else "a person pulls the hand", PERSON),
+        near if shown.clearance >= 0.0 else touches,
+        (f"base moved {way:.2f} m from the outline", TRAIL_BASE),
+    ]
 
 
 def captioned(

@@ -93,13 +93,12 @@ def page_picture(
 def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool) -> Image.Image:
     """Pictures of one size side by side, each with its time [s] in its upper left corner."""
     width, height = pictures[0].size
-    whole = Image.new("RGB", (width * len(pictures), height))
-    for k, (picture, t) in enumerate(zip(pictures, times, strict=True)):
-        whole.paste(offscreen.label(picture.copy(), [f"t = {t:g} s"], dark=dark), (k * width, 0))
-        if k:
-            ImageDraw.Draw(whole).line(
-                [(k * width, 0), (k * width, height)], fill=offscreen.INK[dark]
-            )
+    timed = zip(pictures, times, strict=True)
+    whole = offscreen.side_by_side(
+        [offscreen.label(each.copy(), [f"t = {t:g} s"], dark=dark) for each, t in timed]
+    )
+    for x in range(width, whole.width, width):
+        ImageDraw.Draw(whole).line([(x, 0), (x, height)], fill=offscreen.INK[dark])
     return whole
 
 

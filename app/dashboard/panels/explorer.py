@@ -163,6 +163,9 @@ def posture_html(
             (spoken[pair.name], minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force)
         )
     forward, left, turn = acceleration
-    way = f"v̇ {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
+    way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
     beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""
-    return small(f"{grid(('', 'd', 'β', 'f'), rows)}base: {way}, ω̇ {signed(turn)} rad/s²{beyond}")
+    return small(
+        f"{grid(('', 'distance d', 'activation β', 'force f'), rows)}"
+        f"base acceleration: {way}, turn {signed(turn)} rad/s²{beyond}"
+    )

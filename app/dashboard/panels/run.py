@@ -1,7 +1,7 @@
 """Tabs "Run", "Lab" and "Compare": scenario, readings, and other controllers."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
@@ -19,7 +19,6 @@ from app.dashboard.markup import (
     chip,
     framed,
     mark,
-    minus,
     reading,
     readings,
     row,
@@ -35,14 +34,15 @@ from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
-from app.simulation.trace.words import kept, millimetres, outcome
+from app.simulation.trace.words import METHODS, kept, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice of no scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 """Entries of the list of scenarios, by their names."""
-_NAMES = {title: name for name, title in TITLES.items()}
-_ABOUT = {each.name: each.about for each in SCENARIOS.values()}
+_ABOUT = {each.name: f"{each.about[:1].upper()}{each.about[1:]}." for each in SCENARIOS.values()}
 OFF = "off"  # choice of no further robot
+METHOD_TITLES = {name: f"{name}: {METHODS[name]}" for name in CONTROLLERS}
+"""Entries of the lists of controllers, by their names."""
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
 """What the robots may have in common, as `Compare` names it."""
 STEP = 0.001  # [s] of one control step
@@ -50,13 +50,13 @@ _SIZE = "font-size:.82em"
 LATE = 0.05
 """[-] share of late steps, and of real time that is missed, from which on the machine is slow."""
 _SCORES = (
-    ("least distance to base [mm]", "clearance", lambda d: millimetres(d)[:-3], max),
+    ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
     ("hand error, largest [mm]", "error_max", lambda d: f"{1000 * d:.1f}", min),
     ("base travel [m]", "base_path", lambda d: f"{d:.2f}", None),
-    ("largest step of v̇ [m/s²]", "acceleration_jump", lambda a: f"{a:.3f}", min),
-    ("largest step of ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
-    ("largest torque step [N m]", "torque_jump", lambda u: f"{u:.2f}", min),
+    ("acceleration jump v̇ [m/s²]", "acceleration_jump", lambda a: f"{a:.3f}", min),
+    ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
+    ("torque jump [N m]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
 """Label with unit, field of `Score`, its text, and which is best; base travel is neither."""
 
@@ -77,7 +77,7 @@ class RunPanel(Panel):
         )
         self._controller = gui.add_dropdown(
             "Controller",
-            CONTROLLERS,
+            tuple(METHOD_TITLES.values()),
             hint="dbb: the base gives way, as in the paper. hqp: the hierarchy as printed, slower "
             "than real time. repulsive: a force moves the arm only. barrier: a minimum distance "
             "as a constraint. none: no avoidance.",
@@ -89,8 +89,9 @@ class RunPanel(Panel):
         self.button(BACK, lambda _: self.play(FREE), viser.Icon.HOME, color="gray")
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
         chosen = self._scenario
-        self.on_update(chosen, lambda _: self.play(_NAMES.get(chosen.value, FREE)))
-        self.on_update(self._controller, lambda event: sink.send(Choose(event.target.value)))
+        self.on_update(chosen, lambda _: self.play(named(chosen.value, TITLES) or FREE))
+        chosen = self._controller
+        self.on_update(chosen, lambda _: sink.send(Choose(named(chosen.value, METHOD_TITLES))))
 
     def play(self, scenario: str) -> None:
         """Play a scenario from its beginning, by its name, or none: `FREE`."""
@@ -111,8 +112,13 @@ class RunPanel(Panel):
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
-        self._course.content = notice_html(newest) + course_html(course, newest.busy)
-        self.follow(self._controller, newest.controller)
+        beside = () if course.running or newest.busy else newest.scores[1:]
+        self._course.content = (
+            notice_html(newest)
+            + course_html(course, newest.busy)
+            + (small(outcomes_html(beside)) if beside else "")
+        )
+        self.follow(self._controller, METHOD_TITLES[newest.controller])
         self._pairs.content = pairs_html(shown, verdict, self._shared.spoken)
 
 
@@ -161,7 +167,7 @@ class ComparePanel(Panel):
             "Run other controllers on the same pull, as ghosts; hqp slows all of them down."
         )
         self._choices = [
-            gui.add_dropdown(label, (OFF, *CONTROLLERS))
+            gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
         ]
         self._input = gui.add_dropdown(
@@ -178,7 +184,7 @@ class ComparePanel(Panel):
         A controller stays in the list in which it was chosen, also when the other one goes.
         """
         course, scores = self._shared.course, moment.shown.scores
-        names = [ghost.controller for ghost in moment.newest.ghosts]
+        names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
             if names != [h.value for h in self._choices if h.value != OFF]:
@@ -187,9 +193,14 @@ class ComparePanel(Panel):
         self._scores.content = compared_html(scores, course) + scores_html(scores)
 
     def _choose(self) -> None:
-        wanted = (handle.value for handle in self._choices)
-        others = tuple(name for name in wanted if name != OFF)
+        wanted = (named(handle.value, METHOD_TITLES) for handle in self._choices)
+        others = tuple(filter(None, wanted))
         self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
+
+
+def named(title: str, titles: Mapping[str, str]) -> str:
+    """The name of an entry of a list, or an empty text."""
+    return next((name for name, each in titles.items() if each == title), "")
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
@@ -224,13 +235,19 @@ def _marked(
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
     first = text(best(candidates)) if best and candidates and len(set(texts)) > 1 else None
     return [
-        cell(minus(f"✓ {each}" if each == first and good else each), RIGHT, ONE_LINE)
+        cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
         for each, good in zip(texts, valid, strict=True)
     ]
 
 
+def _distance(d: float) -> str:
+    """A distance [m] in millimetres, on the colour of contact where bodies overlap."""
+    text = millimetres(d)[:-3]
+    return text if d >= 0.0 else state_chip(text, "contact")
+
+
 def compared_html(scores: tuple[Score, ...], course: Course) -> str:
-    """The comparison in words, as in "dbb: no contact, least distance 72 mm"."""
+    """When the comparison is, and what came of it, robot by robot."""
     if not scores:
         return ""
     when = (
@@ -238,11 +255,17 @@ def compared_html(scores: tuple[Score, ...], course: Course) -> str:
         if course.name
         else "So far"
     )
+    return small(f"{when}<br>{outcomes_html(scores)}")
+
+
+def outcomes_html(scores: Sequence[Score]) -> str:
+    """Of each robot a line, as in "dbb, with avoidance: no contact, least distance 72 mm"."""
     lines = (
-        f"<b>{score.controller}</b>: {kept(score.clearance, touched=bool(score.contacts))}"
+        f"<b>{score.controller}</b>, {METHODS[score.controller]}: "
+        f"{kept(score.clearance, touched=bool(score.contacts))}"
         for score in scores
     )
-    return small(f"{when}<br>{'<br>'.join(lines)}")
+    return "<br>".join(lines)
 
 
 def notice_html(newest: Snapshot) -> str:
@@ -254,10 +277,11 @@ def notice_html(newest: Snapshot) -> str:
 def course_html(course: Course, busy: str) -> str:
     """Preparation, progress or result of the scenario; empty at the free start."""
     if busy:
-        return banner("notice", f"{capital(busy)} …", "The simulation waits until it is ready.")
+        title = f"{busy[:1].upper()}{busy[1:]} …"
+        return banner("notice", title, "The simulation waits until it is ready.")
     if not course.name:
         return ""
-    about = f"{capital(_ABOUT[course.name])}." if course.name in _ABOUT else ""
+    about = _ABOUT.get(course.name, "")
     if course.running:
         share = min(course.until / max(course.duration, STEP), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
@@ -265,25 +289,16 @@ def course_html(course: Course, busy: str) -> str:
     title = f"{course.name} {f'stopped at {course.until:.1f} s' if course.stopped else 'ended'}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
-    figures = course_figures(course) | {"base travel": f"{course.path:.2f} m"}
+    figures = {
+        "least distance": millimetres(course.least),
+        "largest pull": f"{course.pull:.0f} N",
+        "peak hand speed": f"{course.speed:.2f} m/s",
+        "base travel": f"{course.path:.2f} m",
+    }
     return framed(
         f"<b>{title}: {result}</b><br>{about}{readings(figures)}",
         css(COLOURS["contact" if met else "clear"]),
     )
-
-
-def course_figures(course: Course) -> dict[str, str]:
-    """Figures of a scenario."""
-    return {
-        "least distance": millimetres(course.least),
-        "largest pull": f"{course.pull:.0f} N",
-        "peak hand speed": f"{course.speed:.2f} m/s",
-    }
-
-
-def capital(text: str) -> str:
-    """The text as a sentence begins."""
-    return text[:1].upper() + text[1:]
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
@@ -348,7 +363,11 @@ def pairs_html(
     Pairs stand there in words if they are `spoken`; the pointer over a row says its symbols.
     """
     head = row(
-        cell(), cell("pair"), cell(), cell("d [mm]", RIGHT, ONE_LINE), cell("β", RIGHT), style=FAINT
+        cell(),
+        cell("link pair"),
+        cell("distance [mm]", RIGHT, ONE_LINE, span=2),
+        cell("activation β", RIGHT, ONE_LINE),
+        style=FAINT,
     )
     pairs = enumerate(zip(snapshot.pairs, verdict.pairs, strict=True))
     d_b, known = snapshot.d_b, spoken or {}
@@ -364,12 +383,11 @@ def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) ->
     colour = css(COLOURS[state])
     share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
     limit = min(d_b, BAR_RANGE) / BAR_RANGE
-    distance = millimetres(pair.d)[:-3]
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
-        cell(bar(share, colour, limit), "width:34%"),
-        cell(state_chip(distance, state) if state == "contact" else distance, RIGHT),
+        cell(bar(share, colour, limit), "width:26%"),
+        cell(_distance(pair.d), RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
         f"the stroke is d_b = {millimetres(d_b)}; activation β is 0 at d_b and 1 at d_full",

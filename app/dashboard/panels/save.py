@@ -12,7 +12,7 @@ import viser
 from PIL import Image
 
 from app.dashboard.export import Look, Side
-from app.dashboard.export.offscreen import CODECS
+from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import (
     FILM_RATE,
     write_film_of,
@@ -141,7 +141,9 @@ class SavePanel(FilePanel):
         return width, height
 
     def _scene(self) -> bytes:
-        return png(self.scene(*self._size()))
+        shown, names = self._viewer.timeline.shown(), self._viewer.shared.model.body_names
+        look = Look(light=not self._viewer.view.dark)
+        return png(captioned(self.scene(*self._size()), shown, names, look))
 
     def _whole_page(self) -> bytes:
         viewer = self._viewer

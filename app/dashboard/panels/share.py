@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 _NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
 """What a link may name, beside parameters by their paths."""
 _FARTHEST = 100.0  # [m] of a camera
-LARGEST = 8 * 2**20  # [bytes] of a case's file
 _COPY = (
     "const box=this.previousElementSibling;box.focus();box.select();document.execCommand('copy');"
     "history.replaceState(null,'',box.value)"
@@ -131,18 +130,18 @@ class Link(NamedTuple):
 
 
 def read_link(query: str) -> tuple[str, str]:
-    """Why a link is wrong, or an empty text, and its query without what is."""
-    why, kept = "", []
+    """All that is wrong with a link, or an empty text, and its query without that."""
+    why, kept = [], []
     words = dict(parse_qsl(query, keep_blank_values=True))
     # The time of a scenario comes after its name.
     for word in sorted(words.items(), key=lambda word: word[0] == "at"):
         try:
             Link.read(urlencode([*kept, word]))
         except DbbError as error:
-            why = why or str(error)
+            why.append(str(error))
         else:
             kept.append(word)
-    return why, urlencode(kept, safe=",") if why else query
+    return "; ".join(why), urlencode(kept, safe=",") if why else query
 
 
 def camera_text(eye: Array, target: Array) -> str:
@@ -261,10 +260,6 @@ class SharePanel(Panel):
 
     def _play(self, event: Any) -> None:
         file = taken_upload(event.target)
-        if len(file.content) > LARGEST:
-            raise CaseError(
-                f"{file.name}: {len(file.content) / 1e6:.0f} MB is too large for a case"
-            )
         try:
             text = text_of(file.content)
         except ValueError as error:

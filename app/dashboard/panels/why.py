@@ -301,10 +301,10 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
 
 def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
     """Of the table of forces, with widths that do not follow the numbers."""
-    if len(axes) == 2:
-        return [("N", "13%"), ("v̇ [m/s²]", "19%"), ("ω̇ [rad/s²]", "23%")]
-    share = f"{46 / len(axes):.0f}%"  # narrower, and without units
-    return [("N", "10%"), *((acceleration_symbol(axis), share) for axis in axes)]
+    heads = (
+        f"{acceleration_symbol(axis)}<br>[{'rad/s²' if axis.angular else 'm/s²'}]" for axis in axes
+    )
+    return [("force<br>[N]", "12%"), *((head, f"{44 / len(axes):.0f}%") for head in heads)]
 
 
 def _force_rows(why: Explanation) -> list[str]:

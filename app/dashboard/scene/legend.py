@@ -23,7 +23,7 @@ class BaseMeasure(NamedTuple):
     Texts are HTML; `unit` is also the score's, and `score` says how (10) makes it.
     """
 
-    title: str = "measure of the base"
+    title: str = "Mobility of the base"
     unit: str = ""
     label: str = "measure of the base"
     hint: str = "how well the base moves the point; replaces (7)"
@@ -31,7 +31,7 @@ class BaseMeasure(NamedTuple):
 
 
 _DETERMINANT = BaseMeasure(
-    title="det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)",
+    title="Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)",
     unit="m⁴/rad⁴",
     label="det(J Jᵀ)",
     hint="(7): 0 on the wheel axis, where the base cannot move the point sideways",
@@ -81,8 +81,8 @@ class Legend(NamedTuple):
         measure = measure_of(base.kind)
         title, unit = {
             "determinant": (measure.title, measure.unit),
-            "reachability": ("reachability R, (9)", ""),
-            "score": ("score S, (10)", measure.unit),
+            "reachability": ("Reachability by the arm, R (9)", ""),
+            "score": ("How well the base gives way, score S (10)", measure.unit),
         }[quantity]
         return cls(pair, title, unit, d_b, low, high, drawn, len(values), top)
 
@@ -136,14 +136,15 @@ def _bar_html(legend: Legend) -> str:
     texts, factor = tick_texts(legend.low, legend.high)
     share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
-    unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
+    unit = factor + legend.unit
+    unit = f' <span style="{ONE_LINE}">[{unit}]</span>' if unit else ""
     gradient = f"background:linear-gradient(to right,{viridis_css()})"
     return small(
-        spread(f"<b>{legend.title}{unit}</b>", legend.pair)
-        + f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
+        f"<b>{legend.title}{unit}</b>"
+        f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
         f'{spread(*texts)}<div style="{FAINT}">'
-        f"d<sub>b</sub> = {legend.d_b:.3f} m, {share} {legend.total:,} points{part}. "
-        "Gaps: the arm cannot reach these points.</div>"
+        f"Border around the base for {legend.pair}, d<sub>b</sub> = {legend.d_b:.3f} m: {share} "
+        f"{legend.total:,} points{part}. Gaps: the arm cannot reach these points.</div>"
     )
 
 

@@ -34,6 +34,7 @@ CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded 
 GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] of a label at the top, which stands above its place
+_AT_TOP = 0.01  # [m] below the highest place
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
@@ -102,8 +103,9 @@ class RobotParts:
         self.extent = self._extent(robot.description)
         """(N, 3) [m] corners of all that a camera has to show, in the base's frame: the links in
         the ready pose, and the borders' place around the base."""
-        self.crown = self.extent[self.extent[:, 2].argmax()] - _BELOW
-        """(3,) [m] a place at the top of the arm in its ready pose, in the base's frame."""
+        top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
+        self.crown = self.extent[top].mean(axis=0) - _BELOW
+        """(3,) [m] the top of the arm in its ready pose, in the base's frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:

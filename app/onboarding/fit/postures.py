@@ -407,7 +407,7 @@ class _Guide:
         the hand [-], step by step within the buffers, and the least distance to the floor [m].
         """
         search, least, carried, low = self._search, np.inf, [], np.inf
-        n_b, speed = self._model.n_b, self._model.description.config.holding.speed
+        n_b, speed = self._model.n_b, self._model.description.config.ee_hold.min_speed
         for led in np.minimum(np.arange(begin, end, _STEP) + _STEP, end):
             q_m = self._pulled(q_m, p + led * inwards)
             nearest = min(search.distances()[: self._mobile])

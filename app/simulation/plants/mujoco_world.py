@@ -50,6 +50,7 @@ class MujocoWorld(PlanarWorld):
         self._guess = self.data.qacc_warmstart
         self._applied = self.data.qfrc_applied
         self._torques = self._applied[self.arm_v]
+        self._origins, self._axes = self.data.xpos, self.data.xmat.reshape(-1, 3, 3)
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         tool = source.pin.frames[source.ee_frame]
         self._hand = model.body(source.pin.names[tool.parentJoint]).id
@@ -104,7 +105,7 @@ class MujocoWorld(PlanarWorld):
             row += 1
         self._applied.fill(0.0)
         self._torques[:] = u_a
-        if any(np.asarray(hand_force).tolist()):
+        if hand_force.any():
             self._press(self._hand, self._tool, hand_force)
         for push in pushes:
             self._press(self._body_of[push.joint], push.p, push.force)
@@ -136,11 +137,8 @@ class MujocoWorld(PlanarWorld):
 
     def _press(self, body: int, point: Array, force: Array) -> None:
         """Force (3,) [N] in the world on a point (3,) [m] of a body's frame."""
-        data = self.data
-        place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
-        mujoco.mj_applyFT(
-            self.model, data, np.asarray(force, dtype=float), _NO_TORQUE, place, body, self._applied
-        )
+        place = self._origins[body] + self._axes[body] @ point
+        mujoco.mj_applyFT(self.model, self.data, force, _NO_TORQUE, place, body, self._applied)
 
 
 class MujocoDoor(HeldDoor):

@@ -58,6 +58,7 @@ class PostureSearch:
         self._floor = FloorDistance(self.state)
         self._base_pose = np.zeros(3)
         self._placed: Array | None = None
+        self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
         """Put the base at x, y [m] and heading [rad], (3,); at first it stands at the origin."""
@@ -145,6 +146,12 @@ class PostureSearch:
         """(6, n_m) Jacobian of the hand by the arm's joints, in the world."""
         return self.state.J_ee[:, self.model.n_b :]
 
+    def beyond(self, p: Array) -> float:
+        """[m] by which a place (3,) [m] is out of reach at least; below zero it may be in reach."""
+        x, y, heading = self._base_pose
+        at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
+        return float(np.linalg.norm(p - at)) - self._length
+
     def distances(self) -> tuple[float, ...]:
         """[m] of every pair."""
         return self.monitor.distances()
@@ -157,6 +164,20 @@ class PostureSearch:
         """[-] the least share of a joint's range that lies between it and a limit."""
         left = np.minimum(q_m - self.model.q_lower, self.model.q_upper - q_m)
         return float(np.min(left / self.span))
+
+
+def _arm_length(model: RobotModel) -> tuple[Array, float]:
+    """(3,) [m] the arm's first joint over a base at the origin, and [m] how far the hand can be.
+
+    The hand is never farther than all joints' offsets, and the travels of slides, together.
+    """
+    arm, hand = model.pin, model.pin.frames[model.ee_frame]
+    chain = [j for j in arm.supports[hand.parentJoint] if j > 1]
+    offsets = [arm.jointPlacements[j].translation for j in chain[1:]]
+    slides = [arm.idx_vs[j] - 3 for j in chain if "JointModelP" in arm.joints[j].shortname()]
+    travel = np.abs([model.q_lower[slides], model.q_upper[slides]]).max(axis=0)
+    far = sum(float(np.linalg.norm(each)) for each in [*offsets, hand.placement.translation])
+    return arm.jointPlacements[chain[0]].translation.copy(), far + float(travel.sum())
 
 
 class FloorDistance:

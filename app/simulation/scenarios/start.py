@@ -89,6 +89,10 @@ class StartSolver:
             raise UnreachableError(
                 f"start {_text(p_ee)}: the floor is z = 0, the hand must be above"
             )
+        if (beyond := self._search.beyond(target)) > 0.0:
+            raise UnreachableError(
+                f"start {_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m at least", {OUT_OF_REACH: 1}
+            )
         rng = np.random.default_rng(seed)
         flaws: Counter[str] = Counter()
         directions: list[Array | None] = [
@@ -137,6 +141,8 @@ class StartSolver:
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether the hand comes to `p_ee` [m] within the joints' limits, however it points."""
         target = Target(np.array(p_ee, dtype=float))
+        if self._search.beyond(target.p) > 0.0:
+            return False
         guesses = self._search.guesses(np.random.default_rng(seed), tries)
         found = self._search.best(
             guesses,
@@ -238,7 +244,9 @@ class GraspSolver:
         rng = np.random.default_rng(seed)
         best = Found(None, 0.0, Counter())
         target = pin.SE3.Identity()
-        for roll in _ROLLS:
+        self._search.stand(base_pose)
+        far = self._search.beyond(door.handle(angle).translation) > 0.0
+        for roll in () if far else _ROLLS:
             rolled = _rolled(door.handle(angle), roll)
             self._search.stand(base_pose)
             found = self._search.best(

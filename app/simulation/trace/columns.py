@@ -4,7 +4,7 @@ import json
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
-from itertools import compress, product
+from itertools import product
 from typing import Any, Literal, NamedTuple, get_type_hints
 
 import numpy as np
@@ -65,6 +65,8 @@ class TraceMeta(Strict):
     """Where and why a tracked hand stopped short at the end (`Stuck`), if it did."""
     left_way: dict[str, Any] | None = None
     """The same where it was farthest from its target, if that was more than 1 mm."""
+    faults: dict[str, float] = Field(default_factory=dict)
+    """[s] when the controller first reported each fault of the readings, by its name."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -162,20 +164,8 @@ class Quantity(NamedTuple):
     single: bool = False
     """Whether it is one number, not several."""
     row: Take | None = None
-    """Cells of the columns that have one at each control step, where it is quicker to take them
-    alone."""
-
-    def row_of(self, meta: TraceMeta) -> Take:
-        """What gives the cells of the columns that have one at each control step."""
-        often = [column.often for column in self.columns(meta)]
-        take, cells = self.take, self.cells
-        if self.row is not None:
-            return self.row
-        if take is None or not any(often):
-            return lambda session, step: ()
-        if all(often):
-            return lambda session, step: cells(take(session, step), meta)
-        return lambda session, step: compress(cells(take(session, step), meta), often)
+    """Its numbers at a control step, of the columns that have one at each; None if it is only
+    drawn."""
 
 
 def number(
@@ -195,7 +185,8 @@ def number(
     def cells(value: Any, _: TraceMeta) -> Sequence[Cell]:
         return (NAN if value is None else value,)
 
-    return Quantity(lambda _: (column,), cells, value, take, single=True)
+    row = None if take is None or not often else lambda s, o: (take(s, o),)
+    return Quantity(lambda _: (column,), cells, value, take, single=True, row=row)
 
 
 def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
@@ -210,7 +201,8 @@ def numbers(template: str, take: Take, *, often: bool = True, optional: bool = F
     def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
         return None if optional and np.isnan(cells).all() else frozen(cells)
 
-    return Quantity(columns, cells, value, take)
+    row = (lambda s, o: take(s, o).tolist()) if often else None
+    return Quantity(columns, cells, value, take, row=row)
 
 
 drawn = partial(number, often=False)  # a number or text that is kept where a snapshot is taken

@@ -1,5 +1,6 @@
 """The file of a trace: CSV with a leading comment, or Parquet with schema metadata."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ from app.simulation.trace.arrow import read_arrow, write_arrow
 from app.simulation.trace.columns import NAN, Column, TraceMeta
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
-from app.strict import Strict, explain
+from app.strict import LARGEST_DATA, Strict, explain, problems_of
 
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name says which of the two it is
 
 _CELL = 100  # [bytes] of memory for a cell of a row that is drawn
+_NUMBER = 8  # [bytes] of memory for a number of any row
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
 
 
@@ -37,10 +39,12 @@ class LogHeader(Strict):
         Raises:
             LogError: It is no header, or one of another format.
         """
+        if len(text) > LARGEST_DATA:
+            raise LogError("its meta data are longer than those of any log")
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
-            problems = [(p["type"], p["loc"]) for p in error.errors()]
+            problems = [(p["type"], p["loc"]) for p in problems_of(error)]
             if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
                 told = "it has no meta data of a log: dbb run --log or --out writes logs"
                 raise LogError(told) from None
@@ -92,15 +96,17 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     meta, rows = header.dbb_log, header.rows
     known = columns_of(meta)
     _check_names(found.column_names, known)
+    layout = Layout.of(meta)
     if len(found) != rows:
         raise LogError(f"it has {len(found)} rows, and its meta data say {rows}")
+    if rows * len(layout.columns) * _NUMBER > budget.memory:
+        raise LogError(f"{rows} rows are too many for a file of its size")
     modes = _cast(Column("mode", "text"), found["mode"], rows)
     drawn = found.filter(pc.not_equal(modes.fill_null(""), ""))
     if not len(drawn):
         raise LogError("no row of it can be drawn: the column mode is empty")
     if len(drawn) * len(known) > budget.memory / _CELL:
         raise LogError(f"{len(drawn)} rows to be drawn are too many for a file of its size")
-    layout = Layout.of(meta)
     table = np.empty((rows, len(layout.columns)))
     for k, column in enumerate(layout.columns):
         table[:, k] = _cast(column, found[column.name], rows).to_numpy()
@@ -159,7 +165,7 @@ def _check_suffix(path: Path) -> None:
 
 
 def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
-    if twice := sorted({name for name in found if found.count(name) > 1}):
+    if twice := sorted(name for name, count in Counter(found).items() if count > 1):
         raise LogError(f"column {twice[0]!r} is there twice")
     wanted = [column.name for column in known]
     if len(set(wanted)) < len(wanted):

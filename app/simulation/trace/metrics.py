@@ -271,6 +271,9 @@ FIGURES: dict[str, Figure] = {
         "The same where it was farthest from its target, moving or not; null within 1 mm.",
         lambda r: r.meta.left_way,
     ),
+    "fault_s": Figure(
+        "When the controller first reported each fault of the readings.", lambda r: r.meta.faults
+    ),
     "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
     "step_p99_us": Figure("Its 99th percentile.", lambda r: _percentile(r, 99)),
 }

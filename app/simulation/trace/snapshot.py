@@ -225,6 +225,7 @@ def _buffer() -> Quantity:
         lambda buffer, _: buffer,
         lambda cells, _: BufferReading(*cells[:4], *map(bool, cells[4:])),
         lambda _, step: step.buffer,
+        row=lambda _, step: step.buffer,
     )
 
 
@@ -250,9 +251,11 @@ def _door() -> Quantity:
         angle, force, *radial = step.door
         return DoorView(door, angle, frozen(force), *radial, contact=touches)
 
-    def cells(view: DoorView | None, _: TraceMeta) -> Sequence[Cell]:
+    nothing = (NAN,) * (len(columns) - 1)
+
+    def cells_of(view: DoorView | None) -> Sequence[Cell]:
         if view is None:
-            return ("", *(NAN,) * 7)
+            return ("", *nothing)
         return (_door_text(view.door), view.angle, *view.force.tolist(), *view[3:])
 
     def value(cells: Sequence[Any], _: TraceMeta) -> DoorView | None:
@@ -261,7 +264,13 @@ def _door() -> Quantity:
             return None
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
 
-    return Quantity(lambda _: columns, cells, value, take)
+    def row(session: Session, step: Step) -> Sequence[Any]:
+        if session.door is None:
+            return nothing
+        _, *often = cells_of(take(session, step))
+        return often
+
+    return Quantity(lambda _: columns, lambda view, _: cells_of(view), value, take, row=row)
 
 
 def _force_bound() -> Quantity:

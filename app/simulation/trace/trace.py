@@ -209,6 +209,7 @@ class Recorder:
         self._layout: Layout | None = None
         self._cells = array("d")  # a fifth of a list's memory, and nothing for the collector
         self._last: tuple[Session, Step] | None = None
+        self._faults: dict[str, float] = {}
         self._farthest: Step | None = None  # of those in which a tracked hand is off its target
         self.snapshots: list[Snapshot] = []
 
@@ -220,6 +221,8 @@ class Recorder:
         most = SHORT if self._farthest is None else self._farthest.ee_error
         if step.reference is not None and step.ee_error > most:
             self._farthest = step._replace(control=step.control.copy())
+        if len(session.loop.reported) > len(self._faults):
+            self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
         cells: list[float] = []
         for row in self._rows:
             cells += row(session, step)
@@ -236,6 +239,7 @@ class Recorder:
         if farthest is not None and farthest.reference is not None:
             left = _off_target(session.model, farthest, farthest.reference)
         told = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
+        told["faults"] = self._faults
         meta = self._layout.meta.model_copy(update=told)
         table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
@@ -263,7 +267,8 @@ class Recorder:
             seed=session.seed,
         )
         self._layout = Layout.of(meta, self._names)
-        self._rows = [QUANTITIES[name].row_of(meta) for name in self._names]
+        rows = (QUANTITIES[name].row for name in self._names)
+        self._rows = [row for row in rows if row is not None]
 
     def _draw(self, session: Session, step: Step) -> None:
         k = round(step.t / DT)

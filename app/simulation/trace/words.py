@@ -8,6 +8,7 @@ Outcome = Literal["contact", "overlap", "no contact"]
 
 METHODS = {
     "dbb": "with avoidance",
+    "hqp": "hierarchy as printed",
     "points": "with avoidance (sampled border)",
     "repulsive": "arm repulsion only",
     "barrier": "minimum distance only",

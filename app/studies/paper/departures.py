@@ -100,7 +100,7 @@ def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
     """The same of our law: the base's rows as the blend with rest, then the arm's QP, no limits."""
     n_b = w.n_b
     rows = slice(n_b, len(B))
-    H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.softness, n_b)
+    H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.slack_weight, n_b)
     qdd_b = np.linalg.solve(w.J_sca[:n_b, :n_b], B[:n_b] * w.b_sca[:n_b])
     qdd_a = np.linalg.solve(H[n_b:, n_b:], -(c[n_b:] + H[n_b:, :n_b] @ qdd_b))
     return np.concatenate([qdd_b, qdd_a])

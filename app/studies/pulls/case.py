@@ -37,6 +37,13 @@ COLUMNS = {
     "hand_f_max": "hand_f_max_n",
     "hand_stiffness": "hand_stiffness_npm",
     "hand_mass": "hand_mass_kg",
+    "payload": "payload_kg",
+    "sensor_delay": "sensor_delay_s",
+    "sensor_period": "sensor_period_s",
+    "dropped": "dropped",
+    "unknown_load": "unknown_load_kg",
+    "stated_period": "stated_period_s",
+    "fault_at": "fault_at_s",
 }
 """Where a row has what was drawn: the hand's largest speed, times of the pull (None for what does
 not happen), and parameters, by their names in `StudyRange`."""
@@ -52,6 +59,7 @@ def planned_of(row: Row, parameters: StudyParameters) -> Planned:
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
+    drawn["disturbance.begins"] = row[COLUMNS["fault_at"]]
     config = load_robot(parameters.robot).config.changed(drawn)
     scenario = RANDOM_PULL.changed(
         start=tuple(row[f"start_{axis}_m"] for axis in "xyz"),

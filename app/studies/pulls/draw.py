@@ -11,6 +11,7 @@ import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
+from app.config import parameter
 from app.errors import StudyError, UnreachableError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -19,6 +20,7 @@ from app.simulation.scenarios.start import StartSolver
 from app.strict import Array
 from app.studies.pulls.case import COLUMNS
 from app.studies.pulls.parameters import (
+    FAULTS,
     LOGARITHMIC,
     PARAMETERS,
     Interval,
@@ -50,6 +52,8 @@ _TRAVEL = 0.15, 0.60  # [m] of a pull along the base; one towards it goes into i
 _HOLD = 1.0  # [s] after the pull, in which the base may still be hit
 _PEAK = 1.5  # [-] largest speed of the cubic over its mean
 _RELEASE = 0.3, 1.0  # [-] of the time of a pull, when the person lets go
+_MOST_FAULTS = 3
+_NO_FAULTS = {name: parameter(PARAMETERS[name]).default for name in FAULTS}
 _APART = 0.1, 0.9  # [-] of the time after the pull, for which the person does not hold the hand
 
 
@@ -201,6 +205,10 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     drawn |= {"speed": speed, "duration": duration, "moving": moving}
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
+    drawn["fault_at"] = draw_value("fault_at", ranges, rng) * duration * moving
+    count = int(rng.integers(1, _MOST_FAULTS + 1)) if rng.random() < ranges.faulty else 0
+    faults = rng.permutation(FAULTS)[:count]
+    drawn |= {name: value for name, value in _NO_FAULTS.items() if name not in faults}
     return {
         "case": number,
         "kind": f"{start.sector}, along" if along else start.sector,

@@ -14,6 +14,15 @@ from app.strict import Strict, check_range
 
 Interval = tuple[float, float]  # least and largest value; equal ones leave nothing to chance
 
+FAULTS = (
+    "sensor_delay",
+    "sensor_period",
+    "dropped",
+    "unknown_load",
+    "stated_period",
+)
+"""Disturbances that the controller has to notice: one to three in a case that has any."""
+
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
     "encoder_noise": "disturbance.encoder_noise",
@@ -23,6 +32,8 @@ PARAMETERS = {
     "hand_f_max": "hand.f_max",
     "hand_stiffness": "hand.stiffness",
     "hand_mass": "hand.mass",
+    "payload": "payload.mass",
+    **{name: f"disturbance.{name}" for name in FAULTS},
 }
 """Which intervals are of a parameter of the configuration, by its path."""
 
@@ -33,6 +44,8 @@ _OWN = {
     "speed": (0.01, 1.5, "m/s"),
     "height": (0.05, 2.0, "m"),
     "duration": (0.05, 60.0, "s"),
+    "faulty": (0.0, 1.0, ""),
+    "fault_at": (0.0, 1.0, ""),
     "released": (0.0, 1.0, ""),
     "regrasped": (0.0, 1.0, ""),
 }
@@ -63,6 +76,22 @@ class StudyRange(Strict):
     """[kg] of the person's hand and forearm."""
     height: Interval = (0.12, 0.90)
     """[m] of the hand above the floor, at the start."""
+    payload: Interval = (0.0, 1.0)
+    """[kg] load in the hand that the controller knows."""
+    sensor_delay: Interval = (0.0, 0.02)
+    """[s] age of all readings."""
+    sensor_period: Interval = (0.0, 0.033)
+    """[s] for which each reading is repeated."""
+    dropped: Interval = (0.0, 0.5)
+    """[-] share of the readings that are lost."""
+    unknown_load: Interval = (0.0, 3.0)
+    """[kg] load in the hand that the controller does not know."""
+    stated_period: Interval = (0.0005, 0.005)
+    """[s] control period that the controller takes for true; 0.001 is."""
+    faulty: float = 0.5
+    """[-] share of the cases with one to three of these five; the others have none."""
+    fault_at: Interval = (0.0, 0.5)
+    """[-] of the time of a pull, when these begin; the period is wrong from the start."""
     duration: float = 8.0
     """[s] longest run of a case; a slow pull is cut short to fit."""
     released: float = 0.3

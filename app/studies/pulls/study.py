@@ -223,12 +223,12 @@ class Journal(AbstractContextManager["Journal"]):
 
     def _read(self) -> None:
         self._file.seek(0)
-        content = self._file.read()
-        whole = content.rfind(b"\n") + 1
-        for number, line in enumerate(content[:whole].splitlines(), start=1):
+        whole, lines = 0, iter(partial(self._file.readline, SMALL), b"")
+        for number, line in enumerate(lines, start=1):
+            if not line.endswith(b"\n") and len(line) < SMALL:
+                break  # cut off
+            whole += len(line)
             try:
-                if len(line) > SMALL:
-                    raise ValueError("no row is so long")
                 row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):

@@ -1,0 +1,301 @@
+"""Random use of the dashboard in two viewers: `python -m benchmarks.actions [--actions 20000]`.
+
+Two pages of one `dbb serve` are clicked, dragged, scrolled and typed into by a seeded generator,
+and the robot is changed on the way. At each check the simulation is paused, and in either page the
+hand of the drawn robot has to be where the gizmo is. Reported are errors of the pages, exceptions
+of the server, the largest distance, and the server's memory, by robot.
+"""
+
+from __future__ import annotations
+
+import json as json_module
+import random
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import psutil
+import tyro
+
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.export.browser import chromium
+from app.dashboard.scene.robot import LinkPoses
+from app.dashboard.scene.scene import node_of
+from app.robot.description import load_robot
+from app.robot.model import RobotModel
+from tests.browser import DashboardTab, wait_for
+
+AGREES = 0.001  # [m] between the drawn hand and the gizmo
+PATIENCE = 60.0  # [s] until they do
+_SIZES = (1280, 720), (820, 1180)  # [px] of the two pages
+_KEYS = (
+    *"BFNRLH1234567?",
+    *("Space", "Escape", "Tab", "Enter", "Home", "End", "PageUp", "PageDown"),
+    *("ArrowLeft", "ArrowRight", "Shift+ArrowUp", "Shift+ArrowLeft", "Control+k"),
+)
+_TEXTS = ("0", "-3", "1e9", "nan", "", "abc", "0.2", "12,5", "1", "∞", "<b>")
+_LEAVE = re.compile(
+    r"^(Use this robot|Create|Save and use|Check the saved|Film|Whole page|Load|Upload|Cancel)"
+)
+"""Buttons that take minutes, need a file, or change the robot, which is done on purpose here."""
+_CONTROLS = """() => [...document.querySelectorAll(
+  'button, [role=tab], [role=slider], [role=option], input, select, #dbb-strip')]
+  .map((e) => [e, e.getBoundingClientRect()])
+  .filter(([e, b]) => b.width > 2 && b.height > 2 && b.top >= 0 && b.bottom <= innerHeight
+    && e.contains(document.elementFromPoint(b.left + b.width / 2, b.top + b.height / 2)))
+  .map(([e, b]) => [(e.innerText || e.ariaLabel || e.value || '').trim().slice(0, 60),
+    e.matches('input') && !e.readOnly && e.type !== 'checkbox',
+    b.left + b.width * 0.5, b.top + b.height * 0.5])"""
+_PAUSE = """(on) => {
+  const button = document.querySelector("#dbb-row button");
+  const paused = button.innerText === "Continue";
+  if (paused !== on) button.click();
+  return paused;
+}"""
+"""Has the simulation paused, or go on, whatever lies over the button; whether it was paused."""
+_AT = "([n, p]) => dbbTest.place(n, p)"
+
+
+@dataclass(frozen=True)
+class Actions:
+    """Use the dashboard at random in two viewers."""
+
+    actions: int = 20_000
+    """[-] of both viewers together."""
+    robots: tuple[str, ...] = ("husky_ur5", "frankie", "husky_panda")
+    """Changed to, one after the other, at equal numbers of actions."""
+    checks: int = 40
+    """[-] pauses at which robot and gizmo are compared."""
+    seed: int = 0
+    """Of the actions."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+
+@dataclass
+class _Server:
+    """`dbb serve` in a process of its own, and what it writes."""
+
+    lines: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        command = [sys.executable, "-m", "app", "serve", "--port", "0"]
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        threading.Thread(target=self._read, daemon=True).start()
+        wait_for(lambda: self.address, 600.0, "the server's address")
+
+    @property
+    def address(self) -> str:
+        """As it says it, or empty."""
+        found = re.search(r"Dashboard at (\S+)", "".join(self.lines))
+        return found.group(1) if found else ""
+
+    @property
+    def exceptions(self) -> int:
+        """How many it has written."""
+        return sum("Traceback" in line for line in self.lines)
+
+    @property
+    def megabytes(self) -> float:
+        """Resident memory of the process and its own ones."""
+        parent = psutil.Process(self.process.pid)
+        return sum(p.memory_info().rss for p in (parent, *parent.children(recursive=True))) / 1e6
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        self.lines.extend(self.process.stderr)
+
+
+class _Run:
+    """The pages, what is done in them, and what came of it."""
+
+    def __init__(self, browser: Any, server: _Server, args: Actions) -> None:
+        self._server, self._args, self._random = server, args, random.Random(args.seed)
+        self._tabs = [DashboardTab(browser, server.address, size) for size in _SIZES]
+        self._robot, self._hand = "", ("", np.zeros(3))
+        self._memory: list[tuple[str, float]] = []
+        self._off = 0.0
+        self._failed: list[str] = []
+        self._apart: list[str] = []
+        self._last: deque[str] = deque(maxlen=30)
+        self._use("husky_panda")
+
+    def all(self) -> dict[str, Any]:
+        """Do all actions; the figures."""
+        args, began = self._args, time.monotonic()
+        part = args.actions // (len(args.robots) + 1)
+        changes = {part * (k + 1): name for k, name in enumerate(args.robots)}
+        check = max(args.actions // args.checks, 1)
+        for k in range(1, args.actions + 1):
+            self._act(self._random.choice(self._tabs))
+            if k in changes:
+                self._change(changes[k])
+            if k % check == 0:
+                self._check(k)
+        megabytes: dict[str, list[float]] = {}
+        for robot, each in self._memory:
+            megabytes.setdefault(robot, []).append(round(each))
+        return {
+            "actions": args.actions,
+            "seconds": round(time.monotonic() - began),
+            "page_errors": [error for tab in self._tabs for error in tab.errors],
+            "server_exceptions": self._server.exceptions,
+            "server_says": self._server.lines[1:][-20:],
+            "actions_that_failed": self._failed,
+            "apart_after": self._apart,
+            "largest_distance_of_hand_and_gizmo_mm": 1000.0 * self._off,
+            "pauses": len(self._memory),
+            "megabytes_by_robot": megabytes,
+        }
+
+    def _act(self, tab: DashboardTab) -> None:
+        act = self._random.choices(
+            (self._click, self._key, self._type, self._drag_scene, self._pull, self._scroll),
+            (10, 4, 3, 3, 2, 2),
+        )[0]
+        self._last.append(f"{self._tabs.index(tab)} {act.__name__}")
+        try:
+            act(tab)
+        except Exception as error:  # a control that went away meanwhile is no fault of the page
+            if len(self._failed) < 20:
+                self._failed.append(f"{act.__name__}: {str(error).splitlines()[0]}")
+
+    def _controls(self, tab: DashboardTab) -> list[tuple[str, bool, float, float]]:
+        found = tab.page.evaluate(_CONTROLS)
+        return [tuple(each) for each in found if not _LEAVE.match(each[0])]
+
+    def _click(self, tab: DashboardTab) -> None:
+        if controls := self._controls(tab):
+            name, _, x, y = self._random.choice(controls)
+            self._last[-1] += f" {name}"
+            tab.page.mouse.click(x, y)
+
+    def _key(self, tab: DashboardTab) -> None:
+        key = self._random.choice(_KEYS)
+        self._last[-1] += f" {key}"
+        tab.page.keyboard.press(key)
+
+    def _type(self, tab: DashboardTab) -> None:
+        if boxes := [each for each in self._controls(tab) if each[1]]:
+            _, _, x, y = self._random.choice(boxes)
+            tab.page.mouse.click(x, y, click_count=3)
+            tab.page.keyboard.type(self._random.choice(_TEXTS))
+            tab.page.keyboard.press("Enter")
+
+    def _place(self, tab: DashboardTab) -> np.ndarray:
+        left, top, right, bottom = tab.canvas_box()
+        u, v = self._random.uniform(0.1, 0.9), self._random.uniform(0.1, 0.6)
+        return np.array([left + u * (right - left), top + v * (bottom - top)])
+
+    def _drag_scene(self, tab: DashboardTab) -> None:
+        self._drag(tab, self._place(tab), self._place(tab))
+
+    def _pull(self, tab: DashboardTab) -> None:
+        """At an arrow of the gizmo, wherever it is."""
+        arrow = np.zeros(3)
+        arrow[self._random.randrange(3)] = 0.8 * SCALE
+        at = tab.pixel(GIZMO, tuple(arrow.tolist()))
+        self._drag(tab, at, at + np.array([self._random.gauss(0, 60) for _ in range(2)]))
+
+    def _drag(self, tab: DashboardTab, a: np.ndarray, b: np.ndarray) -> None:
+        mouse = tab.page.mouse
+        mouse.move(*a)
+        mouse.down()
+        mouse.move(*((a + b) / 2))
+        mouse.move(*b)
+        mouse.up()
+
+    def _scroll(self, tab: DashboardTab) -> None:
+        size = tab.page.viewport_size
+        x, y = self._random.uniform(0, size["width"]), self._random.uniform(0, size["height"])
+        tab.page.mouse.move(x, y)
+        tab.page.mouse.wheel(0, self._random.choice((-300, -60, 60, 300)))
+
+    def _change(self, robot: str) -> None:
+        """Open a link to another robot in the first page, and wait until both have it."""
+        self._tabs[0].page.goto(f"{self._server.address}/?fixedDpr=0.5&robot={robot}")
+        self._use(robot)
+        for each in self._tabs:
+            each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._hand[0], 900.0)
+            each.wait_for_scene()
+
+    def _use(self, name: str) -> None:
+        """Where the hand of a robot is: in the frame of the last joint of its arm."""
+        robot = RobotModel(load_robot(name))
+        arm, poses = robot.description.arm, LinkPoses(robot)
+        q_m = np.array(arm.ready_position)
+        data = robot.pin.createData()
+        pin.framesForwardKinematics(robot.pin, data, robot.configuration(np.zeros(3), q_m))
+        p_ee = data.oMf[robot.ee_frame].translation
+        last = poses.model.getJointId(arm.joints[-1])
+        found = poses.update(q_m, np.zeros(len(robot.description.base.wheels)))[last]
+        self._robot, self._hand = name, (node_of(poses.model, last), found.actInv(p_ee))
+
+    def _calm(self, tab: DashboardTab) -> None:
+        """Let go of everything, close what lies over the page, and go to the present."""
+        for _ in range(3):
+            tab.page.keyboard.press("Escape")
+        tab.page.evaluate("() => document.activeElement?.blur()")
+        tab.page.keyboard.press("n")
+
+    def _check(self, count: int) -> None:
+        """Pause, and compare hand and gizmo in both pages once they rest."""
+        for tab in self._tabs:
+            self._calm(tab)
+        for tab in self._tabs:
+            tab.wait_for_scene()
+        paused = self._tabs[0].page.evaluate(_PAUSE, True)
+        offs = [self._settled(tab) for tab in self._tabs]
+        self._off = max(self._off, *offs)
+        if max(offs) >= AGREES:
+            self._apart.append(f"{count} actions, pages {offs}: {', '.join(self._last)}")
+            print(self._apart[-1], file=sys.stderr, flush=True)
+        self._memory.append((self._robot, self._server.megabytes))
+        text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
+        print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)
+        if not paused:
+            self._tabs[0].page.evaluate(_PAUSE, False)
+
+    def _settled(self, tab: DashboardTab) -> float:
+        """[m] between drawn hand and gizmo, as soon as they agree, or after a while.
+
+        A page whose connection was closed connects anew by itself, and has no scene until then.
+        """
+        deadline = time.monotonic() + PATIENCE
+        node, point = self._hand
+        tab.wait("() => document.querySelector('#dbb-row button')?.innerText === 'Continue'")
+        while True:
+            drawn = np.array(tab.page.evaluate(_AT, [node, point.tolist()]))
+            off = float(np.linalg.norm(drawn - tab.position(GIZMO)))
+            if off < AGREES or time.monotonic() > deadline:
+                return off
+            tab.page.wait_for_timeout(200)
+
+
+def main(args: Actions) -> None:
+    """Use the pages and print what came of it."""
+    server = _Server()
+    try:
+        with chromium() as browser:
+            result = _Run(browser, server, args).all()
+    finally:
+        server.process.terminate()
+        server.process.wait(60.0)
+    if args.json:
+        print(json_module.dumps(result, indent=2))
+    else:
+        for key, value in result.items():
+            print(f"{key:40} {value}")
+    if result["page_errors"] or result["server_exceptions"] or result["apart_after"]:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Actions))
