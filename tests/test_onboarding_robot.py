@@ -694,7 +694,7 @@ def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Gr
             strict=True,
         )
     ]
-    verdict = grouping.Verdict(0.0, 0.0, (), (), unwatched, {}, 0.0)
+    verdict = grouping.Verdict(0.0, 0.0, (), (), dict.fromkeys(unwatched, False), {}, 0.0)
     return grouping.Grouping(bodies, verdict)
 
 
