@@ -230,7 +230,13 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
         ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is xacro that nobody expanded"),
         (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is xacro"),
         (BOX, '<mesh filename="m.glb"/>', "m.glb: there is no file"),
-        (BOX, "<mesh/>", "a mesh has no filename"),
+        (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or take"),
+        (f"<geometry>{BOX}</geometry>", "", "'hand': a collision has no geometry; give it one"),
+        (
+            "</robot>",
+            2 * '<link name="floor_point"/>' + "</robot>",
+            "the link 'floor_point' stands",
+        ),
         ('lower="-2.5"', 'lower="-inf"', "lower='-inf' should be a finite number; leave it out"),
         (
             '<child link="fore"/>',

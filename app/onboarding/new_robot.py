@@ -9,6 +9,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -20,7 +21,7 @@ from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import ROOT, SIDES
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
-from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
+from app.onboarding.fit.grouping import Grouping, Unseen, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
     Place,
@@ -32,7 +33,7 @@ from app.onboarding.fit.postures import (
 )
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.travel import filled
-from app.onboarding.fit.units import Unit, make_units
+from app.onboarding.fit.units import make_units
 from app.onboarding.numbers import (
     Limits,
     Sourced,
@@ -75,6 +76,7 @@ _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
 """[-] random poses in which the links' hulls are compared, or more if collisions are rare."""
+_MAX_FITS = 3  # of bodies that miss a collision; each has random poses of its own
 _OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
 _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 PREFIX = "arm_"
@@ -190,20 +192,8 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    tell("sampling random poses")
-    geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
-    units = make_units(bare, parsed.arm, geometry)
-    meetings, (bodies, verdict) = _fitted(request, units, bare, workers, tell, on_progress)
-    limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
-    parsed = replace(parsed, limits=limits)
-    unwatched = {name: _UNWATCHED[by_links] for name, by_links in verdict.unwatched.items()}
-    model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    unseen = unseen_collisions(model, geometry, request.d_b, workers)
-    if unseen.blind:
-        raise RobotFileError(
-            f"the bodies {', '.join(unseen.blind)} do not enclose their colliding links; "
-            f"choose another number of --bodies than {len(bodies) - 1}, or another --seed"
-        )
+    fitted = _embodied(request, parsed, bare, path, workers, tell, on_progress)
+    parsed, model, meetings, (bodies, verdict), unwatched, unseen = fitted
     counted = find_reach(model, workers)
     tell("sampling the border")
     data = border(model)
@@ -249,10 +239,23 @@ def _with_lines(
     return replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
 
 
-def _fitted(
+class _Embodied(NamedTuple):
+    """A robot with its bodies and the limits that these need."""
+
+    parsed: Parsed
+    model: RobotModel
+    meetings: Meetings
+    grouping: Grouping
+    unwatched: dict[str, str]
+    """Why pairs of bodies are not watched, by their names."""
+    unseen: Unseen
+
+
+def _embodied(
     request: Request,
-    units: tuple[Unit, ...],
+    parsed: Parsed,
     bare: RobotModel,
+    path: Path,
     workers: Workers,
     tell: Callable[[str], None],
     on_progress: OnProgress,
@@ -265,6 +268,9 @@ def _fitted(
     tell("fitting bodies")
     count = request.bodies
     return meetings, find_grouping(bare, meetings, d_b=d_b, count=count, on_progress=on_progress)
+
+
+_MAX_FITS = 3  # of bodies that miss a collision; each has random poses of its own
 
 
 def _moving(
@@ -366,7 +372,7 @@ def _distinct(
     """New, unique names with a suffix for names that are also foreign ones."""
     renamed = {}
     for name in names:
-        if name and name in foreign:
+        if name and name in foreign and names.count(name) == 1:  # else the tree refuses it
             new = name + end
             while new in taken:
                 new += "_"

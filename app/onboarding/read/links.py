@@ -106,7 +106,9 @@ def _shape(element: Element, where: str) -> LinkShape:
     T = origin(element, where).homogeneous
     holder = element.find("geometry")
     if holder is None or not len(holder):
-        raise RobotFileError(f"{where}: a {element.tag} has no geometry")
+        raise RobotFileError(
+            f"{where}: a {element.tag} has no geometry; give it one, or take it out"
+        )
     shape = holder[0]
     mesh, radius = urdf_mesh(shape, where, load_mesh)
     try:

@@ -60,8 +60,14 @@ def read_robot(
     """
     robot = read_source(path, packages, **arguments)
     said = _left_out(robot)
-    for mesh in robot.iterfind("link//mesh"):
-        mesh.set("filename", mesh_address(mesh.get("filename", ""), path.parent, packages))
+    for link in robot.findall("link"):
+        for mesh in link.iterfind(".//mesh"):
+            if not (file := mesh.get("filename", "").strip()):
+                raise RobotFileError(
+                    f"link {link.get('name')!r}: a mesh has no filename; name its file, or take "
+                    "the shape out"
+                )
+            mesh.set("filename", mesh_address(file, path.parent, packages))
     return robot, said
 
 
@@ -148,8 +154,6 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     Raises:
         RobotFileError: The file does not exist.
     """
-    if not reference.strip():
-        raise RobotFileError("a mesh has no filename")
     for spelling in spellings(reference):
         found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
         if found is not None:
