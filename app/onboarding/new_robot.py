@@ -259,18 +259,46 @@ def _embodied(
     workers: Workers,
     tell: Callable[[str], None],
     on_progress: OnProgress,
-) -> tuple[Meetings, Grouping]:
-    """The links that meet, and the bodies around groups of them."""
-    d_b, samples = request.d_b, MEETING_SAMPLES
-    meetings = sample_meetings(
-        bare, units, samples=samples, seed=request.seed, d_b=d_b, enough=ENOUGH, workers=workers
-    )
-    tell("fitting bodies")
-    count = request.bodies
-    return meetings, find_grouping(bare, meetings, d_b=d_b, count=count, on_progress=on_progress)
+) -> _Embodied:
+    """Bodies around groups of links, fitted again if new poses show a collision that they miss.
 
-
-_MAX_FITS = 3  # of bodies that miss a collision; each has random poses of its own
+    Of several fits it takes the one whose bodies miss the fewest collisions of links.
+    """
+    geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
+    units = make_units(bare, parsed.arm, geometry)
+    found: list[_Embodied] = []
+    while not found or (found[-1].unseen.unseen and len(found) < _MAX_FITS):
+        tell("sampling random poses")
+        meetings = sample_meetings(
+            bare,
+            units,
+            samples=MEETING_SAMPLES,
+            seed=request.seed + len(found),
+            d_b=request.d_b,
+            enough=ENOUGH,
+            workers=workers,
+        )
+        tell("fitting bodies")
+        grouping = find_grouping(
+            bare, meetings, d_b=request.d_b, count=request.bodies, on_progress=on_progress
+        )
+        limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
+        limited = replace(parsed, limits=limits)
+        unwatched = {
+            name: _UNWATCHED[by_links] for name, by_links in grouping.verdict.unwatched.items()
+        }
+        content = description(request, limited, grouping.bodies, unwatched=unwatched)
+        model = compiled(content, path)
+        unseen = unseen_collisions(model, geometry, request.d_b, workers)
+        found.append(_Embodied(limited, model, meetings, grouping, unwatched, unseen))
+    best = min(found, key=lambda each: (len(each.unseen.blind), each.unseen.unseen))
+    if best.unseen.blind:
+        raise RobotFileError(
+            f"the bodies {', '.join(best.unseen.blind)} do not enclose their colliding links; "
+            f"choose another number of --bodies than {len(best.grouping.bodies) - 1}, or "
+            "another --seed"
+        )
+    return best
 
 
 def _moving(
