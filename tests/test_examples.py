@@ -80,7 +80,7 @@ def test_a_node_sends_what_the_loop_gives_for_its_messages(robot, border_data) -
 
 
 def test_a_body_that_is_put_on_the_base_is_kept_clear_of() -> None:
-    module = example("obstacle_body")
+    module = example("cargo")
     hit, kept = module.main("none"), module.main("dbb")
     assert hit["min_clearance_m"] < 0.0
     assert kept["min_clearance_m"] > 0.03

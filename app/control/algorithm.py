@@ -2,25 +2,24 @@
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
 table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
-only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain
-Python.
+only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-Two problems are solved, one after the other, because the base follows its commands late:
+Two problems are solved, one after the other, because the base follows its commands late.
 
-**The base** minimises over q̈ of base and arm, at gains slow enough for its 10 Hz,
+**The base** (`command_base`), with gains slow enough for its 10 Hz:
 
-    ½ ‖tasks‖²  subject to the limits of arm and base                        → a_free
+1. `set_up_free_base`: a_free minimises over q̈ of base and arm the posture and T_ee, with the rows
+   between links as springs, subject to the limits of joints, torques and base accelerations. A
+   guided base comes to rest instead, a_free = −k ν, without a QP.
+2. `blend_base`: its rows of T_sca blend with that, a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
+3. `undragged`: the acceleration nearest to a_des, in the metric of the base's inertia, that does
+   not drag the end-effector along where the arm cannot compensate.
+4. `set_up_room`, only while tracking: the smallest change of it with which the arm fulfils T_ee
+   within its limits: joints, torques, distances of L_m and buffers of the arm's links.
 
-where a guided base simply comes to rest. Its rows of T_sca blend with that, (29):
-
-    a_des = β_m ẍ_m + (1 − β_m) a_free
-
-The commanded acceleration is the one nearest to a_des, in the metric of the base's inertia,
-that does not drag the end-effector along where the arm cannot compensate. While tracking it is then
-changed by the minimum that the arm needs to stay within its own limits.
-
-**The arm** minimises the tasks with the rows of T_sca as springs against them, (29), subject to its
-limits, for the measured acceleration of the base. The torques follow from q̈, (26).
+**The arm** (`accelerate_arm`) minimises the tasks with the rows of T_sca as springs against them,
+(29), subject to its limits, for the acceleration that the base has meanwhile (`assume_base`). The
+torques follow from q̈, (26).
 
 The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
 `app.control.hqp` solves.
@@ -93,11 +92,15 @@ from app.robot.state import (
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
-BUFFER_RATE = 0.1  # [m/s] rate of the buffer distance in force towards the configured one
+BUFFER_RATE = 0.1  # [m/s] rate of the buffer distance in force towards the configured one: a jump
+# would throw an arm that is inside the buffer
 
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
-"""Source of the base's acceleration in the arm's problem: the model of its drive, the
-caller, or the command itself."""
+"""Source of the base's acceleration in the arm's problem: the model of its drive, the caller, or
+the command itself."""
+
+FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
+"""The problems of a step, and their rows in `qp_tried` and `qp_x`."""
 
 _READING = types.Array(types.f8, 1, "A")
 
@@ -151,8 +154,8 @@ def algorithm_2(
         tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
     """
     # fmt: off
-    update_kinematics(robot, gains, w)               # line 2
-    activate_pairs(gains, w)                         # lines 4 and 9, Fig. 10
+    update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9
+    activate_pairs(gains, w)                         # Fig. 10
     push_base(robot, gains, border, w)               # lines 3 to 6, Algorithm 3, (12)-(18), (28)
     stack_avoidance_task(robot, gains, w)            # lines 8 to 13, (20)-(25), (27)
     stack_tasks(robot, gains, w, tracking)           # line 14, (26)
@@ -163,7 +166,7 @@ def algorithm_2(
     command_base(robot, gains, slow, w)              # line 14, (29) of the base
     if w.qp_open[()] != 0.0:
         return
-    measure_base(robot, w, base_source)
+    assume_base(robot, w, base_source)
     accelerate_arm(robot, gains, w)                  # line 15, (29) of the arm
     if w.qp_open[()] != 0.0:
         return
@@ -173,7 +176,7 @@ def algorithm_2(
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """Lines 4 and 9: the activation of each pair by its distance (Fig. 10)."""
+    """The activation of each pair by its distance (Fig. 10)."""
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
 
@@ -222,26 +225,24 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     a_rest = -gains.base_damping * w.base_velocity
     a_free = a_rest
     if valid and (tracking or gains.base_in_barrier):
-        qdd, found = solve(w, 0, set_up_free_base(robot, gains, slow, w))
+        qdd, found = solve(w, FREE_BASE, set_up_free_base(robot, gains, slow, w))
         if w.qp_open[()] != 0.0:
             return
         if found:
             a_free = times(robot.J_m, qdd[:n_b])
         else:
-            w.given_up[()] += 1.0
             fill(w.B[:n_b], 0.0)
     put(w.a_base_free, a_free)
     put(w.a_base_des, blend_base(a_free, w.xdd_m, w.B[0]))
     put(w.a_base_cmd, undragged(robot, gains, w))
     if valid and tracking and found:
-        qdd, found = solve(w, 1, set_up_room(robot, gains, slow, w))
+        qdd, found = solve(w, ROOM, set_up_room(robot, gains, slow, w))
         if w.qp_open[()] != 0.0:
             return
         if found:
             change = times(robot.J_m, qdd[:n_b] - w.qp_fixed) / gains.response_gain
             put(w.a_base_cmd, w.a_base_cmd + change)
         else:
-            w.given_up[()] += 1.0
             put(w.a_base_des, a_rest)
             put(w.a_base_cmd, a_rest)
     if valid:
@@ -255,7 +256,7 @@ def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
     if w.valid[()] == 0.0:
         return
     m = set_up_arm(robot, gains, w)
-    qdd, found = solve(w, 2, m)
+    qdd, found = solve(w, ARM, m)
     if w.qp_open[()] == 0.0:
         w.n_limits[()] = m
         w.solved[()] = found
@@ -319,7 +320,7 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
         b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  # line 10, (20)
         beta_r[j] = w.beta[i] if gains.link_rows else 0.0
     J_r = w.J[n_mob : n_mob + links]
-    beta_m = w.beta_m[()] if gains.base_rows else 0.0
+    beta_m = w.beta_m[()] if gains.moves_base else 0.0
     generate_avoidance_task(
         robot.base_rows, w.xdd_m, beta_m, J_r, b_r, beta_r, w.J_sca, w.b_sca, w.B
     )  # line 13, (24), (25)
@@ -335,7 +336,7 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
             put_rows(w.J_sca[rows], J)
             put(w.b_sca[rows], xdd - np.array([bias[0], bias[1], bias[2]]))
             fill(w.B[rows], w.beta[i])
-    w.activation[()] = mobile_activation(w.B)
+    w.activation[()] = w.B.max()
 
 
 @compiled()
@@ -405,21 +406,21 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 
 
 @compiled()
-def write_limits(
-    robot: Any, gains: Any, w: Any, barrier: bool, link_buffers: bool, for_arm: bool
-) -> int:
+def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     """Write the limits into w.C, w.l, w.u and w.slack_weight, and return their number.
 
     Args:
         robot: `ROBOT`.
         gains: `GAINS`, including the approach rates of the limits.
         w: `STEP`.
-        barrier: Whether distances have a barrier: those of L_m, and those of all pairs in a method
-            whose base satisfies the barrier too.
-        link_buffers: Whether links of the arm have their buffer as a barrier too.
-        for_arm: For the arm's QP: within the torques of this step, with external forces, and no
-            joint demands more than its own torque can achieve. Otherwise torques are unlimited.
+        which: The problem. All have the limits of joints and torques. ARM: the torques of this
+            step, with external forces, and no joint demands more than its own torque can achieve;
+            and barriers of distances, those of L_m or, where the base has them too, of all pairs.
+            FREE_BASE: these barriers if the method's base has them. ROOM: barriers of L_m and the
+            buffers of the arm's links.
     """
+    barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
+    link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
     n_m = len(w.q_m)
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
     bounds = joint_bounds(
@@ -460,8 +461,8 @@ def write_limits(
 
 
 @compiled()
-def measure_base(robot: Any, w: Any, base_source: int) -> None:
-    """The measured acceleration of the base, from the caller or from the model of its drive."""
+def assume_base(robot: Any, w: Any, base_source: int) -> None:
+    """Write the base acceleration that the arm's QP assumes; that of the caller is there."""
     if base_source == DRIVE_MODEL:
         for i in range(robot.n_b):
             v = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i])
@@ -493,7 +494,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     rows = slice(n_b, n_b + links)
     H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], slow.slack_weight, 0)
     put_qp(w, H, c)
-    m = write_limits(robot, gains, w, gains.base_in_barrier, False, False)
+    m = write_limits(robot, gains, w, FREE_BASE)
     for i in range(n_b):
         put(w.C[m + i], robot.base_rows[i])
         w.l[m + i], w.u[m + i], w.slack_weight[m + i] = -robot.a_max[i], robot.a_max[i], 0.0
@@ -535,34 +536,35 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
     put_qp(w, H, c)
     response = gains.response_gain * (w.a_base_cmd - gains.response_drag * w.base_velocity)
     put(w.qp_fixed, times(robot.J_m_inv, response))
-    return write_limits(robot, slow, w, False, gains.lookahead, False)
+    return write_limits(robot, slow, w, ROOM)
 
 
 @compiled()
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
-    """Set up the QP of the arm, for the measured acceleration of the base; returns its limits."""
+    """Set up the QP of the arm, for the base's assumed acceleration; returns its limits."""
     n_b = robot.n_b
     rows = slice(n_b, len(w.B))
     H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], w.B[rows], gains.slack_weight, n_b)
     put_qp(w, H, c)
     put(w.qp_fixed, times(robot.J_m_inv, w.a_base_meas))
-    return write_limits(robot, gains, w, gains.barrier, False, True)
+    return write_limits(robot, gains, w, ARM)
 
 
 @compiled()
 def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     """Solve the prepared QP within the first m limits.
 
-    QP 0 has no fixed entries, QP 1 finds the smallest change of its fixed entries, QP 2 does not
-    change them. If the active sets fail for the first time, the QP is left open, in `w.qp_open`:
-    the caller lets ProxQP solve it and calls `algorithm_2` again, which then uses that solution.
+    FREE_BASE has no fixed entries, ROOM finds the smallest change of its fixed entries, ARM does
+    not change them. If the active sets find no solution, the QP is left open, in `w.qp_open`: the
+    caller lets ProxQP solve it and runs `algorithm_2` again from its first line, which then uses
+    that solution. This happens at most once for each QP of a step.
 
     Returns:
         (n,) the solution, and whether it exists.
     """
     limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
-    fixed = w.qp_fixed[: 0 if which == 0 else len(w.qp_fixed)]
-    if which == 1:
+    fixed = w.qp_fixed[: 0 if which == FREE_BASE else len(w.qp_fixed)]
+    if which == ROOM:
         x, found = solve_qp_step(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
     else:
         x, found = solve_qp(w.qp_H, w.qp_c, limits[0], limits[1], limits[2], limits[3], fixed)
@@ -598,6 +600,9 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 @compiled()
 def put_commands(robot: Any, gains: Any, w: Any) -> None:
     """Torques and base velocity from q̈, or the fallback command without a solution."""
+    for which in (FREE_BASE, ROOM):
+        if w.qp_tried[which] != 0.0 and math.isnan(w.qp_x[which, 0]):
+            w.given_up[()] += 1.0
     if w.solved[()] != 0.0:
         u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  # (26)
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
@@ -616,18 +621,18 @@ def put_commands(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Line 15 as printed: leave q̈ to Python in `w.qp_open`, and use it in the second call."""
-    if w.valid[()] != 0.0 and w.qp_tried[3] == 0.0:
-        w.qp_open[()] = 4.0
+    """Line 15 as printed: the first call asks `app.control.hqp` for q̈, the second one uses it."""
+    if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
+        w.qp_open[()] = HIERARCHY + 1.0
         return
-    put(w.qdd, w.qp_x[3])
+    put(w.qdd, w.qp_x[HIERARCHY])
     w.n_limits[()] = 0.0
     w.solved[()] = w.valid[()] != 0.0 and not math.isnan(w.qdd[0])
     put(w.a_base_des, -gains.base_damping * w.base_velocity)
     if w.solved[()] != 0.0:
         put(w.a_base_des, times(robot.J_m, w.qdd[: robot.n_b]))
     put(w.a_base_cmd, clip(w.a_base_des, -robot.a_max, robot.a_max))
-    measure_base(robot, w, base_source)
+    assume_base(robot, w, base_source)
     put_commands(robot, gains, w)
 
 

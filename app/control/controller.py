@@ -20,6 +20,9 @@ from app.control.algorithm import (
     BASE_AS_COMMANDED,
     BASE_MEASURED,
     DRIVE_MODEL,
+    FREE_BASE,
+    HIERARCHY,
+    ROOM,
     run_algorithm_2,
     update_estimate,
 )
@@ -46,7 +49,6 @@ from app.strict import Array
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_HIERARCHY = 3  # index of its solution in `qp_x`
 _UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading")  # NaN until known
 
 
@@ -231,13 +233,13 @@ class Controller:
         """Let ProxQP solve the open problem."""
         w, m = self.last, int(self.last.qp_rows)
         w.qp_tried[which] = 1.0
-        if which == _HIERARCHY:
+        if which == HIERARCHY:
             w.qp_x[which] = solved_by_hierarchy(w, self._config.task)
             return
-        fixed = {0: 0, 1: self._model.n_b, 2: self._model.n_b}[which]
+        fixed = 0 if which == FREE_BASE else self._model.n_b
         limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
         qp = OpenQP(w.qp_H, w.qp_c, *limits, w.qp_fixed[:fixed])
-        w.qp_x[which] = changed_by_proxqp(qp) if which == 1 else solved_by_proxqp(qp)
+        w.qp_x[which] = changed_by_proxqp(qp) if which == ROOM else solved_by_proxqp(qp)
 
 
 def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping[str, int]:

@@ -99,7 +99,7 @@ _GAINS: dict[str, Any] = {
     "largest_command": _VECTOR,  # (n_b,) [m/s, rad/s]
     "response_gain": _VECTOR,  # (n_b,) [-] of `admittance.response`
     "response_drag": _VECTOR,  # (n_b,) [1/s]
-    "base_rows": _FLAG,  # the method moves the base by (16)
+    "moves_base": _FLAG,  # the method moves the base by (16)
     "link_rows": _FLAG,  # the method separates links of the arm by (20)
     "arm_rows": _FLAG,  # the method pushes the arm away from the base (T_rep)
     "barrier": _FLAG,  # distances have a barrier
@@ -113,13 +113,13 @@ GAINS = struct_type(_Gains, _GAINS)
 
 METHODS: Mapping[str, Mapping[str, Any]] = {
     "dbb": {
-        "base_rows": True,
+        "moves_base": True,
         "link_rows": True,
         "reaction": True,
         "barrier": True,
         "lookahead": True,
     },
-    "hqp": {"base_rows": True, "link_rows": True, "hierarchy": True},
+    "hqp": {"moves_base": True, "link_rows": True, "hierarchy": True},
     "repulsive": {"link_rows": True, "arm_rows": True},
     "barrier": {"barrier": True, "base_in_barrier": True},
     "none": {},
@@ -209,7 +209,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         largest_command=largest_command(base, c.admittance),
         response_gain=gain,
         response_drag=drag,
-        base_rows=method.get("base_rows", False),
+        moves_base=method.get("moves_base", False),
         link_rows=method.get("link_rows", False),
         arm_rows=method.get("arm_rows", False),
         barrier=method.get("barrier", False),

@@ -1,8 +1,9 @@
 """The table of quantities: each quantity of a control step is declared once.
 
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
-them; logs, the explanation, studies and tests read them under the same names. Values that the next
-step needs stay in the same memory: their meaning starts with "memory".
+them; logs, the explanation, studies and tests read them under the same names. All stay until the
+next step overwrites them; "memory" marks those that it builds on and that `reset` clears. The
+estimate also reads M, h, L_aa and a_base_meas of the last step.
 
 Frames: `world` has its floor at z = 0; `base` is fixed to the base's centre on the floor, x ahead;
 `axes` are the base's velocity axes ν, v and ω of a differential base; `joints` are the arm's.
@@ -131,7 +132,7 @@ J | J_r | n_r n | m/rad, 1 | joints | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Fig. 10 | activation of each pair
-beta_m | β_m | | 1 | | (28) | activation of the base's rows
+beta_m | β_m | | 1 | | (28) | largest activation of L_m; the base's rows have B
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
 p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score
 p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point
@@ -172,7 +173,7 @@ a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: t
 a_base_cmd |  | n_b | m/s², rad/s² | axes | algorithm.py |
     commanded base acceleration, input of the admittance law
 a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py |
-    measured base acceleration, by the drive's model or the caller
+    base acceleration in the arm's QP: by the drive's model, by the caller, or as commanded
 qdd | q̈ | n | rad/s², m/s² | joints | (29) |
     solution of the arm's QP; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque

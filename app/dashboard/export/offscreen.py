@@ -44,7 +44,7 @@ from app.simulation.loop.commands import Command
 from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Trace
-from app.simulation.trace.words import METHODS, millimetres, spoken
+from app.simulation.trace.words import METHOD_WORDS, millimetres, spoken
 from app.system import whole_file
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def replay_html(
 def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
     """Title of a replay, and its verdict with the legend of the scene."""
     controller = log.snapshots[0].controller
-    title = f"{log.meta.scenario or 'Guiding by hand'}, {METHODS.get(controller, controller)}"
+    title = f"{log.meta.scenario or 'Guiding by hand'}, {METHOD_WORDS.get(controller, controller)}"
     legend = (
         "Coloured points: border around the base; yellow: the base gives way well, purple: it "
         "cannot. Lines: closest points, with distances inside the buffer. Pink: force on the base."
@@ -334,7 +334,7 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     """In plain words: method, what leads the hand, how near the arm is, how far the base went."""
-    method = METHODS.get(shown.controller, shown.controller)
+    method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = f"arm {millimetres(shown.clearance)} from its own base"
     touches = ("the arm hits its own base", CONTACT)
     way = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
@@ -364,7 +364,7 @@ def captioned(
 
 def _line(controller: str, d: float, pair: str) -> str:
     distance = millimetres(d) if d >= 0.0 else f"overlap of {millimetres(-d)}"
-    return f"{METHODS.get(controller, controller)}: {pair} {distance}"
+    return f"{METHOD_WORDS.get(controller, controller)}: {pair} {distance}"
 
 
 def write_film(

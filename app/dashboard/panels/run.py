@@ -34,14 +34,14 @@ from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
-from app.simulation.trace.words import METHODS, kept, millimetres, outcome
+from app.simulation.trace.words import METHOD_WORDS, kept, millimetres, outcome
 
 FREE = "Free: pull the robot yourself"  # choice of no scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 """Entries of the list of scenarios, by their names."""
 _ABOUT = {each.name: f"{each.about[:1].upper()}{each.about[1:]}." for each in SCENARIOS.values()}
 OFF = "off"  # choice of no further robot
-METHOD_TITLES = {name: f"{name}: {METHODS[name]}" for name in CONTROLLERS}
+METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 """Entries of the lists of controllers, by their names."""
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
 """What the robots may have in common, as `Compare` names it."""
@@ -261,7 +261,7 @@ def compared_html(scores: tuple[Score, ...], course: Course) -> str:
 def outcomes_html(scores: Sequence[Score]) -> str:
     """Of each robot a line, as in "dbb, with avoidance: no contact, least distance 72 mm"."""
     lines = (
-        f"<b>{score.controller}</b>, {METHODS[score.controller]}: "
+        f"<b>{score.controller}</b>, {METHOD_WORDS[score.controller]}: "
         f"{kept(score.clearance, touched=bool(score.contacts))}"
         for score in scores
     )

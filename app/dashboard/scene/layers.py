@@ -27,7 +27,7 @@ from app.simulation.trace.snapshot import (
     PairReading,
     Snapshot,
 )
-from app.simulation.trace.words import METHODS, millimetres
+from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
@@ -182,7 +182,7 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
         x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
         near = "touches" if robot.clearance < 0 else f"{millimetres(robot.clearance)} to its base"
-        name = METHODS.get(robot.controller, robot.controller)
+        name = METHOD_WORDS.get(robot.controller, robot.controller)
         canvas.label(f"/names/{i}", place, f"{name}: {near}")
 
 

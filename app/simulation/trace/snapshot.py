@@ -446,7 +446,10 @@ class Snapshot:
 
     @property
     def border(self) -> BorderConfig:
-        """The border in force; while d_b changes, the present one to 5 mm."""
+        """The border at the buffer distance in force, to 5 mm while d_b changes.
+
+        The acting points are already those of the configured d_b.
+        """
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP:
             return commanded

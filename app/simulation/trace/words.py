@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 Outcome = Literal["contact", "overlap", "no contact"]
 
-METHODS = {
+METHOD_WORDS = {
     "dbb": "with avoidance",
     "hqp": "hierarchy as printed",
     "points": "with avoidance (sampled border)",

@@ -62,7 +62,7 @@ _COLUMNS = {
     "contacts": "contact [ms]",
     "arm_min_clearance_m": "within the arm [m]",
     "arm_contacts": "arm contact [ms]",
-    "solver_failures": "QPs without solution",
+    "solver_failures": "steps with the fallback command",
 }
 
 

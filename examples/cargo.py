@@ -2,7 +2,7 @@
 
 A body on the base becomes part of l_m: the link pairs, the border and the controller then
 include it. A person pulls the end-effector backwards at the cargo, and the base drives away.
-Run it: python examples/obstacle_body.py
+Run it: python examples/cargo.py
 """
 
 from app.border.cache import load_border_data
