@@ -489,7 +489,7 @@ class Oracle:
     def _undragged(self) -> Array:
         """Nearest to a_des, in the metric of the inertia, with a mass hung on a hand that drags."""
         w, base, hold = self.w, self.base, self.config.ee_hold
-        reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.speed
+        reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.min_speed
         follows = reach @ reach.T
         moved = w.J_ee[:3, : self.n_b] @ base.to_q
         drag = np.linalg.inv(np.eye(3) + follows @ follows) @ moved * self._gain()
