@@ -13,17 +13,17 @@ from app import Config, ControlLoop, RobotModel, load_robot, read_config
 from app.simulation.plants import make_physics
 
 DT = 0.001  # [s]
-PULL = np.array([-12.0, 0.0, 0.0])  # [N] of a person on the end-effector
+PULL = np.array([-20.0, 0.0, -20.0])  # [N] of a person on the end-effector
 
 
 def main(config: Config | None = None) -> tuple[float, float]:
-    """Returns the base's displacement [m] under a pull, with a small and with a large d_b."""
+    """Returns the base's displacement [m] under a pull, with a small and with a large force."""
     model = RobotModel(load_robot("husky_panda"))
     config = config or Config()
     loop, robot = ControlLoop(model, config=config), make_physics("kinematic", model)
     moved = []
-    for d_b in (0.10, 0.20):  # [m]
-        loop.configure(config.changed({"border.d_b": d_b, "force.f_max": 400.0}))
+    for f_max in (50.0, 300.0):  # [N] force at contact
+        loop.configure(config.replace("force.f_max", f_max))
         robot.reset(np.zeros(3), np.array(model.description.arm.ready_position))
         loop.reset()
         for _ in range(round(1.5 / DT)):
@@ -35,4 +35,4 @@ def main(config: Config | None = None) -> tuple[float, float]:
 
 if __name__ == "__main__":
     file = read_config(Path(sys.argv[1])).config if sys.argv[1:] else None
-    print("base at x = {:.3f} m with d_b = 0.10 m, {:.3f} m with 0.20 m".format(*main(file)))
+    print("base at x = {:.3f} m with 50 N, {:.3f} m with 300 N".format(*main(file)))
