@@ -142,7 +142,7 @@ LAYERS = (
     Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
-    Layer("Acting points", of(acting), 110, 200),
+    Layer("Acting points", of(acting), 60, 200, share=0.7),
     Layer("Point labels", of(named), 110, 80),
     Layer("Forces", of(pushed), 60, 100),
     Layer("Trails", passed, 12, 40),
