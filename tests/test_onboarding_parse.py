@@ -1,4 +1,4 @@
-"""What a URDF may be wrong in: one clear message each, before anything is written."""
+"""Errors of a URDF: one clear message each, before anything is written."""
 
 from __future__ import annotations
 
@@ -230,7 +230,13 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
         ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is xacro that nobody expanded"),
         (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is xacro"),
         (BOX, '<mesh filename="m.glb"/>', "m.glb: there is no file"),
-        (BOX, "<mesh/>", "a mesh has no filename"),
+        (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or take"),
+        (f"<geometry>{BOX}</geometry>", "", "'hand': a collision has no geometry; give it one"),
+        (
+            "</robot>",
+            2 * '<link name="floor_point"/>' + "</robot>",
+            "the link 'floor_point' stands",
+        ),
         ('lower="-2.5"', 'lower="-inf"', "lower='-inf' should be a finite number; leave it out"),
         (
             '<child link="fore"/>',
@@ -509,7 +515,7 @@ def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Pat
 
 
 def robot_model(folder: Path, asked: Request) -> RobotModel:
-    """What pinocchio makes of the joints alone."""
+    """Pinocchio's model of the joints alone."""
     parsed = parse(asked)
     urdf = rebased_urdf(parsed, name="toy", header="test")
     content = new_robot.description(asked, parsed)

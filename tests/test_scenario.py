@@ -124,14 +124,14 @@ def test_nobody_holds_the_hand_from_the_release_until_it_is_taken_again():
         (7.9, True),
     ]:
         assert line.holds(t) == held, t
-        lead = line.leader(_Stands(t))(_Stands(t))
+        lead = line.driver(_Stands(t))(_Stands(t))
         assert (lead.pull is not None) == held
         assert lead.reference is None
     assert LINES["guiding-front"].holds(7.9)
 
 
 class _Stands:
-    """As much of a session as a leader reads."""
+    """As much of a session as a driver reads."""
 
     def __init__(self, t: float) -> None:
         self.t, self.T_world_ee = t, pin.SE3.Identity()
