@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from app.config import Config
 from app.control import CONTROLLERS
 from app.control.contract import JointOrder
 from app.control.control_loop import ControlLoop
+from app.control.readings import FAULTS, LOAD, _estimate_load
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
 from app.robot.model import RobotModel
@@ -428,6 +430,34 @@ def test_a_person_who_pulls_straight_down_is_no_load(
         felt = max(felt, command.load)
         plant.step(command.u_a, command.base_velocity, np.array([0.0, 0.0, -pull]))
     assert felt > 0.5
+
+
+FORCES: dict[str, tuple[Callable[[float], tuple[float, float, float]], bool]] = {
+    "a load from one reading to the next": (lambda t: (0, 0, -20 * (t > 0.05)), True),
+    "a load that is set down within 10 ms": (lambda t: (0, 0, -2000 * min(t, 0.01)), True),
+    "a spring up to 40 N": (lambda t: (0, 0, -min(200 * t, 40)), False),
+    "a pull that turns down": (lambda t: (max(20 - 60 * t, 2), 0, -20), False),
+    "a pull that grows, then stays": (lambda t: (0, 0, -min(3 + 60 * t, 20)), False),
+    "a pull that was there before": (lambda t: (20 * (t < 0.1), 0, -20), False),
+}
+
+
+@pytest.mark.parametrize("case", FORCES)
+def test_only_a_sudden_constant_force_straight_down_is_a_load(case: str) -> None:
+    force, is_load = FORCES[case]
+    J = np.random.default_rng(0).normal(size=(3, 7))
+    w = SimpleNamespace(g=np.zeros(9), q_m=np.zeros(7), M=np.eye(9), faults=np.zeros(len(FAULTS)))
+    w.J_ee, w.x_est = np.hstack([np.zeros((3, 2)), J]), np.zeros((3, 7))
+    w.load, w.loaded, w.load_first = np.zeros(()), np.zeros(()), np.zeros(())
+    estimate = getattr(_estimate_load, "py_func", _estimate_load)
+    reported = []
+    for k in range(400):
+        w.faults[LOAD] = 0.0
+        w.x_est[2] = J.T @ force(0.001 * k)
+        estimate(SimpleNamespace(dt=0.001), w)
+        reported.append(bool(w.faults[LOAD]))
+    assert any(reported) == is_load
+    assert not is_load or reported.index(True) < 50 + 200
 
 
 def test_gravity_has_a_name(robot: RobotModel, border_data: BorderData) -> None:

@@ -108,7 +108,7 @@ travel | | 2 n_m | rad | joints | readings |
 since | | | 1 | | readings | memory: readings in that integral
 load | m | | kg | | readings |
     memory: mass at the end-effector whose weight explains the external torques best
-load_first | | | kg | | readings | memory: the same as the force began
+load_first | | | kg | | readings | memory: the same before the force began, then as it has begun
 loaded | | | s | | readings | memory: time for which it explains them well; −∞ if it has changed
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: position, velocity, external acceleration q̈_ext of now

@@ -356,11 +356,19 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0:
         return
     w.load[()] = -along / size / _GRAVITY
-    alike = along**2 > 0.8 * total * size and w.load[()] > _LEAST_LOAD
-    w.loaded[()] = w.loaded[()] + gains.dt if alike else 0.0
-    if w.loaded[()] <= _LOAD_BEGINS:
+    if not (along**2 > 0.8 * total * size and w.load[()] > _LEAST_LOAD):
+        w.loaded[()], w.load_first[()] = 0.0, w.load[()]
+        return
+    began = w.loaded[()] > _LOAD_BEGINS
+    w.loaded[()] += gains.dt
+    if began:
+        changed = abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * w.load_first[()]
+    elif w.loaded[()] > _LOAD_BEGINS:
+        changed = w.load[()] < 2.0 * w.load_first[()]  # it was there before, or grows slowly
         w.load_first[()] = w.load[()]
-    elif abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * w.load_first[()]:
+    else:
+        changed = False
+    if changed:
         w.loaded[()] = -math.inf
     w.faults[LOAD] = 1.0 if w.loaded[()] > _LOAD_TIME else 0.0
 
