@@ -50,6 +50,7 @@ lint: $(VENV)/.installed-dev
 			--pythonplatform $$platform --pythonversion $$version || exit 1; \
 	done; done
 	$(BIN)/python -m tools.house --names
+	$(BIN)/python -m tools.plain
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

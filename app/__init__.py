@@ -13,8 +13,8 @@ In a robot's own loop at 1 kHz, where `sensors` and `send` are the robot's::
         command = loop.step(Measurement(*readings))
         send(command.u_a, command.base_velocity)  # [N m], [m/s and rad/s]
 
-A `Reference` as second argument of `step` makes the end-effector track it; without one the arm is
-guided by hand. All names below are loaded when they are first used.
+With a `Reference` as the second argument of `step` the end-effector tracks it; without one a person
+guides the arm. Each name below is loaded on first use.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ _MODULES = {
     "read_config": "app.config_file",
     "robot_names": "app.robot.assets",
 }
-"""Where each name is defined."""
+"""The module that defines each name."""
 
 __all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
 

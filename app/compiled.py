@@ -1,16 +1,17 @@
-"""Numerical kernels, compiled to machine code once and read by everybody who may read them.
+"""Numerical kernels, compiled to machine code once and shared by all users who may read them.
 
-What a control step computes on vectors of nine is nothing but overhead in an interpreter: kernels
-make the whole step twice to three times as fast. A kernel is a plain function of floats and arrays,
-which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
+In an interpreter a control step on vectors of nine entries is mostly overhead: kernels make the
+whole step two to three times as fast. A kernel is a plain function of floats and arrays; with
+`NUMBA_DISABLE_JIT=1` it does the same, slowly.
 """
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding as llvm
 import numba
 from numba import types
 from numba.core import config, sigutils
@@ -28,15 +29,15 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
-    """Compile a function for the given types, when its module is imported for the first time.
+    """Compile a function for the given types when its module is first imported.
 
-    So a control loop never waits for a compiler, and an array of another dtype is refused. Where no
-    folder can be written, each process compiles the kernels that it imports.
+    Thus a control loop never waits for a compiler, and an array of another dtype is refused. If no
+    folder is writable, each process compiles the kernels that it imports.
 
     Args:
-        signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
-            which are taken as they are. Without any the function is a part of the kernels that call
-            it; Python may call it too, and then waits for the compiler the first time.
+        signatures: In numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
+            which are used unchanged. Without signatures the function becomes a part of the kernels
+            that call it; a call from Python then waits for the compiler the first time.
     """
 
     def compile_(function: Function) -> Function:
@@ -44,7 +45,7 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
         if config.DISABLE_JIT:
             return cast("Function", kernel)
         _be_part_of_callers(kernel, numba.njit(error_model="numpy", pipeline_class=_PartCompiler))
-        with suppress(OSError):  # a function without a file, as in an interpreter, is not kept
+        with suppress(OSError):  # a function without a file cannot be stored
             kernel._cache = KernelStore(kernel.py_func)
         if not signatures:
             return cast("Function", kernel)
@@ -59,10 +60,10 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
 
 
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
-    """Let compiled callers take the function in, instead of machine code of its own.
+    """Let compiled callers include the function instead of linking its machine code.
 
     numba optimises a function and makes machine code of it before it links it into a caller, where
-    both happen again: for a chain of ten calls ten times.
+    both happen again: ten times for a chain of ten calls.
     """
     part = as_part(kernel.py_func)
 
@@ -101,17 +102,29 @@ class _PartLowering(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Makes machine code without vector instructions: loops of nine rounds are slower with them."""
+    """Makes machine code without vector instructions and unrolled loops.
 
-    _name = "lowering_without_vectors"
+    For loops of nine rounds vectors are slower, and unrolling doubles the size of the code, which
+    has to be read from memory in each control step.
+    """
+
+    _name = "compact_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        codegen, before = state.targetctx.codegen(), config.LOOP_VECTORIZE
-        config.LOOP_VECTORIZE = codegen._loopvect = 0
+        codegen = state.targetctx.codegen()
+        codegen._pass_builder = partial(_pass_builder, codegen)
         try:
             return super().run_pass(state)
         finally:
-            config.LOOP_VECTORIZE = codegen._loopvect = before
+            del codegen._pass_builder
+
+
+def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
+    """numba's, with other options."""
+    options = llvm.create_pipeline_tuning_options()
+    options.speed_level = config.OPT if opt is None else opt
+    options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
+    return llvm.create_pass_builder(codegen._tm, options)
 
 
 class _Compiler(CompilerBase):
@@ -129,16 +142,16 @@ class _Compiler(CompilerBase):
 
 
 class _PartCompiler(_Compiler):
-    """The same for a function that is a part of its callers."""
+    """numba's pipeline for a function that is a part of its callers."""
 
     lowering = _PartLowering
 
 
 def direct(kernel: Function) -> Function:
-    """The compiled code of a kernel with one signature, for callers whose types are known.
+    """The compiled code of a kernel with one signature, for callers with known types.
 
-    It does not look at the types of its arguments, which takes numba 2 to 3 µs a call: a wrong type
-    is undefined behaviour.
+    It does not check the types of its arguments, because numba's check takes 2 to 3 µs per call: a
+    wrong type is undefined behaviour.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -147,10 +160,10 @@ def direct(kernel: Function) -> Function:
 
 
 def _any_array(signature: str) -> Signature:
-    """The same with arrays as they come: of any strides, and read-only if need be.
+    """The signature with arrays of any strides, also read-only ones.
 
-    Arrays that are written as contiguous, and all arguments of a function that returns nothing and
-    so writes to them, stay as they are.
+    Arrays that are declared contiguous do not change. The arrays of a function that returns nothing
+    do not change either, because the function writes to them.
     """
     given, returned = sigutils.normalize_signature(signature)
     if returned == types.void:
@@ -166,7 +179,7 @@ def _any_array(signature: str) -> Signature:
 
 @lru_cache(maxsize=1)
 def _tell_once(saved: bool) -> None:
-    """Say why nothing happens for a while: another kernel was not kept yet."""
+    """Explain the delay once: a kernel is being compiled because it is not stored yet."""
     never = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
     how_often = "once on this machine" if saved else never
     print(f"dbb: compiling kernels, {how_often}: half a minute", file=sys.stderr)

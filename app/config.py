@@ -1,6 +1,6 @@
 """All parameters of a run: frozen records, each field with its range, unit and meaning.
 
-The command line, the dashboard's sliders and the checks are made from these records; a unit stands
+The command line, the dashboard's sliders and the checks are made from these records; the unit is
 in brackets at the start of a field's docstring.
 """
 
@@ -67,7 +67,7 @@ class ActivationConfig(Strict):
     d_full: Annotated[float, Shown("Full activation at d_full")] = Field(
         default=0.05, ge=0.0, le=0.05
     )
-    """[m] distance at which the avoidance task is in full force."""
+    """[m] distance from which the avoidance task is fully active."""
     closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
         Field(default=0.005, ge=0.001, le=0.05)
     )
@@ -87,7 +87,7 @@ class BarrierConfig(Strict):
     """Minimum distance between arm and base, as a barrier; also the compared method `barrier`."""
 
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
-    """[m] minimum distance, as long as the torques suffice."""
+    """[m] minimum distance, within the torque limits."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] approach rate: approach speed per remaining distance."""
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
@@ -97,16 +97,16 @@ class BarrierConfig(Strict):
 
 
 class EeHoldConfig(Strict):
-    """Less base motion where the arm cannot compensate it at the end-effector."""
+    """Reduction of base motion that the arm cannot compensate at the end-effector."""
 
-    speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
+    min_speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
     )
     """[m/s] end-effector speed at maximum joint speeds below which the arm cannot compensate."""
     weight: Annotated[float, Shown("Weight of a dragged hand")] = Field(
         default=3000.0, ge=0.01, le=1e5
     )
-    """[-] weight of an end-effector that the base would drag along, in masses of the base."""
+    """[-] weight of the end-effector motion that the base would cause, in masses of the base."""
 
 
 class TaskConfig(Strict):
@@ -189,18 +189,18 @@ class EstimateConfig(Strict):
     delay: Annotated[float, Shown("Known reading age", advanced=True)] = Field(
         default=0.0, ge=0.0, le=0.03
     )
-    """[s] known age of a reading when its step begins; older readings are noticed."""
+    """[s] known age of a reading when its step begins; a larger age is identified."""
 
 
 class PayloadConfig(Strict):
-    """Load in the gripper that the controller knows: mass and centre, without its shape."""
+    """Load in the gripper that the controller includes: mass and centre, without its shape."""
 
     mass: Annotated[float, Shown("Payload mass")] = Field(default=0.0, ge=0.0, le=20.0)
     """[kg] of the load."""
     x: Annotated[float, Shown("Payload centre x", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
-    """[m] its centre of mass in the end-effector's frame."""
+    """[m] centre of mass in the end-effector's frame."""
     y: Annotated[float, Shown("Payload centre y", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
@@ -230,19 +230,19 @@ class AdmittanceConfig(Strict):
     """[s] between two velocity commands."""
 
 
-class HandConfig(Strict):
+class PersonConfig(Strict):
     """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
     stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
-    """[N/m] of the spring between the person's hand and the robot's."""
+    """[N/m] stiffness of the spring between the person's hand and the end-effector."""
     damping: Annotated[float, Shown("Pull damping")] = Field(default=25.0, ge=0.0, le=200.0)
-    """[N s/m] of the damper beside that spring."""
+    """[N s/m] damping of the damper beside that spring."""
     f_max: Annotated[float, Shown("Largest pull force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
     mass: Annotated[float, Shown("Mass of the hand", advanced=True)] = Field(
         default=0.0, ge=0.0, le=5.0
     )
-    """[kg] mass of hand and forearm; stopping it takes more force than the spring has."""
+    """[kg] mass of hand and forearm; stopping it takes more force than the spring's limit."""
 
 
 class DisturbanceConfig(Strict):
@@ -257,21 +257,21 @@ class DisturbanceConfig(Strict):
     slip: float = Field(default=0.0, ge=0.0, le=0.5)
     """[-] share of the base's commanded motion that is lost to slip."""
     sensor_delay: float = Field(default=0.0, ge=0.0, le=0.05)
-    """[s] age of all readings when they arrive."""
+    """[s] age of all readings on arrival."""
     sensor_period: float = Field(default=0.0, ge=0.0, le=0.05)
-    """[s] for which each reading is repeated; 0 is a new one at each step."""
+    """[s] interval between new readings, during which each one is repeated; 0 is one per step."""
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
-    """[-] share of the readings that are lost, so that the last one is repeated."""
+    """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
-    """[kg] load at the end-effector that the controller does not know; its weight alone."""
+    """[kg] weight at the end-effector that the controller does not include."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
-    """[s] control period that the controller takes for true; 0.001 is."""
+    """[s] control period that the controller assumes; the true one is 0.001."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
-    """[s] when the readings become poor and the unknown load is there."""
+    """[s] time from which the readings are poor and the unknown load acts."""
 
 
 class Config(Strict):
-    """Everything that can be tuned; below each section stands its title."""
+    """All tunable parameters; the docstring of each section is its title."""
 
     border: BorderConfig = BorderConfig()
     """Border"""
@@ -295,7 +295,7 @@ class Config(Strict):
     """Payload"""
     admittance: AdmittanceConfig = AdmittanceConfig()
     """Admittance"""
-    hand: HandConfig = HandConfig()
+    hand: PersonConfig = PersonConfig()
     """Person's hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
     """Disturbances"""
@@ -318,11 +318,11 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; raises what `changed` does."""
+        """A copy with one parameter changed; raises the errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
-        """Its values of the parameters that another one has otherwise, by their paths."""
+        """The values of all parameters that differ from another configuration, by their paths."""
         return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
@@ -363,7 +363,7 @@ def slowed(config: Config) -> Config:
 
 
 def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
-    """A configuration from nested dictionaries, checked; what is not in them is as usual.
+    """A checked configuration from nested dictionaries; missing parameters come from `usual`.
 
     Raises:
         ConfigError: Names each parameter that is unknown or out of its range, and the range.
@@ -411,7 +411,7 @@ def present_name(path: str) -> str:
 
 @cache
 def sections() -> tuple[Section, ...]:
-    """All parameters, by section, as the records above have them."""
+    """All parameters by section, from the records above."""
     return tuple(
         Section(
             name,
@@ -457,7 +457,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """What would be right at a place of a configuration, as `explain` wants it."""
+    """The valid values at a place of a configuration, for `explain`."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

@@ -1,6 +1,6 @@
 """A configuration as a commented TOML file: written, and read with checks.
 
-A file may hold only some sections and parameters; what is not in it is at its default.
+A file may have only some sections and parameters; the others have their defaults.
 """
 
 import re
@@ -15,32 +15,32 @@ from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
 from app.strict import from_toml, text_of
 
-MOST_BYTES = 64 * 1024  # [-] of a file; with all parameters it has a tenth of that
+MAX_BYTES = 64 * 1024  # [-] largest file; one with all parameters has a tenth of that
 LONGEST_NAME = 60  # [-] characters
 _NAME = "name"  # key of the file's own name, beside the sections
-_SERVER, _HOSTS = "server", "allow_host"  # a section of its own: no parameters of the controller
+_SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
 _HOST = re.compile(r"[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?")
 
 
 class NamedConfig(NamedTuple):
-    """What a file holds."""
+    """The content of a file."""
 
     name: str
-    """"" if the file gives itself none."""
+    """Empty if the file has no name."""
     config: Config
     hosts: tuple[str, ...] = ()
-    """Names of `[server] allow_host`, which only `dbb serve` uses."""
+    """Names in `[server] allow_host`, which only `dbb serve` uses."""
 
 
 def save_config(config: Config, name: str = "") -> str:
-    """The text of a file with every parameter, its unit, range and meaning, and what is changed.
+    """The text of a file with every parameter, its unit, range and meaning, and marked changes.
 
     Raises:
-        ConfigError: The name is too long or has characters that cannot be printed.
+        ConfigError: The name is too long or has unprintable characters.
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
-    document.add(tomlkit.comment("A line that is taken out is at the robot's default."))
+    document.add(tomlkit.comment("A parameter without a line has the robot's default."))
     if name := checked_name(name):
         document.add(_NAME, tomlkit.item(name))
     for section in sections():
@@ -54,14 +54,14 @@ def save_config(config: Config, name: str = "") -> str:
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The parameters of a file's bytes; what is not in them is as usual, or at its default.
+    """The parameters of a file's bytes; missing ones come from `usual`, or are the defaults.
 
     Raises:
-        ConfigError: It is too large or no TOML, or names a parameter that does not exist or is out
-            of its range.
+        ConfigError: The file is too large or not TOML, or has an unknown parameter or a value
+            out of its range.
     """
-    if len(content) > MOST_BYTES:
-        raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"{len(content)} bytes, more than the {MAX_BYTES} of a configuration")
     try:
         data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
@@ -79,14 +79,14 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """The parameters of a file; what is not in it is as usual, or at its default.
+    """The parameters of a file; missing ones come from `usual`, or are the defaults.
 
     Raises:
-        ConfigError: As `decode_config`, or it cannot be read; names the file.
+        ConfigError: As for `decode_config`, or the file cannot be read; names the file.
     """
     try:
         with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
     try:
@@ -96,10 +96,10 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """A file's name for itself, without blanks at its ends.
+    """A file's own name without leading and trailing blanks.
 
     Raises:
-        ConfigError: It is too long or has characters that cannot be printed.
+        ConfigError: The name is too long or has unprintable characters.
     """
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
@@ -110,10 +110,10 @@ def checked_name(name: str) -> str:
 
 
 def checked_host(name: str) -> str:
-    """The name of a host, as browsers send it.
+    """The name of a host, in the form that browsers send.
 
     Raises:
-        ConfigError: It is none, or an address with more than a name.
+        ConfigError: The text is not a host name, or is an address with more than a name.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()

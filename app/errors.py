@@ -1,4 +1,4 @@
-"""One tree of exceptions: whatever a user can cause is a `DbbError` and prints as one line."""
+"""One tree of exceptions: each error that a user can cause is a `DbbError` of one line."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
@@ -7,15 +7,15 @@ from traceback import walk_tb
 
 
 class DbbError(Exception):
-    """Base of all errors that a user can cause and mend; the command line prints it and exits 2."""
+    """Base of all errors that a user can cause; the command line prints it, with status 2."""
 
     def __str__(self) -> str:
-        """One line, whatever a file that it quotes has in it."""
+        """One line, independent of the characters of a quoted file."""
         return printable(" ".join(super().__str__().splitlines()))
 
 
 def printable(text: str) -> str:
-    """A text for a terminal: control and direction characters are written as their codes."""
+    """A text for a terminal, with control and direction characters replaced by their codes."""
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
 
 
@@ -24,7 +24,7 @@ class UnknownNameError(DbbError):
 
     def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
         self.kind, self.name, self.choices = kind, name, sorted(choices)
-        """What was asked for, as in "robot", the name that was given, and those that exist."""
+        """The kind of the name, as in "robot", the unknown name, and the existing ones."""
         super().__init__(
             f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
             f"choose from: {', '.join(self.choices) or '(none)'}"
@@ -35,7 +35,7 @@ def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
     """Refuse a name that does not exist.
 
     Raises:
-        UnknownNameError: Lists those that exist.
+        UnknownNameError: Lists the existing ones.
     """
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
@@ -46,11 +46,11 @@ class DescriptionError(DbbError):
 
 
 class AssetError(DbbError):
-    """A mesh or package that a description refers to is not there."""
+    """A mesh or package that a description refers to is missing."""
 
 
 class RobotFileError(DbbError):
-    """A URDF that cannot become a robot description; names the part, and the option that helps."""
+    """A URDF that cannot become a robot description; names the part and the helpful option."""
 
 
 class ConfigError(DbbError):
@@ -58,28 +58,28 @@ class ConfigError(DbbError):
 
 
 class UnreachableError(DbbError):
-    """No configuration of the arm brings the hand to the asked start."""
+    """No configuration of the arm brings the end-effector to the specified start."""
 
     def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
         super().__init__(message)
         self.flaws = dict(flaws or {})
-        """How many tries failed by each reason."""
+        """Number of failed tries for each reason."""
 
 
 class MeasurementError(DbbError):
-    """A measurement is not what the robot's sensors give."""
+    """A measurement with a wrong shape or an impossible first value."""
 
 
 class TargetError(DbbError):
-    """The person's hand was told to go where it cannot, such as below the floor."""
+    """A target of the person's hand that is out of bounds, such as below the floor."""
 
 
 class OutputError(DbbError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the specified place."""
 
 
 class LogError(DbbError):
-    """A log that cannot be read or made: damaged, not one, or with columns that are not a log's."""
+    """A log that cannot be read or made: damaged, another file, or with unknown columns."""
 
 
 class CaseError(DbbError):
@@ -87,23 +87,23 @@ class CaseError(DbbError):
 
 
 class StudyError(DbbError):
-    """A study cannot be done or gone on with where it was asked for."""
+    """A study cannot be started or continued in the specified folder."""
 
 
 class MissingExtraError(DbbError):
-    """A library is not installed that only some commands need; names the extra that brings it."""
+    """A library of some commands is not installed; names the extra that installs it."""
 
 
 class ServerError(DbbError):
-    """The dashboard cannot listen where it was told to."""
+    """The dashboard cannot listen on the specified address."""
 
 
 class BrowserError(DbbError):
-    """There is no browser that can draw."""
+    """No browser that can draw is available."""
 
 
 class LoopError(DbbError):
-    """The simulation thread ended with an exception, which is its cause."""
+    """The simulation thread ended with an exception, which is the cause of this error."""
 
 
 EXTRAS = {
@@ -123,16 +123,16 @@ EXTRAS = {
         *("scipy", "trimesh"),
     ),
 }
-"""The extras of the package, and the modules that each brings; all bring those of `sim`. The first
-three are for the rooms of their names."""
+"""The extras of the package, and the modules that each installs; all include those of `sim`. The
+first three belong to the rooms of their names."""
 
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """A module that is missing meanwhile, and that an extra brings, is an error of one line.
+    """Convert the import error of a module of an extra to an error of one line, during the `with`.
 
     Raises:
-        MissingExtraError: Says how to install the extra of the room that asked for it.
+        MissingExtraError: Says how to install the extra of the importing room.
     """
     try:
         yield
@@ -151,7 +151,7 @@ def extras_named() -> Iterator[None]:
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the closest of the choices in any case, or an empty string."""
+    """` (did you mean 'x'?)` for the closest choice, ignoring case, or an empty string."""
     known = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(name.casefold(), known, n=1)
     return f" (did you mean {known[close[0]]!r}?)" if close else ""

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: read by everybody who may read them, written where possible."""
+"""The folders of compiled kernels: shared for reading, and written where possible."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from app.system import cache_folders
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of the files that a kernel is made of: its own, and those that it calls into.
+    """Name and digest of the files of a kernel: its own, and those of the functions that it calls.
 
-    Called functions are found by the names that the kernel has for them; constants are to be in its
+    Called functions are found by their names in the kernel; constants must be in its
     own file. A digest, unlike a time, survives the copy of an installation into an image.
 
     Raises:
-        OSError: One of them is not a file that can be read.
+        OSError: One of them is not a readable file.
     """
     files, known, called = set[Path](), set[FunctionType](), [function]
     while called:
@@ -42,10 +42,10 @@ def _digest(file: Path) -> str:
 
 
 def _folders(file: str) -> list[Path]:
-    """Where the kernels of a source file may be, in the order in which they are looked for.
+    """The possible folders of a source file's kernels, in the order of search.
 
-    A folder that the environment names, the one beside the source where Python has its own compiled
-    files, and those of this user.
+    A folder that the environment names, the folder of Python's own compiled files beside the
+    source, and those of this user.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     named = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
@@ -58,7 +58,7 @@ def _folders(file: str) -> list[Path]:
 
 
 class _Locator(caching._CacheLocator):
-    """Describes a kernel to numba, whose own locators refuse each folder that cannot be written."""
+    """Describes a kernel to numba, whose own locators refuse each folder that is not writable."""
 
     def __init__(self, function: FunctionType) -> None:
         self._function = function
@@ -71,7 +71,7 @@ class _Locator(caching._CacheLocator):
         return str(Path(inspect.getfile(self._function)).parent)
 
     def ensure_cache_path(self) -> None:
-        """Whether a folder can be written turns out when it is written to."""
+        """Nothing to do here: the write itself shows whether the folder is writable."""
 
     def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
         return _stamp(self._function)
@@ -81,25 +81,25 @@ class _Locator(caching._CacheLocator):
 
 
 class _Described(caching.CompileResultCacheImpl):
-    """How numba writes a kernel, and under which name."""
+    """Format and file name of a stored kernel, as numba defines them."""
 
     _locator_classes = [_Locator]  # noqa: RUF012 - as numba has it
 
 
 class _Index(caching.IndexDataCacheFile):
-    """The index of a folder's kernels; a damaged one is empty, and is written anew."""
+    """The index of a folder's kernels; a damaged one counts as empty and is written again."""
 
     def _load_index(self) -> dict[Any, str]:
         try:
             return super()._load_index()
-        except Exception:  # whatever its bytes stand for
+        except Exception:  # damaged bytes can raise any exception
             return {}
 
 
 class KernelStore(caching.FunctionCache):
-    """The kernels of a function: read where they are, written to the first folder that allows it.
+    """The stored kernels of a function: read from any folder, written to the first writable one.
 
-    So a user without write access reads those that another one compiled.
+    Thus a user without write access reads the kernels that another user has compiled.
     """
 
     _impl_class = _Described
@@ -111,7 +111,7 @@ class KernelStore(caching.FunctionCache):
             _Index(str(folder), name, stamp) for folder in _folders(inspect.getfile(function))
         ]
         self.saved = False
-        """Whether a kernel that this process has compiled could be written."""
+        """Whether a kernel that this process has compiled could be stored."""
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         for file in self._files:

@@ -1,4 +1,4 @@
-"""What a slider, a file or a help text needs to know of a parameter, read off its field."""
+"""The description of a parameter for sliders, files and help texts, derived from its field."""
 
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
@@ -6,16 +6,16 @@ from pydantic.fields import FieldInfo
 
 from app.strict import Strict
 
-_DECADES = 1000  # [-] highest over lowest value from which on a scale is logarithmic
+_DECADES = 1000  # [-] ratio of highest to lowest value from which a scale is logarithmic
 
 
 class Shown(NamedTuple):
-    """How a field is shown to people, where its name is not enough; stands in its `Annotated`."""
+    """Display options of a field, in its `Annotated`."""
 
     label: str = ""
-    """In the place of the name."""
+    """Label in place of the name."""
     advanced: bool = False
-    """Hidden until all parameters are asked for."""
+    """Hidden until the user displays all parameters."""
 
 
 class _Tuned(Strict):
@@ -33,7 +33,7 @@ class _Tuned(Strict):
 
 
 class Parameter(_Tuned):
-    """A number that can be tuned."""
+    """A tunable number."""
 
     low: float
     high: float
@@ -51,12 +51,12 @@ class Parameter(_Tuned):
 
     @property
     def log(self) -> bool:
-        """On a logarithmic scale, since the range spans decades."""
+        """Whether the scale is logarithmic, because the range spans decades."""
         return self.low > 0 and self.high / self.low >= _DECADES
 
 
 class Choice(_Tuned):
-    """One of several words that can be chosen."""
+    """A tunable choice among words."""
 
     choices: tuple[str, ...]
     default: str

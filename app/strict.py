@@ -1,4 +1,4 @@
-"""Validated, frozen records shared by descriptions and configuration."""
+"""Validated, frozen records for descriptions and configurations."""
 
 import codecs
 import re
@@ -33,17 +33,17 @@ NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
 Array = np.ndarray
 
-MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
+MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MOST_PARTS = 500  # [-] dots and brackets of a line of TOML that is read in this process
+_MAX_PARTS = 500  # [-] most dots and brackets of a TOML line that this process reads
 LARGEST_TEXT = 10_000_000  # [bytes] of a file of XML, or of a log as CSV
 LARGEST_DATA = 10**6  # [characters] of TOML or JSON; the checks of each value take 400 bytes
-_MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
-_MOST_LISTED = 1000  # [-] of a file that are looked at, which takes 1 kB each
+_MAX_PROBLEMS = 8  # [-] most reported problems of a file
+_MAX_LISTED = 1000  # [-] of a file that are looked at, which takes 1 kB each
 
 
 class Strict(BaseModel):
-    """A frozen record that refuses fields it does not know; field docstrings are its help."""
+    """A frozen record that refuses unknown fields; the docstrings of fields are their help."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=False
@@ -51,10 +51,10 @@ class Strict(BaseModel):
 
 
 class Sourced(Strict):
-    """A record in which every number that is stated must have a line in `source`."""
+    """A record in which every stated number needs a line in `source`."""
 
     source: dict[str, str] = Field(default_factory=dict)
-    """Where each number comes from: one entry per numeric field, by the field's name."""
+    """The source of each number: one entry per numeric field, by the field's name."""
 
     @model_validator(mode="after")
     def _every_number_has_a_source(self) -> Self:
@@ -83,12 +83,12 @@ def explain(
     model: type[BaseModel],
     wanted: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
 ) -> str:
-    """A validation error, one `field: what would be right` a problem, on one line.
+    """A validation error on one line, with one `field: valid value` per problem.
 
-    `wanted` gives what would be right, from a problem's place and kind; None for pydantic's own
+    `wanted` gives the valid values from a problem's place and kind, or None for pydantic's own
     words.
     """
-    told = [_explain(each, model, wanted) for each in problems_of(error)[:_MOST_PROBLEMS]]
+    told = [_explain(each, model, wanted) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(told):
         told.append(f"and {more} more" if told else f"{more:,} wrong values, too many to list")
     return "; ".join(told)
@@ -96,7 +96,7 @@ def explain(
 
 def problems_of(error: ValidationError) -> list[ErrorDetails]:
     """The problems of a validation error; none if there are too many to list."""
-    return error.errors() if error.error_count() <= _MOST_LISTED else []
+    return error.errors() if error.error_count() <= _MAX_LISTED else []
 
 
 def _explain(
@@ -140,7 +140,7 @@ def _cut(text: str) -> str:
 
 
 def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """The records that may stand at a place."""
+    """The records that are possible at a place."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc:
         annotations = [
@@ -178,11 +178,11 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
 
 
 def content_of(path: Path) -> bytes:
-    """The bytes of a text file, by whoever wrote it.
+    """The bytes of an untrusted text file.
 
     Raises:
-        OSError: It cannot be read.
-        ValueError: It is larger than any that this program reads.
+        OSError: The file cannot be read.
+        ValueError: The file exceeds the largest size that this program reads.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
@@ -192,12 +192,12 @@ def content_of(path: Path) -> bytes:
 
 
 def file_text(path: Path) -> str:
-    """`text_of` a file; raises what it and `content_of` raise."""
+    """`text_of` a file; raises the errors of `text_of` and `content_of`."""
     return text_of(content_of(path))
 
 
 def parsed(loads: Callable[[str], Any], text: str) -> Any:
-    """What a text holds, by a reader of TOML or JSON, whoever wrote it.
+    """The content of an untrusted text, by a reader of TOML or JSON.
 
     Raises:
         ValueError: It is none, is too long, takes more than its budget to read, nests too deeply,
@@ -207,9 +207,9 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def from_toml(text: str) -> dict[str, Any]:
-    """The tables of a text of TOML; raises what `parsed` does."""
+    """The tables of a TOML text; raises the errors of `parsed`."""
     # The work for a key, or for nested brackets, grows with the square of its parts.
-    heavy = max(map(_parts, text.splitlines()), default=0) > _MOST_PARTS
+    heavy = max(map(_parts, text.splitlines()), default=0) > _MAX_PARTS
     return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
 
 
@@ -220,7 +220,7 @@ def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
-    """The content of a text; an error names the slip that explains it, within the same budget."""
+    """The content of a text; an error names the probable slip, within the same budget."""
     try:
         return loads(text)
     except RecursionError:
@@ -230,12 +230,12 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def text_of(content: bytes) -> str:
-    """The text of a user's file: as UTF-8, or as UTF-16 where editors of Windows have written it.
+    """The text of a user's file: UTF-8, or UTF-16 from editors of Windows.
 
-    Without a byte order mark, and with line feeds alone at the ends of lines.
+    It has no byte order mark, and line feeds alone as line ends.
 
     Raises:
-        ValueError: It is of another encoding; names the line.
+        ValueError: The file has another encoding; names the line.
     """
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
@@ -252,11 +252,11 @@ _SLIPS = {
     r"[\u00a0\u2007\u202f]": "is a space of a special kind; write a plain one",
     r"[−–—]": "is no minus sign of a keyboard; write -",
 }
-"""What word processors and spreadsheets make of such files, in patterns of linear time."""
+"""Typical slips of word processors and spreadsheets, as patterns of linear time."""
 
 
 def _slip(text: str) -> str:
-    """Which of `_SLIPS` a text that cannot be read has, and where."""
+    """The slip of `_SLIPS` in an invalid text, and its line."""
     for number, line in enumerate(text.splitlines(), 1):
         for pattern, why in _SLIPS.items():
             if found := re.search(pattern, line.partition("#")[0] or line):
@@ -269,7 +269,7 @@ def _parts(line: str) -> int:
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number outside of [low, high], not-a-number included.
+    """Refuse a number outside of [low, high], or not-a-number.
 
     Raises:
         ConfigError: Names the option and its range.

@@ -1,9 +1,10 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
-A compiled function takes a struct as one pointer, in 0.2 µs however many fields it has; a tuple of
-arrays costs 0.1 µs for each of them. Both sides see the same memory: what compiled code writes into
-an array, Python reads without a copy. Numbers, and which arrays the fields are, are fixed when a
-struct is made. With ``NUMBA_DISABLE_JIT=1`` the struct is the named tuple that it is made from.
+A compiled function takes a struct as one pointer, in 0.2 µs for any number of fields; a tuple of
+arrays costs 0.1 µs for each of them. Both sides share the memory: Python reads the values that
+compiled code writes into an array without a copy. Numbers, and the arrays that the fields refer
+to, are fixed when a struct is made. With ``NUMBA_DISABLE_JIT=1`` the struct is the named tuple
+that it is made from.
 """
 
 from collections.abc import Callable
@@ -23,7 +24,7 @@ from app.compiled import compiled
 class _Struct(types.StructRef):
     """The type of a struct: names and types of its fields.
 
-    Its name is short: numba writes it into the name of every function that takes the struct.
+    Its name is short because numba writes it into the name of every function that takes the struct.
     """
 
     def __init__(self, name: str, fields: dict[str, types.Type]) -> None:
@@ -40,7 +41,7 @@ class _Struct(types.StructRef):
 
 
 class _Handle(structref.StructRefProxy):
-    """A struct, as Python holds it."""
+    """A struct on the Python side."""
 
 
 structref.define_boxing(_Struct, _Handle)
@@ -50,23 +51,23 @@ class StructType(NamedTuple):
     """A kind of struct."""
 
     type: types.StructRef
-    """As the signature of a compiled function names it."""
+    """Its name in the signature of a compiled function."""
     made_from: Signature
-    """The signature of the compiled function that makes it, by `assemble`, from a named tuple."""
+    """The signature of the compiled function that makes it from a named tuple, by `assemble`."""
 
 
 _TYPES: dict[type, types.StructRef] = {}
 
 
 def struct_type(values: type[Any], fields: dict[str, types.Type]) -> StructType:
-    """The kind of struct that has the fields of a named tuple, each of a numba type."""
+    """The kind of struct with the fields of a named tuple, each of a numba type."""
     struct = _TYPES[values] = _Struct(values.__name__, fields)
     given = types.NamedTuple(tuple(fields.values()), values)
     return StructType(struct, Signature(struct, (given,), None))
 
 
 def assemble(values: Any) -> Any:
-    """A struct from a named tuple, in compiled code; elsewhere the named tuple itself."""
+    """A struct from a named tuple, in compiled code; in Python the named tuple itself."""
     return values
 
 

@@ -1,7 +1,7 @@
-"""What operating systems do differently, in one place; where one cannot, its fallback is here too.
+"""Differences between operating systems, with a fallback for each missing feature.
 
-Linux has all of it. macOS has no real-time policy for a user's process, no set of allowed cores and
-no `malloc_trim`; there the work is done without. Nothing here raises for want of a feature.
+Linux has all features. macOS has no real-time policy for a user's process, no set of allowed cores
+and no `malloc_trim`; the program works without them. A missing feature raises no error here.
 """
 
 import ctypes
@@ -30,60 +30,61 @@ import platformdirs
 
 from app.errors import OutputError
 
-_REAL_TIME = 1  # [-] the least priority of those that come before all others
-_SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
-_BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
-_MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
-_BEGUN = ".dbb~"  # prefix of folders that hold unfinished results
+_REAL_TIME = 1  # [-] lowest real-time priority
+_SPARE = 3  # [-] cores from which a real-time thread leaves enough to others
+_BUDGET = 500_000  # [µs] that a real-time thread may work without a pause
+_MAX_BUDGET = 30_000_000  # [µs] after which the system ends a process that does not react
+_BEGUN = ".dbb~"  # prefix of folders with unfinished results
 _PATIENCE = 1.0  # [s] for another process to release such a folder
 _LOOK_EVERY = 0.02  # [s]
-_MOST_LINKS = 40  # [-] that lead to one another, as the system has it
+_MAX_LINKS = 40  # [-] links in a chain, the limit of the system
 _ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; where the system keeps no such set, all there are."""
+    """Cores that this process may use; all cores if the system has no such set."""
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
-def come_first(niceness: int) -> None:
-    """Before others, as far as this user and this system allow; wished for by a niceness below 0.
+def raise_priority(niceness: int) -> None:
+    """Raise the priority of this process within the rights of its user, by a niceness below 0.
 
-    The real-time policy is what robots run on. On fewer than three cores a process that is late
-    would leave too little to the others; on more, one that does not pause within its budget loses
-    the policy for good. To be called by the main thread, whose threads inherit it.
+    If possible, it gets the real-time policy of robot controllers. On fewer than three cores a late
+    process would leave too little time to the others. On more cores, a process that exceeds its
+    budget without a pause loses the policy for good. Call it in the main thread, whose threads
+    inherit the policy.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if usable_cores() >= _SPARE:
         with suppress(AttributeError, OSError, ValueError):
-            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MOST))
+            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MAX_BUDGET))
             signal.signal(signal.SIGXCPU, _queue_up)
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
 
 
 def _queue_up(*_: object) -> None:
-    """All threads of this process share the cores with others again."""
+    """Return all threads of this process to the normal policy."""
     for thread in threading.enumerate():
         with suppress(OSError):  # it has just ended
             os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def step_back(niceness: int) -> None:
-    """Behind others, by 1 to 19."""
+def lower_priority(niceness: int) -> None:
+    """Lower the priority of this process by a niceness of 1 to 19."""
     with suppress(OSError):
         os.nice(niceness)
 
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit this process meanwhile: [s] of a core, and [bytes] of address space beyond its present.
+    """Limit this process during the `with`: processor time [s], and address space [bytes] more.
 
-    Beyond the memory an allocation fails; beyond the time the process is ended. macOS limits the
-    time alone.
+    Beyond the memory limit an allocation fails; beyond the time limit the system ends the process.
+    macOS limits the time alone.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -91,11 +92,11 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
         size = pages * resource.getpagesize() + memory
     mallopt = getattr(_c_library(), "mallopt", None)
     if mallopt is not None:
-        mallopt(_ARENA_MAX, 1)  # glibc reserves 64 MB for each thread otherwise
+        mallopt(_ARENA_MAX, 1)  # otherwise glibc reserves 64 MB per thread
     limits = {resource.RLIMIT_CPU: math.ceil(used + seconds), resource.RLIMIT_AS: size}
     before = {kind: resource.getrlimit(kind) for kind in limits}
     for kind, most in limits.items():
-        with suppress(ValueError, OSError):  # beyond what this process may have anyway
+        with suppress(ValueError, OSError):  # above the present limit of this process
             resource.setrlimit(kind, (most, before[kind][1]))
     try:
         yield
@@ -105,12 +106,12 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
 
 
 ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-"""Signals by which a user, a supervisor or a closed terminal ends a command."""
+"""Signals that a user, a supervisor or a closed terminal sends to end a command."""
 
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Ctrl-C waits meanwhile, here and in processes that are started."""
+    """Block Ctrl-C during the `with`, here and in processes that start meanwhile."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -119,22 +120,22 @@ def interrupt_blocked() -> Iterator[None]:
 
 
 def lead_group() -> None:
-    """Make this process the leader of a group of its own, which `end_group` ends."""
-    with suppress(PermissionError):  # it leads one already
+    """Make this process the leader of a new group, which `end_group` ends."""
+    with suppress(PermissionError):  # it already leads one
         os.setsid()
 
 
 def wake_without_parent() -> None:
-    """If this process is stopped when its parent ends, the system lets it go on and learn of it."""
+    """Let the system resume this process if it is suspended when its parent ends."""
     prctl = getattr(_c_library(), "prctl", None)
     if prctl is not None:
         prctl(_PARENT_DEATH, signal.SIGCONT)
 
 
 def end_when_closed(pipe: int) -> None:
-    """Have the system end this process when all writers of a pipe have gone (Linux).
+    """Let the system end this process when all writers of a pipe have closed it (Linux).
 
-    No thread of the process has to notice, so that a hanging library cannot prevent it.
+    No thread of the process takes part, so a hanging library cannot prevent it.
     """
     with suppress(AttributeError, OSError):
         fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
@@ -142,9 +143,9 @@ def end_when_closed(pipe: int) -> None:
 
 
 def wake_children() -> None:
-    """All that this process has started and that is stopped goes on, where the system lists it.
+    """Resume all suspended descendants of this process, if the system lists them.
 
-    What is foreign, as a browser and its driver, could not learn otherwise that it has to end.
+    Foreign programs, such as a browser and its driver, would otherwise not receive a signal to end.
     """
     found = [os.getpid()]
     for parent in found:
@@ -157,20 +158,20 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End the group of a process, by its number, and all that it has started; 0 is this process's
-    own.
+    """End the group of a process, by its number, and all its descendants; 0 is this process's
+    group.
 
-    It is asked to end, or ended at once whatever it does. There may be no such group, or no more.
+    The processes receive SIGTERM, or SIGKILL with `at_once`. The group may be missing or ended.
     """
-    # macOS answers with a PermissionError for a group of which only ended processes are left.
+    # macOS raises a PermissionError for a group that has only ended processes.
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock a file or a folder until it is closed; False if another process has it locked.
+    """Lock a file or a folder until it is closed; False if another process has locked it.
 
-    None where the file system has no locks.
+    None if the file system has no locks.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -185,12 +186,11 @@ def claim(file: BinaryIO | int) -> bool | None:
 def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
     """A folder for an unfinished result, claimed by this process and removed at the end.
 
-    Only one process at a time can claim a name. Folders that killed processes have left are
-    removed first.
+    Only one process at a time can claim a name. Remains of killed processes are removed first.
 
     Raises:
         OutputError: Another process has claimed the name.
-        OSError: It cannot be made.
+        OSError: The folder cannot be made.
     """
     _remove_abandoned_once(place)
     folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
@@ -198,7 +198,7 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
     holder = {folder}  # removed at the process's exit too
     remove = weakref.finalize(holder, shutil.rmtree, folder, ignore_errors=True)
     try:
-        for left in folder.iterdir():  # of a killed process, by this name
+        for left in folder.iterdir():  # remains of a killed process
             shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
         yield folder
     finally:
@@ -207,29 +207,29 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _claimed(folder: Path) -> int:
-    """The number of a file by which a folder of this user's is claimed."""
+    """The number of the open file that claims a folder for this user."""
     end = time.monotonic() + _PATIENCE
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
-        with suppress(FileNotFoundError):  # whoever had it claimed has just removed it
+        with suppress(FileNotFoundError):  # its former owner has just removed it
             lock = _locked(folder)
             if lock is not None:
                 return lock
         if time.monotonic() > end:
             raise OutputError(f"{folder.parent}: another process works on the same result")
-        time.sleep(_LOOK_EVERY)  # whoever removes abandoned folders locks each of them shortly
+        time.sleep(_LOOK_EVERY)  # the removal of abandoned folders locks each of them briefly
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The number of a file that locks a folder of this user's; None if another process has it.
+    """The number of the open file that locks a folder of this user; None if another process does.
 
-    Where the file system has no locks it is open, but not `surely` locked.
+    If the file system has no locks, the file is open, but not `surely` locked.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
     with suppress(FileNotFoundError):
         free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
-        # Another one of the same name may have come into its place before it was locked.
+        # Another folder of the same name may have replaced it before it was locked.
         if free and os.path.samestat(found, folder.lstat()):
             return lock
     os.close(lock)
@@ -237,7 +237,7 @@ def _locked(folder: Path, *, surely: bool = False) -> int | None:
 
 
 def remove_abandoned(place: Path) -> None:
-    """Remove the unfinished results in a folder that killed processes of this user have left."""
+    """Remove unfinished results in a folder that killed processes of this user have left."""
     for folder in place.glob(f"{_BEGUN}*"):
         with suppress(OSError):
             lock = _locked(folder, surely=True)
@@ -255,10 +255,10 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """The path with its links followed; none of them is of another user in a shared folder.
+    """The path with its links resolved; refuses links of other users in a shared folder.
 
     Raises:
-        OutputError: Such a link stands in it, or links go round in a circle.
+        OutputError: The path has such a link, or its links form a circle.
     """
     found, parts, links = Path("/"), list((Path.cwd() / path).parts[1:]), 0
     while parts:
@@ -268,7 +268,7 @@ def own_path(path: Path) -> Path:
             found = here
             continue
         links += 1
-        if links > _MOST_LINKS or _is_foreign(here):
+        if links > _MAX_LINKS or _is_foreign(here):
             raise OutputError(f"cannot write {path}: {here} is a link of another user, or endless")
         target = here.readlink()
         found = Path("/") if target.is_absolute() else found
@@ -284,13 +284,13 @@ def _is_foreign(link: Path) -> bool:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A file in a folder of its own, which replaces the wanted one if the `with` raised nothing.
+    """A file in its own folder, which replaces the target if the `with` raises nothing.
 
-    So no reader sees half of it, and two writers do not disturb one another. A link of this user
-    remains a link, and leads to the new file.
+    Thus no reader sees a part of it, and two writers do not disturb each other. A link of this user
+    remains a link, and points to the new file.
 
     Raises:
-        OutputError: It cannot be written, as on a full disk; what was there before is still there.
+        OutputError: The file cannot be written, as on a full disk; the previous file remains.
     """
     try:
         if is_no_file(path):
@@ -308,10 +308,10 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """A folder elsewhere that becomes `out` at the end of a `with` that raised nothing.
+    """A folder elsewhere that becomes `out` at the end of a `with` that raises nothing.
 
     Raises:
-        OutputError: `out` is there already, or cannot be written, or another process makes it.
+        OutputError: `out` exists, or cannot be written, or another process makes it.
     """
     with ExitStack() as stack:
         try:
@@ -321,7 +321,7 @@ def whole_folder(out: Path) -> Iterator[Path]:
         except OSError as error:
             raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise OutputError(f"--out: {out} is there already; remove it or give another")
+            raise OutputError(f"--out: {out} exists; remove it or name another")
         made = folder / out.name
         made.mkdir()
         yield made
@@ -329,24 +329,24 @@ def whole_folder(out: Path) -> Iterator[Path]:
 
 
 def is_no_file(path: Path) -> bool:
-    """Whether a folder, a device or a pipe is there, which no file may replace."""
+    """Whether the path is a folder, a device or a pipe, which no file may replace."""
     return path.exists() and not path.is_file()
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write bytes, or a text as UTF-8, whole or not at all, as `whole_file` does."""
+    """Write bytes, or a text as UTF-8, completely or not at all, by `whole_file`."""
     with whole_file(path) as beside:
         beside.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def peak_memory() -> float:
-    """[MiB] most memory that this process has had."""
+    """[MiB] peak memory of this process."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / 2**20 if sys.platform == "darwin" else most / 2**10  # bytes there, KiB here
 
 
 def give_freed_memory_back() -> None:
-    """Give what was freed back to the system; of glibc alone, which keeps it for each thread."""
+    """Return freed memory to the system; needed for glibc alone, which retains it per thread."""
     trim = getattr(_c_library(), "malloc_trim", None)
     if trim is not None:
         trim(0)
@@ -361,7 +361,8 @@ def home_folder(find: Callable[..., Path]) -> Path | None:
 
 
 def cache_folders() -> list[Path]:
-    """Folders of this user for files that can be made again: the usual one, then a temporary one.
+    """Folders of this user for files that can be made again: the standard one, then a temporary
+    one.
 
     A user without a home directory, as in a container, has only the second.
     """
@@ -373,7 +374,7 @@ def cache_folders() -> list[Path]:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether files can be written into a folder, which is made if it does not exist yet."""
+    """Whether files can be written into a folder; makes the folder if it does not exist."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     return os.access(there, os.W_OK | os.X_OK)
 
@@ -382,7 +383,7 @@ def _private_folder(shared: Path) -> Path:
     """This user's own folder in one that all users share.
 
     Raises:
-        OSError: It cannot be made, or others could have put files into it.
+        OSError: The folder cannot be made, or others could have put files into it.
     """
     folder = shared / f"dbb-{os.getuid()}"
     with suppress(FileExistsError):
@@ -394,23 +395,23 @@ def _private_folder(shared: Path) -> Path:
 
 
 def open_standard_files() -> None:
-    """Standard input, output and error lead nowhere where whoever began this process closed them.
+    """Open standard input, output and error as null devices if the parent process closed them.
 
-    Else the next file, pipe or socket gets such a number, and what is printed goes into it. What an
-    output's encoding does not have is printed as its code.
+    Otherwise the next file, pipe or socket would get such a number, and printed text would go into
+    it. Characters that an output's encoding lacks are printed as their codes.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # its number may have gone to a library's file since
+        if getattr(sys, name) is None:  # a library's file may use its number now
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - it stays open
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def find_folders() -> None:
-    """This program and those that it starts have a temporary folder and a home that exist.
+    """Set an existing temporary folder and home for this program and its children.
 
-    On a read-only file system, as of a container, shared memory is the one place that can be
-    written. A user whom the system does not know has no home, without which browsers do not start.
+    On a read-only file system, as in a container, shared memory is the only writable place. A user
+    whom the system does not know has no home, and browsers do not start without one.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)
@@ -425,9 +426,9 @@ def find_folders() -> None:
 
 @contextmanager
 def decimal_points() -> Iterator[None]:
-    """C libraries that read numbers in this thread expect decimal points meanwhile.
+    """Make C libraries read numbers with decimal points in this thread, during the `with`.
 
-    A process whose locale has decimal commas, as GUI libraries set it, would read 0.5 as 0.
+    A process with a locale of decimal commas, which GUI libraries set, would read 0.5 as 0.
     """
     library = _c_library()
     if library is None or not hasattr(library, "uselocale"):
@@ -447,14 +448,14 @@ def decimal_points() -> Iterator[None]:
 
 
 def flush_c_output() -> None:
-    """Write out what C code has printed and its library still holds."""
+    """Flush the output that C code has printed."""
     flush = getattr(_c_library(), "fflush", None)
     if flush is not None:
         flush(None)
 
 
 def _c_library() -> ctypes.CDLL | None:
-    """The C library that this process has loaded, or None where it cannot be had by that way."""
+    """The C library of this process, or None if it is not accessible."""
     try:
         return ctypes.CDLL(None)
     except (OSError, TypeError):

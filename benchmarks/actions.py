@@ -53,13 +53,9 @@ _CONTROLS = """() => [...document.querySelectorAll(
   .map(([e, b]) => [(e.innerText || e.ariaLabel || e.value || '').trim().slice(0, 60),
     e.matches('input') && !e.readOnly && e.type !== 'checkbox',
     b.left + b.width * 0.5, b.top + b.height * 0.5])"""
-_PAUSE = """(on) => {
-  const button = document.querySelector("#dbb-row button");
-  const paused = button.innerText === "Continue";
-  if (paused !== on) button.click();
-  return paused;
-}"""
-"""Has the simulation paused, or go on, whatever lies over the button; whether it was paused."""
+_PAUSES = "() => document.querySelector('#dbb-row button')?.innerText"
+"""What the button says that has the simulation pause, or continue."""
+_PRESS = "() => document.querySelector('#dbb-row button').click()"  # whatever lies over it
 _AT = "([n, p]) => dbbTest.place(n, p)"
 
 
@@ -251,7 +247,7 @@ class _Run:
             self._calm(tab)
         for tab in self._tabs:
             tab.wait_for_scene()
-        paused = self._tabs[0].page.evaluate(_PAUSE, True)
+        paused = self._press("Pause")
         offs = [self._settled(tab) for tab in self._tabs]
         self._off = max(self._off, *offs)
         if max(offs) >= AGREES:
@@ -261,7 +257,17 @@ class _Run:
         text = f"{count} actions, {self._robot}: {1000 * max(offs):.2f} mm"
         print(f"{text}, {self._memory[-1][1]:.0f} MB", file=sys.stderr, flush=True)
         if not paused:
-            self._tabs[0].page.evaluate(_PAUSE, False)
+            self._press("Continue")
+
+    def _press(self, name: str) -> bool:
+        """Press this button until it has gone; whether it was not there at first."""
+        page, deadline = self._tabs[0].page, time.monotonic() + PATIENCE
+        page.wait_for_timeout(1000)  # what was done last has come
+        absent = page.evaluate(_PAUSES) != name
+        while page.evaluate(_PAUSES) == name and time.monotonic() < deadline:
+            page.evaluate(_PRESS)
+            page.wait_for_timeout(2000)
+        return absent
 
     def _settled(self, tab: DashboardTab) -> float:
         """[m] between drawn hand and gizmo, as soon as they agree, or after a while.
@@ -270,7 +276,6 @@ class _Run:
         """
         deadline = time.monotonic() + PATIENCE
         node, point = self._hand
-        tab.wait("() => document.querySelector('#dbb-row button')?.innerText === 'Continue'")
         while True:
             drawn = np.array(tab.page.evaluate(_AT, [node, point.tolist()]))
             off = float(np.linalg.norm(drawn - tab.position(GIZMO)))

@@ -1,6 +1,6 @@
 """A viewer of the dashboard in its own process: `python -m benchmarks.client KIND ADDRESS SECONDS`.
 
-Prints `ready` when it is connected, works until the time is over, and prints what it has done.
+It prints `ready` when it is connected, works until the end of the time, and prints its counts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.browser import DashboardTab, chromium
 from tests.raw_client import RawClient
 
 AXIS = 0  # the gizmo's arrow along x, which at the start is the base's way back
-NEAR, FAR = 0.55, 0.90  # [m] from the base's centre to the hand: the base's front is at 0.5 m
+NEAR, FAR = 0.55, 0.90  # [m] from the base's centre; its front is at 0.5 m
 SWEEP = 4.0  # [s] there and back
 SWEEPS = 3  # before the robot is put back to its start
 FIRST = 2.0  # [s] within which a viewer has the whole scene
@@ -25,7 +25,7 @@ MOVE = 0.05  # [s] between two moves of the mouse
 
 
 def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
-    """Show the page in headless Chromium, and drag the hand at the base and back all the time."""
+    """Show the page in headless Chromium, and drag the end-effector repeatedly."""
     with chromium() as browser:
         tab = DashboardTab(browser, address, dpr=1.0)
         tab.rest()
@@ -47,7 +47,7 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 
 def _sweep(tab: DashboardTab, end: float) -> int:
-    """Take the hand, sweep it `SWEEPS` times, let go and press Restart; how often it was swept."""
+    """Drag the end-effector `SWEEPS` times, release it and press Restart; count the drags."""
     try:
         arrow, hand = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
     except LookupError:  # on a busy machine the robot is not yet back in the picture
@@ -71,7 +71,7 @@ def _sweep(tab: DashboardTab, end: float) -> int:
 
 def _restart(tab: DashboardTab) -> None:
     tab.page.get_by_role("button", name="Restart").click()
-    tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the hand
+    tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the end-effector
 
 
 def listen(address: str, seconds: float) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """How fast the plants are: `python -m benchmarks.engines`.
 
 The time of a plant's step and reading, all plants in turn in one process, and how long a study
-takes with each engine. What scenarios give on them is `make results ARGS=engines`.
+takes with each engine. `make results ARGS=engines` measures the scenarios.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
 
-A command is started in a folder of its own, one of its processes is killed, terminated, stopped
-for a second, or stopped while the command is terminated, and what is left twelve seconds after its
-end is counted: processes, open ports, half-written results, what was begun beside them or as a
-temporary file (unless something was killed), and statuses of its own. A study is then gone on with,
+A command is started in a separate folder. One of its processes is killed, terminated, suspended for
+a second, or suspended while the command is terminated. Twelve seconds after its end the remains are
+counted: processes, open ports, half-written results, unfinished or temporary files (unless a
+process was killed), and wrong statuses. A study then continues,
 and has to give the same bytes as one that nothing befell. Among the commands is one that hangs in a
 library and keeps Python's lock; some faults take the room on the disk away, or the right to write.
 """
@@ -32,7 +32,7 @@ from app.robot.assets import ASSETS
 from app.system import _BEGUN, ENDING
 
 _MARK = "DBB_FAULTS"  # in the environment of all that a try starts
-_TEMPORARY = "temporary"  # folder of a try for what libraries put into /tmp
+_TEMPORARY = "temporary"  # folder of a try for the temporary files of libraries
 _PATIENCE = 12.0  # [s] after which nothing may be left
 _STOPPED = 1.0  # [s] that a process is stopped
 _FAULTS = {
@@ -79,7 +79,7 @@ _COMMANDS: dict[str, tuple[tuple[str, ...], float]] = {
 
 
 class Left(NamedTuple):
-    """What is left after a try.
+    """The remains of a try.
 
     Attributes:
         orphans: Processes, by their command lines.
@@ -155,7 +155,7 @@ _COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
 def _try(
     name: str, folder: Path, rng: np.random.Generator, whole: dict[str, bytes]
 ) -> dict[str, Any]:
-    """One command and one fault; what is found is by the names in `_COUNTED`."""
+    """One command and one fault; the counts have the names in `_COUNTED`."""
     (folder / _TEMPORARY).mkdir(parents=True)
     port = _free_port()
     words, span = _COMMANDS[name]
@@ -169,7 +169,7 @@ def _try(
     if fault == "read-only" and (folder / "out").is_dir():
         (folder / "out").chmod(0o500)
     struck = _strike(command, fault, in_child, rng)
-    if in_child or fault == "stop":  # it may go on, or end by itself; then it is told to end
+    if in_child or fault == "stop":  # it may continue, or end by itself
         with suppress(subprocess.TimeoutExpired):
             command.wait(2.0)
         command.terminate()
@@ -244,7 +244,7 @@ def _strike(
 
 
 def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Left:
-    """Wait until all has ended, `_PATIENCE` at most, and look what is there."""
+    """Wait until all processes have ended, up to `_PATIENCE`, and count the remains."""
     end = time.monotonic() + _PATIENCE
     while (alive := _alive(folder)) and time.monotonic() < end:
         time.sleep(0.1)
@@ -268,7 +268,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
 
 
 def _alive(folder: Path) -> list[psutil.Process]:
-    """What a try has started and still runs, wherever it hangs in the tree of processes."""
+    """Running processes of a try, anywhere in the tree of processes."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):

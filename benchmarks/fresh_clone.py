@@ -22,7 +22,7 @@ from typing import Any
 
 PROJECT = Path(__file__).resolve().parent.parent
 STAGES = {"venv.sh": "install_s", "import app": "compile_s", "dbb serve": "serve_s"}
-"""What a line of make's holds, and the figure of the stage that begins with it."""
+"""A part of a line of make's output, and the figure of the stage that starts with it."""
 
 
 def main() -> None:
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def start(clone: Path, python: str) -> dict[str, float]:
-    """Clone, run, ask for the page; seconds of each stage, and in all.
+    """Clone, run, request the page; seconds of each stage, and in total.
 
     Raises:
         RuntimeError: make ended without an address.

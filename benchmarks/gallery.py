@@ -147,7 +147,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
     ),
     "racecar_wx250s": _on("racecar", *_WX, at=(0.4, 0.0, 0.35)),
 }
-"""What is given to `dbb new-robot` beside `--out`, by the robot's name."""
+"""Options of `dbb new-robot` besides `--out`, by the robot's name."""
 
 
 def main(
@@ -159,8 +159,8 @@ def main(
 
     Args:
         robots: Their names with commas, or all.
-        quick: With a coarser border, as the documentation's table has it: what this commit has
-            measured is taken from there, and the rest is added.
+        quick: With a coarser border, as in the documentation's table: existing measurements of
+            this commit are reused, and the rest is added.
         json: Measure all of them now, and print the rows as one JSON object.
     """
     names = list(ROBOTS) if robots == "all" else robots.split(",")
@@ -187,8 +187,8 @@ def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """Run a command of dbb with `--json`, with the robots in `FOLDER`.
 
     Returns:
-        What it printed, or None; and its seconds by the clock and of all cores, with the reason
-        where it printed nothing: `refused`, or `crashed` at what it was doing.
+        Its output, or None; its duration and the processor time of all cores; and the reason of a
+            missing output: `refused`, or `crashed` with its last activity.
     """
     begin, before = perf_counter(), _cpu_seconds()
     done = subprocess.run(
@@ -215,7 +215,7 @@ def _cpu_seconds() -> float:
 
 
 def words_of(given: Mapping[str, Any]) -> Iterator[str]:
-    """What `dbb new-robot` is called with, for fields of a `Request`."""
+    """Arguments of `dbb new-robot` for fields of a `Request`."""
     yield given["urdf"]
     for field, value in given.items():
         if field == "urdf" or value == ():
@@ -258,7 +258,7 @@ def verdict(checks: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 _FIGURES = ("pairs", "ready_position", "lines", "border_points", "warnings")
-"""Of what `dbb new-robot` prints; of a body how much larger it is than the hull of its links."""
+"""Keys of the output of `dbb new-robot`."""
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """How well a page without a GPU draws: `python -m benchmarks.page`.
 
-A headless browser that draws in software shows what `dbb serve` serves; the page may know that it
-is one. Measured are pictures, the delay of a drag and what is sent, and how long the tab "Plots"
-holds the page up. On a loaded machine compare runs that alternate.
+A headless browser with software drawing shows the page of `dbb serve`; the page may detect that.
+The results are pictures, the delay of a drag, sent bytes, and how long the tab "Plots" blocks the
+page. On a loaded machine compare runs that alternate.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def main(args: Page) -> None:
 
 
 class _Measurement:
-    """One page after the other, and what is counted of them."""
+    """The pages one after the other, with their counts."""
 
     def __init__(self, browser: Any, address: str, loop: ProcessLoop, seconds: float) -> None:
         self._browser, self._address = browser, address
@@ -185,7 +185,7 @@ class _Measurement:
         return float(median(times))
 
     def _drag(self, tab: DashboardTab) -> dict[str, float]:
-        """Jumps of the mouse, each until the hand follows, then a drag that never rests."""
+        """Jumps of the mouse, each until the end-effector follows, then a drag that never rests."""
         tab.page.evaluate(
             "([g, h]) => Object.assign(dbbWatch, { gizmoNode: g, handNode: h, jumps: true })",
             [GIZMO, "/robot/panda_joint7"],

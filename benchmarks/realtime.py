@@ -1,8 +1,8 @@
 """How well the dashboard keeps real time: `python -m benchmarks.realtime --client browser --drag`.
 
 The hard case is a headless browser that draws in software on the same cores while its mouse drags
-the hand at the base. Set up as `dbb serve` sets up; only the session notes its times. A soak of
-an hour with ten viewers is `--drag --listeners 9 --seconds 3600`.
+the end-effector at the base. Set up as `dbb serve` sets up; only the session notes its times. A
+soak of an hour with ten viewers is `--drag --listeners 9 --seconds 3600`.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Realtime:
     listeners: int = 0
     """Further clients that draw nothing."""
     drag: bool = False
-    """Whether the hand is dragged at the base and back, in the browser by the mouse."""
+    """Whether the end-effector is dragged at the base and back, in the browser by the mouse."""
     loop: Literal["process", "thread"] = "process"
     """Where the simulation runs."""
     layers: bool = False
@@ -121,12 +121,12 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
 
 
 class Seen(NamedTuple):
-    """What was seen while the clients worked.
+    """The measurements while the clients worked.
 
     Attributes:
         begin: [s] of the span of time.
         end: [s] of it.
-        done: What each client says it has done, the first one first.
+        done: The counts of each client, the first one first.
         servers_cpu: [%] of a core that the server and the loop took.
         loop_cpu: [%] of a core that the loop took; NaN if it has no process of its own.
         pictures_per_s: How often the server has drawn.
@@ -199,7 +199,7 @@ def _cpu(processes: list[psutil.Process]) -> list[float]:
 def _pass_time(
     args: Realtime, begin: float, loop: LoopHandle, servers: list[psutil.Process]
 ) -> list[float]:
-    """Wait; where no mouse does it, pull the hand at the base and back. [MiB] meanwhile."""
+    """Wait; where no mouse does it, pull the end-effector at the base and back. [MiB] meanwhile."""
     memory: list[float] = []
     scripted = args.drag and args.client != "browser"
     y, z = (float(value) for value in loop.latest().p_ee[1:])

@@ -1,9 +1,10 @@
-"""Every delivered robot on the same few hand paths: `python -m benchmarks.robots [--json]`.
+"""Every delivered robot on the same few paths of the end-effector: `python -m benchmarks.robots
+[--json]`.
 
-Each is pulled by its hand from the side and from the front, and tracks a path of 0.2 m at its side
-and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are searched,
-0.02 m outside of the buffer, of paths that lead into its inner half without avoidance; a robot
-that has none has a row that says so.
+Each is pulled by its end-effector from the side and from the front, and tracks a path of 0.2 m at
+its side and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are
+searched, 0.02 m outside of the buffer, of paths that lead into its inner half without avoidance; a
+robot that has none has a row that says so.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
 from app.robot.assets import robot_names
 from app.robot.model import RobotModel
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.studies.runs import Row, rounded
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
@@ -40,7 +41,7 @@ COMPARED = ("none", "dbb")
 """Without avoidance and with it."""
 GUIDED_LIMIT = 0.02
 """[m] farthest that a guided hand may be from the person's at the end."""
-_MOST_PATHS = 4  # [-] that are played without avoidance in search of one that shows something
+_MAX_PATHS = 4  # [-] that are played without avoidance in search of one that shows something
 _TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
 _HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] of l_m's top, best first
 _LEFT_RIGHT = (90.0, 270.0)  # [deg]
@@ -52,13 +53,13 @@ class Case(NamedTuple):
     """One row of the comparison, without numbers of any robot's own.
 
     Attributes:
-        name: As it is told.
+        name: The displayed name.
         mode: Whether the arm tracks the path, its orientation held, or a person pulls it there.
-        directions: [deg] from which the hand may come, counter-clockwise from the front, best
-            first.
+        directions: [deg] from which the end-effector may come, counter-clockwise from the front,
+            best first.
         on_axis: Whether p_b begins on the wheel axis, x = 0, and moves along it.
         length: [m] of the path, which begins 0.02 m outside of the buffer.
-        speed: [m/s] mean speed of the hand.
+        speed: [m/s] mean speed of the end-effector.
     """
 
     name: str
@@ -94,7 +95,8 @@ def robot_table(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Row:
-    """Lead each robot's hand towards its base from the side, the front and along the wheel axis.
+    """Move each robot's end-effector towards its base from the side, the front and along the wheel
+    axis.
 
     The start of each path is searched: the first height and direction from which the arm can begin
     clear of its buffers and, without avoidance, comes into their inner half. A robot that has none,
@@ -148,7 +150,7 @@ def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
         if row["clearance_m"] < half:
             return [row, *(_of_robot(finder, plan, case, start, name) for name in others)]
         gaps.append(row["clearance_m"])
-        if len(gaps) == _MOST_PATHS:
+        if len(gaps) == _MAX_PATHS:
             break
     assert start is not None, "a case has directions"
     if not gaps:
@@ -164,8 +166,8 @@ def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
 def _of_robot(
     finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str
 ) -> Row:
-    planned = plan.planned(Trial(start, controller, case.speed))
-    figures: Row = run_planned(planned, finder.model, finder.data).figures
+    spec = plan.spec(Trial(start, controller, case.speed))
+    figures: Row = run_from_spec(spec, finder.model, finder.data).figures
     row: Row = {
         "controller": controller,
         **start.approach.where(),

@@ -389,7 +389,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "shift_jis": _encoded("shift_jis"),
         "says utf-16": _encoded("utf-8", "utf-16"),
         "says nothing": _encoded("latin-1", ""),
-        "says what is not": _encoded("utf-8", "martian"),
+        "another encoding than declared": _encoded("utf-8", "martian"),
         "blanks around": _text(lambda text: f"\n\n{text}\0\0"),
         "lines of Windows": _text(lambda text: text.replace("\n", "\r\n")),
         "pointer": _text(lambda _: POINTER),
@@ -519,7 +519,7 @@ def mutate(
 
 
 def verdict(mutant: Mutant, expected: dict[str, Array], home: Path) -> str:
-    """`same`, `refused: …`, or what is wrong with it."""
+    """`same`, `refused: …`, or the difference."""
     home.mkdir()
     try:
         request = Request(str(mutant.urdf), mutant.base, mutant.tip, home, kind="holonomic")

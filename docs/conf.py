@@ -14,7 +14,7 @@ import app
 
 for _name in getattr(
     app, "__all__", ()
-):  # autodoc lists what is there, not what is loaded on demand
+):  # autodoc lists present attributes only, not those that are loaded on demand
     setattr(app, _name, getattr(app, _name))
 
 project = "dbb-mobile-manipulator"

@@ -1,4 +1,4 @@
-"""A kind of base of one's own: a carriage on a rail, which can only drive along its x axis.
+"""Your own kind of base: a carriage on a rail, which can only drive along its x axis.
 
 Run it: python examples/custom_base.py
 """
@@ -15,7 +15,7 @@ from app.simulation.scenarios import LINES
 
 
 class RailBase(BaseKind):
-    """One velocity, v. Nothing is singular, so its score (10) is the arm's reachability."""
+    """One velocity, v. No place is singular, so its score (10) is the arm's reachability."""
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD,)
     kind: Literal["rail"]
@@ -23,17 +23,17 @@ class RailBase(BaseKind):
     J_m = property(lambda self: np.eye(1))  # q̇_b → v
     max_velocity = property(lambda self: (self.max_linear_velocity_mps,))
     max_acceleration = property(lambda self: (self.max_linear_acceleration_mps2,))
-    yaw_limit_nm = property(lambda self: 1e4)  # [N m] the rail holds it
+    yaw_limit_nm = property(lambda self: 1e4)  # [N m] the rail prevents rotation
     measure = property(lambda self: Measure(1.0, 0.0))  # it moves every point equally well
 
     def acceleration(self, force: BaseForce) -> np.ndarray:
-        """What moves it is the force along the rail."""
+        """The force along the rail moves the carriage."""
         return np.array([force.x / self.mass_kg])
 
 
 def main(duration: float = 8.0) -> dict[str, object]:
-    """Guide the hand of the paper's arm towards the carriage from the front; the run's figures."""
-    register_base_kind(RailBase)  # from now on robot.toml may say: kind = "rail"
+    """Guide the arm from the front towards the carriage; returns the run's figures."""
+    register_base_kind(RailBase)  # robot.toml may now have: kind = "rail"
     base = {
         "kind": "rail",
         "link": "base_link",

@@ -1,4 +1,4 @@
-"""A driver's own joint states: any order, 50 Hz, without velocities, and gravity added by it.
+"""A driver's own joint states: any order, 50 Hz, without velocities; the driver adds gravity.
 
 Run it: python examples/joint_states.py
 """
@@ -28,7 +28,7 @@ def main(duration: float = 1.0) -> tuple[str, ...]:
             position[places] = truth.q_m
             q_m, qd_m = order(position)
         command = loop.step(Measurement(truth.base_pose, truth.base_velocity, q_m, qd_m))
-        to_driver = command.u_a - command.gravity  # it adds gravity itself
+        to_driver = command.u_a - command.gravity  # the driver adds gravity
         faults |= dict.fromkeys(command.faults)
         robot.step(to_driver + command.gravity, command.base_velocity, hand_force=PULL)
     return tuple(faults)

@@ -1,4 +1,4 @@
-"""The gripper takes 2 kg: the loop says so, and carries it once it is stated.
+"""The gripper takes 2 kg: the loop reports a load, and compensates it once it is stated.
 
 Run it: python examples/load.py
 """

@@ -1,7 +1,7 @@
 """A body of your own against the arm: a box of cargo on the deck behind it.
 
-What stands on the base becomes part of l_m: the link pairs, the border and the controller then know
-of it. The hand is pulled backwards at the cargo, and the base drives away under it.
+A body on the base becomes part of l_m: the link pairs, the border and the controller then
+include it. A person pulls the end-effector backwards at the cargo, and the base drives away.
 Run it: python examples/obstacle_body.py
 """
 
@@ -25,11 +25,11 @@ COARSE = SamplingConfig(
     rounds=1,
     retries=1,
 )
-"""A border within seconds; leave it out for the usual one, which takes a minute, once."""
+"""A coarse border in seconds; without it the standard one takes a minute, once."""
 
 
 def main(controller: str = "dbb") -> dict[str, object]:
-    """Pull the hand at the cargo; gives the figures of the run."""
+    """Pull the end-effector at the cargo; returns the figures of the run."""
     model = RobotModel(load_robot("husky_panda").with_mobile_shapes(CARGO))
     data = load_border_data(model, sampling=COARSE)
     pull = scenario_by_name("guiding-above").changed(
@@ -42,6 +42,6 @@ if __name__ == "__main__":
     for name in ("none", "dbb"):
         figures = main(name)
         print(
-            f"{name}: least distance {figures['min_clearance_m']:.3f} m, "
+            f"{name}: smallest distance {figures['min_clearance_m']:.3f} m, "
             f"the base drove {figures['base_path_m']:.2f} m"
         )

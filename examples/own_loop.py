@@ -1,6 +1,6 @@
-"""The controller in your own 1 kHz loop: put your robot in the place of `robot`.
+"""The controller in your own 1 kHz loop: replace `robot` by your robot.
 
-A person pulls the hand from the front towards the base, and the base drives backwards.
+A person pulls the end-effector from the front towards the base, and the base drives backwards.
 Run it: python examples/own_loop.py
 """
 
@@ -15,18 +15,18 @@ PULL = np.array([-12.0, 0.0, 0.0])  # [N] of the person, in the world
 
 
 def main(duration: float = 2.0) -> float:
-    """Run for some simulated seconds; gives how far the base drove [m], forwards positive."""
+    """Run for some simulated seconds; returns the base's displacement [m], positive forwards."""
     model, config = RobotModel(load_robot("husky_panda")), Config()
     data = load_border_data(model)  # pairs and border: from the cache, or sampled once
     loop = ControlLoop(model, data, config)
 
-    robot = make_physics("kinematic", model)  # yours needs the same: measure() and step()
+    robot = make_physics("kinematic", model)  # yours needs these methods: measure() and step()
     start = StartSolver(model, data.pairs, config.border.d_b).solve((0.92, 0.10, 0.30))
     robot.reset(np.zeros(3), start)
 
     for k in range(round(duration / DT)):
         measured = robot.measure()  # base pose and velocity, joint positions and velocities
-        command = loop.step(measured)  # a Reference as second argument makes the hand track it
+        command = loop.step(measured)  # a Reference as second argument is tracked
         robot.step(command.u_a, command.base_velocity, hand_force=PULL)
         if k % 500 == 0:
             w = command.step

@@ -22,7 +22,7 @@ def main(duration: float = 2.0) -> float:
     pose = loop.controller.state.T_world_ee.copy()
 
     for k in range(steps):
-        if k == steps // 2:  # somebody has moved the arm during a protective stop
+        if k == steps // 2:  # a person has moved the arm during a protective stop
             robot.reset(robot.measure().base_pose, robot.measure().q_m + 0.1)
             loop.reset()  # start again from here
             loop.step(robot.measure())
@@ -37,4 +37,4 @@ def main(duration: float = 2.0) -> float:
 
 
 if __name__ == "__main__":
-    print(f"the end-effector moves at {main():.3f} m/s at most")
+    print(f"largest speed of the end-effector: {main():.3f} m/s")

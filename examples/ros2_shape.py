@@ -1,7 +1,7 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-It takes ROS as `ros`, so that it runs without: in rclpy its three calls are create_subscription,
-create_publisher(…).publish and create_timer. Run it: python examples/ros2_shape.py
+`ros` has three calls of rclpy: create_subscription, create_publisher(…).publish, create_timer.
+Run it: python examples/ros2_shape.py
 """
 
 from functools import partial
@@ -26,7 +26,7 @@ class AvoidanceNode:
         ros.timer(0.1, self.drive)
 
     def control(self) -> None:
-        """One control step, once both sensors have spoken."""
+        """One control step, once both sensors have sent a message."""
         if (joints := self.joints) and (odom := self.odom):
             measured = Measurement(odom.pose, odom.velocity, joints.position, joints.velocity)
             self.send_effort(Message(effort=self.loop.step(measured).u_a))
@@ -37,7 +37,7 @@ class AvoidanceNode:
 
 
 def main(steps: int = 300) -> dict[str, Any]:
-    """The node beside a simulated robot, without ROS; gives the last message of each topic."""
+    """The node beside a simulated robot, without ROS; returns the last message of each topic."""
     model, sent, callbacks, timers = RobotModel(load_robot("husky_panda")), {}, {}, {}
     robot = make_physics("kinematic", model)
     topics = Message(

@@ -22,11 +22,11 @@ REQUIRED = "DBB_REQUIRE_BROWSER"
 
 HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
-LEAST_DIFFERENCE = 24
-"""Of a channel of 0 to 255, from which on a pixel counts as changed."""
+MIN_DIFFERENCE = 24
+"""Smallest change of a channel of 0 to 255 that counts."""
 
 HARMLESS = "Unable to preventDefault inside passive event listener invocation."
-"""What Chromium says when viser's own page begins to drag something; nothing is wrong then."""
+"""Chromium's message when viser's own page starts a drag; it is no error."""
 
 _AT_REST = 0.8  # [s] without a change
 _NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('{SEEN}', 'yes');"
@@ -50,7 +50,7 @@ def wait_for(condition: Callable[[], Any], seconds: float = 60.0, what: str = ""
     """Wait until a condition is true; fail after so many seconds."""
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, f"not in {seconds:g} s: {what or 'what was waited for'}"
+        assert time.monotonic() < deadline, f"not in {seconds:g} s: {what or 'the condition'}"
         time.sleep(0.02)
 
 
@@ -68,7 +68,7 @@ class DashboardTab:
 
     Attributes:
         page: playwright's page.
-        errors: What the page has written to its console as errors, and uncaught exceptions.
+        errors: The page's error messages on its console, and uncaught exceptions.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class DashboardTab:
             draws: Whether it goes on drawing, as a person's page does, also while nobody looks.
             honest: Whether the page may know that it draws in software.
             touch: Whether it is used by fingers.
-            query: What the address asks for besides, each with a leading "&".
+            query: Further parts of the address, each with a leading "&".
             fresh: Whether the page may show a demonstration, as one that nobody has touched.
             dpr: Drawn pixels a pixel of the window; drawing in software takes most of the time.
                 None leaves it to the page.
@@ -117,7 +117,7 @@ class DashboardTab:
         self.wait_for_scene()
 
     def wait_for_scene(self) -> None:
-        """Wait until the robot is where it could be drawn, with what else is there."""
+        """Wait until the robot and everything else in the scene is drawn."""
         self._rests = False
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
@@ -135,8 +135,8 @@ class DashboardTab:
     def rest(self) -> None:
         """Wait until panels and camera are where they stay, once for a scene.
 
-        Both come to the server and back after the first picture, and a mouse that goes down on the
-        way misses what it aims at.
+        Both reach the server and return after the first picture, and a click that starts before
+        misses its target.
         """
         deadline, since = time.monotonic() + 60.0, time.monotonic()
         before = None
@@ -160,12 +160,12 @@ class DashboardTab:
         self.page.evaluate("n => dbbPage.render(n)", frames)
 
     def picture(self, path: Path | None = None) -> np.ndarray:
-        """(H, W, 3) uint8 what is to be seen, also written to `path`."""
+        """(H, W, 3) uint8 the visible page, also written to `path`."""
         from io import BytesIO
 
         from PIL import Image
 
-        self.render(1)  # what has come takes its place; drawing takes ten times as long
+        self.render(1)  # new objects move into place; drawing takes ten times as long
         with self.drawing():
             self.render(1)
         data = self.page.screenshot(path=path)
@@ -197,7 +197,7 @@ class DashboardTab:
     def changed(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """(H, W) bool which pixels of the scene differ between two pictures."""
         difference = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
-        return (difference > LEAST_DIFFERENCE) & self.scene_mask()
+        return (difference > MIN_DIFFERENCE) & self.scene_mask()
 
     def wait_for_change(
         self,
@@ -214,7 +214,7 @@ class DashboardTab:
             least: How many pixels have to differ.
             places: (K, 2) [px] around which they have to; None is the whole scene.
             radius: [px] how far around.
-            seconds: How long to wait at most.
+            seconds: Longest time to wait.
 
         Returns:
             The new picture.
@@ -243,7 +243,7 @@ class DashboardTab:
         return self.page.evaluate("n => dbbTest.shown(n)", node)
 
     def text(self, node: str) -> str | None:
-        """What a label of the scene says."""
+        """The text of a label of the scene."""
         return self.page.evaluate("n => dbbTest.text(n)", node)
 
     def position(self, node: str) -> np.ndarray:
@@ -345,7 +345,7 @@ class DashboardTab:
 
     def row(self, label: str) -> Any:
         """The row of the widget with this label."""
-        text = re.compile(rf"^\s*{re.escape(label)}(\s•)?\s*$")  # with the mark of what is changed
+        text = re.compile(rf"^\s*{re.escape(label)}(\s•)?\s*$")  # with the mark of a change
         found = self.page.locator("label").filter(has_text=text).filter(visible=True)
         return found.locator("xpath=ancestor::div[contains(@class,'mantine-Flex-root')][1]")
 

@@ -1,4 +1,4 @@
-"""What many tests share: the paper's robot, compiled once, and its border from the cache."""
+"""Shared fixtures: the paper's robot, compiled once, and its border from the cache."""
 
 import signal
 from collections.abc import Generator
@@ -21,8 +21,8 @@ from app.simulation.trace import arrow
 from tests.browser import chromium
 from tests.robots import husky_panda
 
-# A shell starts what it runs in the background with Ctrl-C ignored, nohup with SIGHUP, and the
-# programs that tests start would inherit that.
+# A shell starts background programs with Ctrl-C ignored, and nohup ignores SIGHUP. The programs
+# that tests start would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP"):
@@ -34,8 +34,24 @@ settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
 
 
+_LONGEST = (
+    "test_onboarding_robot",
+    "test_browser_upload",
+    "test_cli",
+    "test_robot_build",
+    "test_refrigerator",
+    "test_postures",
+    "test_end_to_end",
+    "test_browser_downloads",
+    "test_oracle",
+    "test_study_run",
+    "test_reach_map",
+)
+"""Files of more than half a minute, the longest first: at the end one of them would run alone."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with anything slow first, so that short ones fill up the workers in the end.
+    """The longest files first, then those with anything slow; short ones fill up the workers.
 
     A page that was late is looked at again.
     """
@@ -44,7 +60,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return any(item.get_closest_marker(name) for name in ("slow", "browser"))
 
     slow = {item.path for item in items if is_slow(item)}
-    items.sort(key=lambda item: item.path not in slow)
+    rank = {name: k for k, name in enumerate(_LONGEST)}
+    last = len(rank)
+    items.sort(key=lambda item: rank.get(item.path.stem, last + (item.path not in slow)))
     for item in items:
         if item.get_closest_marker("browser"):  # it draws in software, beside all other tests
             item.add_marker(pytest.mark.flaky(reruns=2))
@@ -52,7 +70,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @contextmanager
 def _what_needs_pybullet() -> Generator[None]:
-    """Skip, where it has no wheels, what ends with the line that says that it is needed."""
+    """Skip a test without wheels if it ends with the line that requires them."""
     try:
         yield
     except DbbError as error:
@@ -103,11 +121,11 @@ def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     load_model, load_border = common.load_model, cache.load_border_data
 
     def model_of(robot: str) -> RobotModel:
-        fresh = load_model(robot)  # whatever is wrong with its files is found out each time
+        fresh = load_model(robot)  # errors of its files are raised each time
         return _models.setdefault(fresh.description.model_dump_json(), fresh)
 
     def border_of(model: RobotModel, **how: Any) -> BorderData:
-        if how:  # sampled as one asks for it
+        if how:  # sampled with the given options
             return load_border(model, **how)
         if model not in _borders:
             _borders[model] = load_border(model)
@@ -125,7 +143,7 @@ _borders: dict[RobotModel, BorderData] = {}
 def browser():
     """A headless browser, one for the tests of a file.
 
-    What its pages ask for is made at the tests' own priority: other tests would hold it up.
+    It makes files of its pages at the tests' own priority, because other tests would delay it.
     """
     with pytest.MonkeyPatch.context() as changed, chromium() as browser:
         changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
@@ -134,7 +152,7 @@ def browser():
 
 @pytest.fixture(autouse=True)
 def _tabs_end_with_their_test(request: pytest.FixtureRequest):
-    """What a test opened is closed after it, also if it failed: its server outlives it."""
+    """Close the objects of a test, also if it failed, because its server lives longer."""
     if "browser" not in request.fixturenames:
         yield
         return

@@ -30,7 +30,7 @@ class Served(NamedTuple):
         return self.server.pages[max(self.server.pages)]
 
     def begin_anew(self) -> None:
-        """As at the first start, but for the parameters and what viewers have chosen to see."""
+        """Return to the first state, except for the parameters and the viewers' choices."""
         for command in (Compare(), Speed(1.0), Pause(False), Reset()):
             self.loop.send(command)
         self.loop.commands.clear()

@@ -36,7 +36,7 @@ def collision_points(link: str) -> np.ndarray:
 
 @dataclass
 class Collisions:
-    """Pairs of shapes and what collides among them."""
+    """Pairs of shapes and their collisions."""
 
     geometry: pin.GeometryModel
     names: list[tuple[str, str]]

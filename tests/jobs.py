@@ -38,7 +38,7 @@ def killed_at_first(context: int, file: str) -> str:
 
 
 def add_slowly(context: int, job: int, on_progress: Callable[[float], None]) -> int:
-    for share in (0.25, 0.5, 0.25, 0.75):  # what it tells may fall
+    for share in (0.25, 0.5, 0.25, 0.75):  # a report may decrease
         on_progress(share)
     return context + job
 
@@ -66,7 +66,7 @@ def nap(report: Report, seconds: float) -> float:
 
 
 def wait_for_ever(report: Report, file: str) -> None:
-    """With a child of its own, whose number is told."""
+    """With a child process, whose number it reports."""
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     Path(file).write_text(str(child.pid))
     report("waiting", 0.5)

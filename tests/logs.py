@@ -1,4 +1,4 @@
-"""Snapshots for tests of what is made from logs."""
+"""Snapshots for tests of products of logs."""
 
 from __future__ import annotations
 

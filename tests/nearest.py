@@ -15,7 +15,7 @@ Array = np.ndarray
 
 
 class Placed:
-    """One of coal's shapes, asked for its distance from points."""
+    """One of coal's shapes, for its distance from points."""
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self._geometry, self._point, self._T = geometry, coal.Sphere(0.0), coal.Transform3s()

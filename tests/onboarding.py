@@ -11,8 +11,10 @@ import pytest
 import trimesh
 
 from app.border.config import SamplingConfig
+from app.jobs.progress import OnProgress
 from app.onboarding import new_robot, numbers
 from app.onboarding.fit import postures
+from app.onboarding.fit.postures import Place
 from app.robot import assets
 from app.simulation.scenarios import LINES
 
@@ -23,7 +25,7 @@ INERTIAL = (
 
 
 def solid(shape: str, *, mass: float = 1.0, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
-    """What stands in a link: a collision shape and an inertia."""
+    """The content of a link: a collision shape and an inertia."""
     inertial = INERTIAL.format(m=mass, i=0.01 * mass) if mass else ""
     return (
         f'{inertial}<collision><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>'
@@ -77,7 +79,7 @@ def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
 
 
 def arm() -> list[str]:
-    """Six revolute joints on a column, the hand 0.8 m from the second at most."""
+    """Six revolute joints on a column; the end-effector reaches 0.8 m from the second."""
     tube = '<cylinder radius="0.04" length="0.34"/>'
     small = '<cylinder radius="0.035" length="0.08"/>'
     names = ("column", "shoulder", "upper", "fore", "cuff", "wrist_link", "hand")
@@ -137,6 +139,11 @@ def zipped(folder: Path, files: Mapping[str, str | bytes]) -> Path:
 
 FAST_LINES = {name: line.changed(duration=4.0) for name, line in LINES.items()}
 """Twice as fast: half of the work to make a robot is to run its lines."""
+
+
+def line_without_a_run(_: object, side: postures.Side, on_progress: OnProgress) -> Place | str:
+    """As `line_from` finds it, but for the runs on which the base has to give way."""
+    return postures.find_place(side.model, side.data.pairs, side.name, on_progress=on_progress)
 
 
 @contextmanager

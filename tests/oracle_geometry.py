@@ -115,7 +115,7 @@ class Ring(NamedTuple):
     vertices: Array
     tangents: Array
     outside: Array
-    """[m] by how much a vertex lies outside of the other shapes' offsets."""
+    """[m] distance of a vertex to the other shapes' offsets, positive outside."""
 
 
 class Border:

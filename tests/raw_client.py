@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 
 class RawClient:
-    """One connection; what the server sends is counted and thrown away.
+    """One connection; it counts and discards the server's messages.
 
     Attributes:
         received: [bytes] taken in so far.

@@ -8,7 +8,7 @@ from typing import Any
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult, run_planned
+from app.simulation.run import RunResult, run_from_spec
 from app.studies.paper.experiments import Experiment, Sources
 from app.studies.runs import thinned
 
@@ -23,7 +23,7 @@ def short_run(
     """An experiment, cut short."""
     scenario = experiment.scenario.changed(duration=duration)
     return thinned(
-        run_planned(experiment._replace(scenario=scenario, physics=physics), robot, data)
+        run_from_spec(experiment._replace(scenario=scenario, physics=physics), robot, data)
     )
 
 

@@ -1,4 +1,4 @@
-"""What a screen reader gets of the page: names, landmarks, contrast, as axe-core finds them."""
+"""The page for a screen reader: names, landmarks and contrast, checked by axe-core."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_no_tab_has_a_violation(browser, served, axe, dark):
     for name in TABS:
         tab.page.evaluate("name => dbbPanels.open(name)", name)
         tab.page.get_by_role("tab", name=name, selected=True).wait_for()
-        tab.page.wait_for_timeout(700)  # [ms] names are given to what has just come
+        tab.page.wait_for_timeout(700)  # [ms] new elements get their names
         found = tab.page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")
         nodes = [(each["id"], each["nodes"][0]) for each in found["violations"]]
         assert [(kind, n["html"][:200], n["failureSummary"]) for kind, n in nodes] == [], name

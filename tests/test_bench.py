@@ -1,4 +1,4 @@
-"""`dbb bench` measures what it says: recorded paths, the floor, borders of many points."""
+"""Laws of `dbb bench`: recorded paths, the floor, borders of many points."""
 
 from __future__ import annotations
 

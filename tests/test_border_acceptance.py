@@ -142,7 +142,7 @@ def test_no_gap_over_20_mm_lies_in_the_reachable_part_of_a_contour(sampled, d_b)
         if len(points_there):
             far = cKDTree(points_there[:, :2]).query(ring)[0]
         near_edge = np.zeros(len(ring), dtype=bool)
-        for shift in range(-8, 9):  # within 40 mm of what is covered
+        for shift in range(-8, 9):  # within 40 mm of the covered range
             near_edge |= np.roll(far <= 0.0101, shift)
         targets = np.column_stack([ring, np.full(len(ring), z)])
         covered += list(points_there)

@@ -1,4 +1,4 @@
-"""The border's file: what is written is what is read, and nothing else is believed."""
+"""The border's file: it returns the written content, and a changed file is refused."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def test_a_selection_from_a_million_points_is_quick():
 
 
 def _timed(work) -> float:
-    """[s] of this process, whatever else the machine does."""
+    """[s] processor time of this process, independent of other work."""
     start = time.process_time()
     work()
     return time.process_time() - start

@@ -70,7 +70,7 @@ def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
         dense = (ring[:-1] + share * (ring[1:] - ring[:-1])).reshape(-1, 2)
         least = np.linalg.norm(dense - p, axis=1).min()
         xy, tangent = nearest(offset, p, z)
-        # It is the foot on a smooth curve, of which the polygon is the chord.
+        # It is the foot on a smooth curve; the polygon is its chord.
         assert least - 1e-5 < np.linalg.norm(xy - p) < least + 1.5e-3
         assert (p - xy) @ tangent == pytest.approx(0.0, abs=1e-9)
         assert np.linalg.norm(tangent) == pytest.approx(1.0)

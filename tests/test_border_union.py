@@ -17,7 +17,7 @@ from app.simulation.scenarios import scenario_by_name
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
-FLOOR = 0.1323  # [m] of the link's origin, in which the shapes are given, above the floor
+FLOOR = 0.1323  # [m] height of the shapes' link origin above the floor
 # Centre and half sides [m] of a deck and of a tower behind the arm; radius and axis of a post
 # beside it. In the base's frame, whose origin is on the floor.
 DECK = np.array([0.0, 0.0, 0.19]), np.array([0.495, 0.345, 0.19])

@@ -1,4 +1,4 @@
-"""What the tab "Save" gives is what was asked for, and can be opened again."""
+"""The tab "Save" delivers the requested files, and they can be opened again."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.robots import needs_pybullet
 pytestmark = pytest.mark.browser
 
 BEGIN, END = 1.0, 1.2  # [s] of the marked interval
-PATIENCE = 300_000  # [ms] for what is made at low priority beside a simulation
+PATIENCE = 300_000  # [ms] for files that are made at low priority beside a simulation
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def tab(browser):
 
 
 def download(tab: DashboardTab, button: str, folder: Path) -> Path:
-    """Press a button and keep what comes."""
+    """Press a button and keep the download."""
     with tab.page.expect_download(timeout=PATIENCE) as coming:
         tab.click(button)
     path = folder / coming.value.suggested_filename
@@ -68,7 +68,7 @@ def test_a_picture_has_the_asked_size_and_shows_the_scene(tab, tmp_path):
 def test_a_log_holds_the_marked_interval(tab, tmp_path, kind):
     path = download(tab, f"Log ({kind})", tmp_path)
     assert path.suffix == f".{kind.lower()}"
-    if kind == "CSV":  # opens as it is in spreadsheets and pandas: the first line names the columns
+    if kind == "CSV":  # opens in spreadsheets and pandas: the first line has the columns
         with path.open(newline="", encoding="utf-8") as file:
             times = [float(row["t_s"]) for row in csv.DictReader(file)]
     else:
@@ -89,13 +89,13 @@ def test_one_escape_leads_back_to_now_while_a_message_lies_over_the_scene(tab, t
 
 @pytest.fixture
 def made_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is asked for is made in this process; a film shows that it is in one of its own."""
+    """Files are made in this process, except a film, which has its own process."""
     monkeypatch.setattr(Job, "run", lambda self, work, *args: work(self.report, *args))
 
 
 @pytest.fixture
 def offline(browser):
-    """A page without a network, and what goes wrong on it."""
+    """A page without a network, and its errors."""
     context = new_context(browser, (640, 480))
     context.set_offline(True)
     context.add_init_script(HELPERS)

@@ -1,4 +1,4 @@
-"""The border as a body, and postures that are explored: what a click and a slider tell."""
+"""The border as a body, and posture exploration: results of a click and of a slider."""
 
 import numpy as np
 import pytest

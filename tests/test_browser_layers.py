@@ -44,7 +44,7 @@ def tab(opened):
 
 
 class Layer(NamedTuple):
-    """A box of the tab "View", and where what it stands for is to be seen.
+    """A checkbox of the tab "View", and the visible place of its layer.
 
     Attributes:
         box: Its label.
@@ -52,8 +52,8 @@ class Layer(NamedTuple):
         radius: [px] how far from there something may change.
         least: [px] how many have to.
         node: In whose frame; the root is the world.
-        share: [-] of all that changes, how much of it lies there; the rest of the border changes
-            its colours with the range of what is shown, and labels are longer than the radius.
+        share: [-] smallest part of all changes in that place; the rest of the border changes
+            its colours with the displayed range, and labels are longer than the radius.
     """
 
     box: str

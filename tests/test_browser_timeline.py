@@ -58,7 +58,7 @@ def test_the_time_line_shows_the_robot_as_it_was_while_the_simulation_goes_on(ta
     then = page.timeline.shown()
     assert served.loop.latest().t - then.t == pytest.approx(2.5, abs=0.06)
     assert then in loop.history(-1.0)
-    wait_for(lambda: shows(tab, then), what="the scene as it was")
+    wait_for(lambda: shows(tab, then), what="the former scene")
     now = loop.latest()
     loop.send(Pause(False))
     moved = np.linalg.norm(now.p_ee - then.p_ee) + np.linalg.norm(now.base_pose - then.base_pose)
@@ -110,7 +110,7 @@ def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab,
     wait_for(lambda: shows(tab, page.timeline.shown()))
     tab.click("+1 s")
     wait_for(lambda: page.timeline.shown().t == pytest.approx(before, abs=1e-3))
-    assert len(loop.commands) == count, "what is past is not simulated again"
+    assert len(loop.commands) == count, "the past is not simulated again"
 
 
 @needs_pybullet

@@ -43,7 +43,7 @@ BLOCKED = "Blocked script execution in 'about:srcdoc'"
 LATE = "Tried to update non-existent component"
 """viser's page, of a widget whose removal came in the same picture as its last change.
 
-It applies changes after removals; what was removed with the old robot's page is gone either way.
+It applies changes after removals; objects of the old robot's page are removed in both cases.
 """
 SAMPLING = SamplingConfig(
     pair_samples=2000,
@@ -57,7 +57,7 @@ SAMPLING = SamplingConfig(
 
 
 def make_of_few(report: Report, request: Request) -> None:
-    """What the process does that makes the robot, with the one line on which it is pulled here.
+    """Main function of the process that makes the robot, with one line of guiding.
 
     Its border is kept beside the robots.
     """

@@ -33,7 +33,7 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         first.open_tab("View")
         first.choose("hand – base", "hidden")
         wait_for(lambda: not first.is_shown(f"{ROOT}/border_lm-lEE"))
-        assert second.is_shown(f"{ROOT}/border_lm-lEE"), "each has layers of his own"
+        assert second.is_shown(f"{ROOT}/border_lm-lEE"), "each has its own layers"
 
         served.pull_at_base(3.0)
         first.look_at(1.5)
@@ -41,7 +41,7 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         then, now = page_of_first.timeline.shown(), loop.latest()
         wait_for(lambda: np.linalg.norm(first.position(GIZMO) - then.p_ee) < 1e-3)
         wait_for(lambda: np.linalg.norm(second.position(GIZMO) - now.p_ee) < 1e-3)
-        assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "each has a time of his own"
+        assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "each has its own time"
         first.click("Back to now")
         served.begin_anew()
         first.open_tab("Run")

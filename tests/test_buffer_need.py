@@ -103,7 +103,7 @@ def test_the_need_is_where_the_least_distance_is_the_reserve(base):
 
 
 def test_an_oblique_hand_is_met_by_what_of_the_force_is_horizontal(base):
-    """Once for the force, and once for what of the base's motion changes the distance."""
+    """Once for the force, and once for the part of the base's motion that changes the distance."""
     n, p = FRONT
     d_b, across = np.linspace(0.1, 0.4, 7), 0.8
     weak = [changed(force__f_max=f) for f in (40.0, 40.0 * across**2)]  # limits are not met

@@ -1,4 +1,4 @@
-"""A case plays again to the bit what it was made of, and says what differs where it does not."""
+"""A case repeats its run bit by bit, and reports differences."""
 
 import json
 
@@ -8,10 +8,10 @@ import pytest
 from app.cli.main import main
 from app.config import FORMER_NAMES, Config
 from app.errors import CaseError, DbbError
-from app.simulation.case import Planned, RunCase
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Pull
 from app.simulation.loop.ensemble import Ensemble
-from app.simulation.run import run_planned, steps_of
+from app.simulation.run import run_from_spec, steps_of
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.pulled import CHALLENGE
@@ -27,7 +27,7 @@ def pulled(robot, border_data):
     session = Session(robot, border_data, config, physics="planar", seed=3)
     ensemble = Ensemble(session, np.array(Q_START))
     ensemble.pull(Pull((0.5, 0.2, 0.4)))
-    for _ in range(150):  # what was before must leave nothing behind
+    for _ in range(150):  # earlier steps must have no effect
         ensemble.step()
     ensemble.play(CHALLENGE.changed(duration=0.9, q_m=Q_START))
     for k in range(900):
@@ -57,21 +57,21 @@ def test_what_people_pulled_plays_again_to_the_bit_from_its_file(pulled, robot, 
     state, case = pulled
     read = RunCase.read(case.text(), "case.json")
     assert read.differences() == []
-    *_, last = (state_of(s) for s, _ in steps_of(read.planned(), robot, border_data))
+    *_, last = (state_of(s) for s, _ in steps_of(read.spec(), robot, border_data))
     assert last == state
 
 
 def test_the_pull_moved_the_robot(pulled, robot, border_data):
     """Else the test above would say nothing."""
     state, case = pulled
-    still = Planned(case.robot, case.scenario().changed(pulls=()), case.config(), seed=3)
+    still = RunSpec(case.robot, case.scenario().changed(pulls=()), case.config(), seed=3)
     *_, last = (state_of(s) for s, _ in steps_of(still, robot, border_data))
     assert last != state
 
 
 def test_the_figures_of_a_case_come_out_again(pulled, robot, border_data):
     _, case = pulled
-    result = run_planned(case.planned()._replace(controller="none"), robot, border_data)
+    result = run_from_spec(case.spec()._replace(controller="none"), robot, border_data)
     figures = {"base_path_m": result.figures["base_path_m"]}
     kept = case.model_copy(update={"figures": figures})
     assert kept.changes(result.figures) == []
@@ -107,7 +107,7 @@ def test_a_parameter_that_changes_ends_a_challenge(robot, border_data):
 
 @pytest.mark.parametrize("scenario", [*SCENARIOS.values(), CHALLENGE, RANDOM_PULL])
 def test_every_scenario_comes_back_from_its_file(scenario):
-    case = RunCase.of(Planned("husky_panda", scenario, Config(), "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "planar"))
     read = RunCase.read(case.text(), "case.json")
     assert read.text() == case.text()
     assert read.scenario() == scenario
@@ -115,7 +115,7 @@ def test_every_scenario_comes_back_from_its_file(scenario):
 
 
 def test_a_case_of_another_version_says_what_differs():
-    case = RunCase.of(Planned("husky_panda", CHALLENGE, Config(), "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", CHALLENGE, Config(), "dbb", "planar"))
     content = json.loads(case.text()) | {"version": "0.1"}
     del content["parameters"]["ee_hold.weight"]
     content["parameters"]["border.former"] = 7.0
@@ -129,7 +129,7 @@ def test_a_case_of_another_version_says_what_differs():
 
 def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
     config = Config().replace("task.slack_weight", 0.01)
-    case = RunCase.of(Planned("husky_panda", CHALLENGE, config, "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", CHALLENGE, config, "dbb", "planar"))
     content = json.loads(case.text())
     for former, path in FORMER_NAMES.items():
         content["parameters"][former] = content["parameters"].pop(path)
@@ -156,7 +156,7 @@ def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
     ],
 )
 def test_a_wrong_case_is_refused_in_one_line(change, named):
-    case = RunCase.of(Planned("husky_panda", CHALLENGE, Config(), "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", CHALLENGE, Config(), "dbb", "planar"))
     with pytest.raises(DbbError) as refused:
         RunCase.read(json.dumps(json.loads(case.text()) | change), "mine.json")
     assert named in str(refused.value)
@@ -173,7 +173,7 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     tmp_path, capsys, loaded_once
 ):
     scenario = CHALLENGE.changed(duration=0.3, q_m=Q_START, pulls=((20, 0, (0.5, 0.0, 0.3)),))
-    case = RunCase.of(Planned("husky_panda", scenario, Config(), "dbb", "kinematic"))
+    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "kinematic"))
     file = tmp_path / "mine.json"
     file.write_text(case.text())
     main(["run", "--case", str(file), "--json"])
@@ -182,7 +182,7 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     held = {"base_path_m": figures["base_path_m"]}
     file.write_text(case.model_copy(update={"figures": held}).text())
     main(["run", "--replay-case", str(file)])
-    assert "not as it was" not in capsys.readouterr().err
+    assert "changed since" not in capsys.readouterr().err
     other = {"figures": {"base_path_m": 7.5}, "version": "0.1"}
     file.write_text(case.model_copy(update=other).text())
     main(["run", "--case", str(file)])

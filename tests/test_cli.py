@@ -1,4 +1,4 @@
-"""The commands: one JSON object where it was asked for, one clear line where it cannot be done."""
+"""The commands: one JSON object with `--json`, one clear line for an error."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Outcome(NamedTuple):
 
 @pytest.fixture
 def dbb(capfd, monkeypatch, loaded_once):
-    """Runs the command line in this process; also sees what a C library prints."""
+    """Runs the command line in this process; also captures output of C libraries."""
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # pytest owns the logging here
 
     def run(*args: str) -> Outcome:
@@ -144,7 +144,7 @@ def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_u
 
 
 def test_the_base_of_a_hand_that_is_let_go_goes_on_at_the_motions_own_pace(dbb):
-    """Let go after 0.3 s or held on: until then the same motion, whatever the duration."""
+    """Release after 0.3 s or hold on: until then the same motion, for any duration."""
     args = ["run", "guiding-front", "--physics", "kinematic", "--json"]
     figures = [
         json.loads(dbb(*args, "--release-at", "0.3", "--duration", duration).out)
@@ -430,7 +430,7 @@ def test_a_wrong_type_is_refused_without_markup(dbb, args):
 
 @pytest.mark.parametrize("args", [["--help"], ["run", "nope"], ["run", "tracking", "--help"]])
 def test_what_needs_no_robot_loads_none_of_the_libraries_of_one(args):
-    """Well below a second, whatever the machine: time goes into imports."""
+    """Well below a second on any machine: imports take the time."""
     code = (
         "import sys\nfrom app.cli.main import main\n"
         f"try:\n    main({args})\nexcept SystemExit:\n    pass\n"

@@ -14,14 +14,14 @@ from app.cli.options import configured
 from app.config import Config, sections
 from app.config_file import decode_config, read_config, save_config
 from app.robot.description import load_robot
-from app.simulation.case import Planned, RunCase
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.scenarios import SCENARIOS
 
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01", "--json"]
 
 
 class SeenError(Exception):
-    """Carries what a command hands on, in the place of the work."""
+    """Carries the arguments of a command instead of running its work."""
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def handed_on(monkeypatch):
     def stop_sweep(plan, **_):
         raise SeenError(plan.config)
 
-    monkeypatch.setattr("app.simulation.run.run_planned", stop)
+    monkeypatch.setattr("app.simulation.run.run_from_spec", stop)
     monkeypatch.setattr("app.studies.sweep.sweep.sweep", stop_sweep)
 
     def of(*args: str) -> Config:
@@ -127,7 +127,7 @@ def test_a_mistake_in_the_file_is_one_line_that_names_it(capsys, tmp_path, comma
 
 def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
     played = SCENARIOS["guiding-front"]
-    case = RunCase.of(Planned("husky_panda", played, Config(), "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", played, Config(), "dbb", "planar"))
     path = tmp_path / "case.json"
     path.write_text(case.text())
     for command in ("run", "serve"):

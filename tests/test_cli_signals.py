@@ -1,4 +1,4 @@
-"""A signal ends a command by its convention, whatever compiled code makes of it."""
+"""A signal ends a command by its convention, also through compiled code."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def swallowed() -> None:
 
 
 def swallowed_by_an_import() -> None:
-    """As the import of a library does that tries what it may have; then the work begins."""
+    """Like the import of a library that tests for optional parts; then the work starts."""
     with suppress(BaseException):
         interrupted()
     with progress_bar("work", 10.0):

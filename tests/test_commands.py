@@ -1,4 +1,4 @@
-"""Whatever can be known to be wrong is refused where it enters, as its sender's error."""
+"""Errors that can be known early are refused at the entry, as the sender's error."""
 
 from __future__ import annotations
 

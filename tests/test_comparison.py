@@ -50,7 +50,7 @@ def run(ensemble: Ensemble, seconds: float) -> list[Step]:
 
 
 def apart(ensemble: Ensemble, i: int = 0) -> float:
-    """By how much a ghost stands otherwise than the robot, in any coordinate."""
+    """Largest difference between a ghost and the robot, in any coordinate."""
     ghost, main = ensemble.ghosts[i].session.state, ensemble.main.state
     there, here = (np.concatenate(s.measurement) for s in (ghost, main))
     return float(np.abs(there - here).max())
@@ -195,5 +195,5 @@ def test_scores_are_of_the_scenario_and_not_of_what_a_person_does_after_it(make)
     steps = run(ensemble, 0.5)
     assert ensemble.scores() == before
     ghost = ensemble.ghosts[0].reading().clearance
-    assert ghost != before[1].clearance, "what is drawn goes on"
+    assert ghost != before[1].clearance, "the drawing continues"
     assert steps[-1].t > 0.9

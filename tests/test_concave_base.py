@@ -65,7 +65,7 @@ def controller_of(data: BorderData, name: str, *shapes: Box) -> Controller:
 
 
 def asked(controller: Controller, m: Measurement, acceleration: Array) -> ControlStep:
-    """The answer where the hand is asked for an acceleration (3,) [m/s²]."""
+    """The answer to a demanded acceleration (3,) [m/s²] of the end-effector."""
     controller.reset()
     controller.step(m)
     pose = pin.SE3(controller.state.T_world_ee)
@@ -74,7 +74,7 @@ def asked(controller: Controller, m: Measurement, acceleration: Array) -> Contro
 
 
 def missed(output: ControlStep) -> Array:
-    """(k,) [m/s²] of what each barrier asks."""
+    """(k,) [m/s²] demand of each barrier."""
     C, l, _, _ = barriers(output)
     return l - C @ output.qdd
 
@@ -103,7 +103,7 @@ def test_a_base_of_two_parts_is_kept_from_as_two_bases_of_one_part_each(
 def test_in_a_corner_the_arm_is_held_back_by_both_faces(
     border_data: BorderData, name: str, seed: int
 ) -> None:
-    """The hand is asked into deck and wall at once; the pair that holds it is named once."""
+    """The end-effector has to move into deck and wall at once; the active pair appears once."""
     controller = controller_of(border_data, name, DECK, WALL)
     output = asked(controller, in_the_corner(seed), -20.0 * (np.array(UP) + BESIDE))
     np.testing.assert_allclose(missed(output)[:2], 0.0, atol=0.1)  # soft, and both met

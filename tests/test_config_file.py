@@ -1,4 +1,4 @@
-"""A configuration that is written and read again is the same; what is wrong in a file is told."""
+"""A configuration that is written and read again is the same; errors of a file are reported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from app.config import Config, make_config, sections
 from app.config_file import (
     LONGEST_NAME,
-    MOST_BYTES,
+    MAX_BYTES,
     checked_name,
     decode_config,
     read_config,
@@ -105,7 +105,7 @@ def test_a_file_that_cannot_be_one_is_named(tmp_path) -> None:
     with pytest.raises(ConfigError, match="Is a directory"):
         read_config(tmp_path)
     for content, told in (
-        (b"#" * (MOST_BYTES + 1), "more than"),
+        (b"#" * (MAX_BYTES + 1), "more than"),
         (b"\xff\xfe\x00", "UTF-8"),
         (b"[hand]\nf_max = 0.0", r"hand\.f_max"),
     ):

@@ -37,12 +37,12 @@ ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6).replace("limit.velocity_rate", 30.0)
 """Limits of joints count early, so that poses at which none does are far from them."""
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
-"""The hand weighs nothing, so that the base does what (29) says."""
+"""The end-effector's task has no weight, so that the base does (29)."""
 
 
 @pytest.fixture(scope="module")
 def controller(robot: RobotModel, border_data: BorderData) -> Controller:
-    """With torques that may change at once, so that each step shows what the stack asks for."""
+    """With torques that may change at once, so that each step shows the demand of the tasks."""
     return Controller(robot, border_data, AT_ONCE)
 
 
@@ -54,7 +54,7 @@ def measured(robot: RobotModel, q_m: np.ndarray, **more: np.ndarray) -> Measurem
 def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -> Measurement:
     """A random measurement, moving slowly, with a pair inside its buffer but nothing in contact.
 
-    Only such at which no limit of the robot is active, so that what is left is the law itself.
+    Only states without active limits of the robot, so that the law itself remains.
     """
     rng = np.random.default_rng(seed)
     reader = PairDistances(robot, candidate_pairs(robot))
@@ -193,7 +193,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
 def test_a_tracking_base_turns_in_time_where_joints_come_to_their_limits(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
-    """What the rows alone ask of it no arm could make up for; what it does an arm can."""
+    """No arm could compensate the demand of the rows alone; an arm can compensate the result."""
     m = near_limits(robot, controller, seed)
     output = unheld_step(controller, m, reference_at(robot, m))
     by_rows, asked = output.a_base_des, output.a_base_cmd
@@ -228,11 +228,11 @@ def near_limits(robot: RobotModel, controller: Controller, seed: int) -> Measure
 
 
 def missing(state: RobotState, base: np.ndarray) -> float:
-    """[m/s²] of a hand held in place: what no arm within limits as slow as the base makes up for.
+    """[m/s²] error of a fixed end-effector that no arm with such slow limits compensates.
 
     Args:
         state: The robot's.
-        base: (2,) what the base is asked; the admittance law answers it.
+        base: (2,) the commanded base acceleration; the admittance law responds to it.
     """
     gain, drag = response(state.model.description.base, UNHELD.admittance)
     moved = state.model.J_m_inv @ (gain * (base - drag * state.measurement.base_velocity))
@@ -261,7 +261,7 @@ def test_a_base_without_an_answer_costs_the_arm_nothing_and_is_counted(
 def test_the_hands_task_comes_before_the_posture_by_its_weight(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
-    """What the posture pulls it off shrinks as the weight grows, to nothing."""
+    """The error by the posture task goes to zero as the weight grows."""
     rng = np.random.default_rng(seed)
     q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
     controller.reset()
@@ -373,7 +373,7 @@ def test_a_reference_that_is_not_finite_gives_the_safe_command(
 def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """Sensors that begin with NaN: what comes after them is what came without them."""
+    """After initial NaN of the sensors, the results are those without NaN."""
     good = measured(robot, np.array(robot.description.arm.ready_position) + 0.1)
     late, well = (Controller(robot, border_data, Config()) for _ in range(2))
     for _ in range(3):

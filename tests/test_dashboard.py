@@ -880,7 +880,7 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
         "<b>repulsive</b>, arm repulsion only: contact, least distance 50 mm",
     ]
     html = scores_html(scores)
-    assert coloured(html, "contact") == 2
+    assert coloured(html, "contact") == 3, "two outcomes, and a distance below zero"
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     marked = [re.sub(r"<[^>]*>", "", cell) for cell in cells]
     assert [text for text in marked if "✓" in text] == ["✓ 104", "✓ 10.0"]

@@ -1,4 +1,4 @@
-"""Noise, delay, model error, slip: zero is no change, and each does what its number says."""
+"""Noise, delay, model error, slip: zero is no change, and each has the effect of its number."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
 
 
 class Spy:
-    """A plant that notes what it is told."""
+    """A plant that records its inputs."""
 
     def __init__(self, physics) -> None:
         self._physics, self.commands = physics, []
@@ -168,7 +168,7 @@ def test_slip_leaves_the_rest_of_the_motion(make, slip):
     steps = pulled(session, 1500)
     sent = np.array([step.base_command for step in steps])
     np.testing.assert_allclose(session.physics.commands, (1 - slip) * sent, atol=1e-15)
-    assert steps[-1].measurement is steps[-1].truth  # what the odometry sees is how it moves
+    assert steps[-1].measurement is steps[-1].truth  # the odometry sees the true motion
 
 
 @pytest.mark.parametrize("error", [-0.3, 0.2])
@@ -191,7 +191,7 @@ def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_b
         np.testing.assert_allclose(wrong.g[2:], (1 + error) * right.g[2:], atol=1e-9)
         np.testing.assert_allclose(wrong.M[2:], (1 + error) * right.M[2:], atol=1e-9)
         np.testing.assert_allclose(wrong.h[2:], (1 + error) * right.h[2:], atol=1e-9)
-        # The base's own part does not change: what is added is as much as is taken.
+        # The base's own part does not change: the sums are equal.
         np.testing.assert_allclose(wrong.M - right.M, right.M - mirrored.M, atol=1e-9)
         assert 0 < abs(wrong.M[0, 0] / right.M[0, 0] - 1) < abs(error)
         np.testing.assert_array_equal(wrong.J_ee, right.J_ee)

@@ -1,16 +1,18 @@
-"""What README and documentation offer to copy works: the loop and the commands."""
+"""The loop, the commands and the snippets of README and documentation work."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import app
 from app.cli.main import main
 from app.robot.state import RobotState
-from tests.readme import README, page, section
+from tests.readme import PROJECT, README, page, section
 from tools.pages import command_names
 
 LONGEST_LOOP = 12  # [-] lines
@@ -34,6 +36,21 @@ def test_the_loop_of_the_readme_runs_and_holds_the_arm() -> None:
     np.testing.assert_allclose(names["command"].u_a, state.g[2:], atol=1e-4)
     np.testing.assert_allclose(names["command"].base_velocity, 0.0, atol=1e-6)
     assert names["loop"].controller.last.failures == 0
+
+
+def test_the_api_page_has_every_name_with_an_example_that_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = page("api")
+    assert sorted(re.findall(r"^### `(\w+)`$", text, re.M)) == app.__all__
+    assert sorted(re.findall(r"^\.\. auto\w+:: app\.(\w+)$", text, re.M)) == app.__all__
+    parts = re.split(r"^### ", text, flags=re.M)[1:]
+    assert [part.split("\n")[0] for part in parts if "```python" not in part] == []
+    (tmp_path / "robot_assets").symlink_to(PROJECT / "robot_assets")
+    monkeypatch.chdir(tmp_path)
+    code = "".join(re.findall(r"^```python\n(.*?)^```", text, re.M | re.S))
+    exec(compile(code, "docs/api.md", "exec"), {})
+    assert "did you mean 'husky_panda'" in capsys.readouterr().out
 
 
 def examples() -> list[str]:

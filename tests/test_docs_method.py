@@ -1,4 +1,4 @@
-"""The page on the method says what is so: its index of equations; and the one on descriptions."""
+"""The page on the method is correct: its index of equations; and the one on descriptions."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def index() -> list[Line]:
 
 
 def named(path: str) -> object:
-    """What a dotted path names: a function, a class or a method."""
+    """The object of a dotted path: a function, a class or a method."""
     parts = path.split(".")
     for split in range(len(parts) - 1, 0, -1):
         try:

@@ -46,7 +46,7 @@ class Hinged:
     side: float = 1.0
     radius: float = 0.54  # [m] from the hinge to the handle
     yaw: float = 0.0  # [rad]
-    inset: float = 0.1  # [rad] by how much the hinge is behind the handle
+    inset: float = 0.1  # [rad] angle of the hinge behind the handle
     friction: float = 1.0  # [N m]
     stiffness: float = 4000.0  # [N/m] of the grasp
     twist: float = 100.0  # [N m/rad] of the grasp
@@ -112,7 +112,7 @@ class Hinged:
 
 
 def random_door(seed: int) -> tuple[Hinged, float]:
-    """A door, and by how much [rad] the first guess is wrong."""
+    """A door, and the error [rad] of the first guess."""
     rng = np.random.default_rng(seed)
     door = Hinged(
         side=(-1.0) ** seed,
@@ -191,7 +191,7 @@ def test_the_estimate_of_the_radial_direction_converges_for_random_hinges(opened
 
 
 def test_the_hands_force_stays_moderate(opened):
-    """Under the issue's 50 N always, and near to what the hinge's friction takes in the end."""
+    """Under the issue's 50 N always, and near the force of the hinge's friction in the end."""
     door, _, _, trace = opened
     assert max(s.force for s in trace) < 50.0
     assert max(s.force for s in trace[step_at(6.0) :]) < 3.0 + door.friction / door.radius
@@ -242,7 +242,7 @@ def test_it_starts_at_rest_where_the_hand_is_and_without_a_jerk(opened):
     assert first.reference.pose.isApprox(door.closed, 1e-12)
     speeds = np.array([s.speed for s in trace[: step_at(2.0)]])
     assert speeds[0] == 0.0
-    # What 3u² - 2u³ has at most: 1.5 as its slope, 6 as its bend.
+    # Upper bounds of 3u² - 2u³: 1.5 for its slope, 6 for its curvature.
     assert np.diff(speeds).max() / DT < 1.6 * gains.speed / gains.ramp
     assert np.diff(speeds, 2)[:10].max() / DT**2 < 6.6 * gains.speed / gains.ramp**2
     moved = np.array([s.reference.pose.translation for s in trace])
@@ -264,7 +264,7 @@ def test_it_knows_of_the_door_only_what_the_hand_feels():
 
 
 def test_the_same_readings_give_the_same_references():
-    """Nothing but the first guess and what is felt enters: a replay without a door agrees."""
+    """Only the first guess and the readings have an effect: a replay without a door agrees."""
     door = Hinged(side=-1.0, radius=0.4)
     first = opening_of(door, -0.5)
     again = opening_of(Hinged(side=-1.0, radius=0.7, friction=3.0), -0.5)
@@ -296,7 +296,7 @@ def test_a_mirrored_door_is_opened_in_the_mirror():
 
 @pytest.mark.slow
 def test_it_opens_the_door_and_stops_there():
-    """The hand turns by what is asked, and does not go on; a fast run."""
+    """The end-effector turns by the commanded angle, and stops; a fast run."""
     gains = DoorOpeningGains(speed=0.06)
     door = Hinged(radius=0.4)
     trace = run(door, opening_of(door, 0.3, gains), 20.0)

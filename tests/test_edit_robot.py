@@ -1,4 +1,4 @@
-"""A robot edited by hand: shapes follow gizmos, and what is saved is the rest as it stood."""
+"""A robot edited by hand: shapes follow gizmos, and a saved robot keeps everything else."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_a_robot_of_ones_own_is_saved_in_its_place_and_no_other_one_is(tmp_path:
     with pytest.raises(DescriptionError, match="there is no pair l1-nobody"):
         save_by_hand(own, own, wrong)
     assert load_description(own / "robot.toml") == again
-    with pytest.raises(OutputError, match="is there already"):
+    with pytest.raises(OutputError, match="exists; remove it"):
         save_by_hand(source, own, CHANGES)
     assert text != (own / "robot.toml").read_text()
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.browser
 
 PROJECT = Path(__file__).resolve().parent.parent
 TOWARDS_BASE = -0.30  # [m] along x, the base's front
-PATIENCE = 120.0  # [s] for what takes a second or two on a quiet machine
+PATIENCE = 120.0  # [s] for work that takes a second or two on a quiet machine
 
 
 class Served:
@@ -30,7 +30,7 @@ class Served:
 
     Attributes:
         process: The process.
-        address: What it has printed.
+        address: The printed address.
     """
 
     def __init__(self, *options: str) -> None:
@@ -50,7 +50,7 @@ class Served:
         raise AssertionError(f"it ended before it served: {seen}")
 
     def interrupt(self) -> tuple[int, str]:
-        """Press Ctrl-C; the status and what it has still printed."""
+        """Press Ctrl-C; the status and the remaining output."""
         self.process.send_signal(signal.SIGINT)
         _, errors = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, errors
@@ -72,7 +72,7 @@ def served():
 
 
 def reading(tab: DashboardTab, label: str) -> str:
-    """What the table of the tab "Lab" says beside a label."""
+    """The text of the table of the tab "Lab" beside a label."""
     text = re.compile(rf"^{re.escape(label)}$")
     row = tab.page.locator("tr").filter(has=tab.page.locator("td").filter(has_text=text))
     return row.locator("td").last.inner_text()

@@ -37,7 +37,7 @@ def installed(name: str) -> RobotModel:
 def test_both_engines_see_the_same_robot_and_the_same_contacts(name: str):
     found = compare_engines(installed(name), poses=100, pictures=2)
     assert found.picture < SAME_PICTURE
-    assert found.depth < SAME_DEPTH  # [m] of what touches in one alone
+    assert found.depth < SAME_DEPTH  # [m] depth of contacts in one engine alone
     assert found.contacts > 0
 
 
@@ -102,7 +102,7 @@ def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch
     for kind in ("mujoco", "mujoco-contact"):
         with caplog.at_level(logging.WARNING):
             plant = make_physics(kind, model)
-        assert "husky_panda: what touches are its convex bodies" in caplog.text
+        assert "husky_panda: contacts are those of its convex bodies" in caplog.text
         state, deepest = RobotState(model), 0.0
         plant.reset(NOBODY, ready)
         for _ in range(1500):

@@ -12,7 +12,7 @@ from app.config import Config
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Compare, Pull
-from app.simulation.loop.ensemble import MOST_PULLS, Ensemble
+from app.simulation.loop.ensemble import MAX_PULLS, Ensemble
 from app.simulation.loop.pacing import Pacer
 from app.simulation.run import begin
 from app.simulation.scenarios import SCENARIOS
@@ -54,7 +54,7 @@ def make(robot: RobotModel, border_data: BorderData) -> Iterator:
 
 
 def numbers(step: Step) -> list[float]:
-    """What is physical in a step."""
+    """The physical results of a step."""
     return [
         step.t,
         step.ee_error,
@@ -75,13 +75,13 @@ def steps(ensemble: Ensemble, seconds: float) -> np.ndarray:
 def test_a_scenario_is_the_same_run_as_on_the_command_line(make, robot, border_data, name):
     scenario = SCENARIOS[name]
     ensemble = make()
-    steps(ensemble, 0.3)  # whatever was before leaves no trace
+    steps(ensemble, 0.3)  # earlier steps have no effect
     ensemble.play(scenario)
     played = steps(ensemble, 0.7)
     setting = scenario.setting(robot, border_data, Config(), 0)
     session = begin(setting, robot, controller="dbb", physics="kinematic", seed=0)
-    leader = scenario.leader(session)
-    run = np.array([numbers(session.step(*leader(session))) for _ in range(700)])
+    driver = scenario.driver(session)
+    run = np.array([numbers(session.step(*driver(session))) for _ in range(700)])
     np.testing.assert_allclose(played, run, atol=1e-9)
 
 
@@ -190,7 +190,7 @@ def test_a_pull_elsewhere_disturbs_a_scenario_and_does_not_end_it(make):
 
 def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
     ensemble = make()
-    for who in range(MOST_PULLS):
+    for who in range(MAX_PULLS):
         ensemble.pull(Pull((0.5, 0.1 * who, 0.8), who=who))
     with pytest.raises(TargetError, match="8 people hold the robot"):
         ensemble.pull(Pull((0.5, 0.0, 0.8), who=99))

@@ -1,4 +1,4 @@
-"""What a user's machine has around the program changes no result: locale, folders, time zone."""
+"""A user's locale, folders and time zone change no result."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if "FILES" in os.environ:
 from app.border.cache import border_key, load_border_data
 from app.border.config import SamplingConfig
 from app.cli.common import load_model
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.plants import default_plant
 from app.simulation.run import steps_of
 from app.simulation.scenarios import SCENARIOS
@@ -48,9 +48,9 @@ print(border_key(model.description, SamplingConfig()))
 data = load_border_data(model)
 for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}):
     scenario, config = SCENARIOS["guiding-front"], model.description.config
-    planned = Planned("husky_panda", scenario, config, "dbb", plant, 0)
+    spec = RunSpec("husky_panda", scenario, config, "dbb", plant, 0)
     digest = hashlib.sha256()
-    for _, step in islice(steps_of(planned, model, data), 150):
+    for _, step in islice(steps_of(spec, model, data), 150):
         for numbers in (*step.truth[:4], step.control.u_cmd, step.base_command):
             digest.update(numbers.tobytes())
     print(plant, digest.hexdigest())
@@ -58,7 +58,7 @@ for plant in sorted({{default_plant(), "mujoco", "mujoco-contact", "kinematic"}}
 
 
 def digests(cwd: Path, **other: str | None) -> str:
-    """What a run gives in a process of this environment."""
+    """The result of a run in a process of this environment."""
     changed = {name: value for name, value in other.items() if value is not None}
     kept = {name: value for name, value in os.environ.items() if name not in other}
     done = subprocess.run(
@@ -127,7 +127,7 @@ def test_an_empty_entry_is_the_usual_folder(
 def test_without_a_home_nothing_is_written_beside_the_user(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`~` stays as it is for a user whom the system does not know, as in a container."""
+    """`~` does not change for a user whom the system does not know, as in a container."""
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     for name in ("HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME", "DBB_ROBOTS"):
         monkeypatch.delenv(name, raising=False)

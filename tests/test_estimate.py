@@ -146,7 +146,7 @@ def test_velocities_that_are_wrong_are_left_to_the_positions(
 
 @pytest.mark.parametrize("noise", [3e-4, 1e-3, 3e-3])
 def test_noise_is_learnt_and_taken_out(ready: Pushed, noise: float) -> None:
-    """What is left of it is steady: a tenth of it in a step."""
+    """The remainder is steady: a tenth of it in a step."""
     estimate, found, truth = followed(ready, np.zeros(7), 1000, noise)
     np.testing.assert_allclose(estimate.noise[0], noise, rtol=0.4)
     off = (found - truth)[300:]
@@ -159,7 +159,7 @@ def test_noise_is_learnt_and_taken_out(ready: Pushed, noise: float) -> None:
 def test_velocities_made_of_the_same_noisy_positions_are_no_better(
     ready: Pushed, noise: float
 ) -> None:
-    """They agree with the way by construction; of their noise a tenth is left at most."""
+    """They agree with the travel by construction; at most a tenth of their noise remains."""
     rng, still = np.random.default_rng(2), ready.measurement
     estimate, last = RunningEstimate(7), still.q_m
     found = np.empty((600, 7))

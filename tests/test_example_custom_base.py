@@ -1,4 +1,4 @@
-"""The example of a kind of base of one's own does what it says."""
+"""The example of a user's own kind of base has the described effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The examples run as they stand, short ones of them, and are short enough to be read."""
+"""The examples run without changes, in short runs, and are short enough for reading."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_an_example_has_at_most_sixty_lines_and_says_how_it_is_run(path: Path) -
     assert f"python examples/{path.name}" in text
 
 
-def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_hand(capsys) -> None:
+def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_arm(capsys) -> None:
     assert example("own_loop").main(duration=1.0) < -0.05
     assert "lm-lEE" in capsys.readouterr().out
 
@@ -42,6 +42,10 @@ def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_hand(capsys) -> None:
 @pytest.mark.parametrize(
     ("name", "holds"),
     [
+        ("track_pose", lambda error: error < 1e-3),
+        ("filter", lambda errors: errors[0] < 0.2 * errors[1]),
+        ("own_gains", lambda moved: moved[1] < moved[0] - 0.01),
+        ("own_robot", lambda torques: torques.shape == (7,) and np.abs(torques).max() > 1.0),
         ("joint_states", lambda faults: faults == ("velocity", "repeated")),
         ("planner", lambda speed: 0.03 < speed < 0.2),
         ("load", lambda found: found[0] == pytest.approx(2.0, abs=0.1) and found[1] < 0.1),
@@ -49,6 +53,22 @@ def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_hand(capsys) -> None:
 )
 def test_a_case_of_ones_own_loop_runs(name: str, holds) -> None:
     assert holds(example(name).main())
+
+
+def test_the_table_of_a_step_is_printed_with_units_and_frames(capsys) -> None:
+    step = example("step_table").main()
+    assert step.solved[()] == 1.0
+    printed = capsys.readouterr().out
+    assert "p_act" not in printed
+    assert "p_ee  [m] world: position of the end-effector" in printed
+    assert f"{step.pairs[0].name}: {step.d[0]:.3f} m" in printed
+
+
+def test_a_run_is_replayed_and_plotted(tmp_path: Path) -> None:
+    page = example("replay").main(tmp_path, duration=0.5)
+    assert page.read_text(encoding="utf-8").lstrip().lower().startswith("<!doctype html>")
+    picture = example("plot").main(tmp_path / "distances.png", duration=0.5)
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_node_sends_what_the_loop_gives_for_its_messages(robot, border_data) -> None:

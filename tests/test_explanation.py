@@ -1,4 +1,4 @@
-"""Laws of what explains a control step: forces, levels and limits agree with other computations."""
+"""Laws of the explanation of a step: forces, levels and limits agree with other computations."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.qps import Limits, Objective, Rows, hand_task, inserted, solved
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("ee_hold.weight", 0.01)
-"""The hand weighs nothing, so that the base does what (29) says."""
+"""The end-effector's task has no weight, so that the base does (29)."""
 REST = np.zeros(2)
 SEEDS = range(4)
 
@@ -175,7 +175,7 @@ def test_nothing_depends_on_where_the_base_stands_and_how_it_is_turned(robot, db
 @pytest.mark.parametrize("name", ["dbb", "repulsive", "barrier", "none"])
 @pytest.mark.parametrize("off", [0.0, 0.8])
 def test_the_hands_slack_is_what_the_torques_leave_of_its_task(robot, controllers, name, off):
-    """`off` by 0.8 m the task asks for 720 m/s², which no torque gives."""
+    """With an error of 0.8 m the task demands 720 m/s², which no torque gives."""
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
@@ -256,7 +256,7 @@ def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, d
 def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold(
     robot, border_data, dbb, seed
 ):
-    """Told as the base's slack, and as no limit of the base."""
+    """Reported as the base's slack, and as no limit of the base."""
     speeds = tuple(float(v) for v in robot.qd_max / 50)
     arm = robot.description.arm.model_copy(update={"max_velocity": speeds})
     slow = RobotModel(robot.description.model_copy(update={"arm": arm}))

@@ -1,4 +1,4 @@
-"""Plain `pip install` brings what the controller needs; a command says which extra it lacks."""
+"""`pip install` alone installs the controller; a command names the extra that it needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an engineer imports: the names of `app`, the loop in its documentation, what that loads."""
+"""The imports of an engineer: the names of `app`, the documented loop, the loaded modules."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def loop() -> str:
 
 
 def printed(code: str) -> str:
-    """What a fresh interpreter prints for some code."""
+    """The output of a fresh interpreter for some code."""
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True
     )

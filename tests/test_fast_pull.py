@@ -8,7 +8,7 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import steps_of
 from app.simulation.scenarios.line import RANDOM_PULL, StartedLine
 
@@ -35,7 +35,7 @@ HARD = RANDOM_PULL.changed(
     moving=0.53565,
     q_m=(-1.60267, 1.18757, -0.10693, -1.41824, -0.30458, 3.40376, 0.0),
 )
-"""Beyond what the torque of a wrist holds."""
+"""A force beyond the torque of a wrist."""
 STRONG = {"hand.f_max": 60.0, "hand.stiffness": 1088.0}
 
 
@@ -61,7 +61,7 @@ def test_the_arm_holds_the_hand_and_does_not_throw_it_back(
     for path, value in parameters.items():
         config = config.replace(path, value)
     nearest, fastest = np.inf, 0.0
-    run = Planned("husky_panda", pull, config, seed=seed)
+    run = RunSpec("husky_panda", pull, config, seed=seed)
     for session, step in steps_of(run, robot, border_data):
         nearest = min(nearest, *step.distances[:2])
         fastest = max(fastest, float(np.linalg.norm(session.state.v_ee[:3])))

@@ -1,4 +1,4 @@
-"""Films without a display: encoded whole or not at all, and the same whatever the machine does."""
+"""Films without a display: encoded completely or not at all, and the same on a busy machine."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from app.dashboard.export.offscreen import (
 )
 from app.errors import OutputError
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import filmed
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
@@ -143,7 +143,7 @@ def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
     """The first 0.1 s of a scenario, with a ghost."""
     scenario = scenario_of(robot.description, "guiding-front")
     both = [
-        filmed(Planned("husky_panda", scenario, Config(), name), robot, border_data, [0.0, 0.1])
+        filmed(RunSpec("husky_panda", scenario, Config(), name), robot, border_data, [0.0, 0.1])
         for name in ("dbb", "none")
     ]
     return with_ghosts(both[0], both[1:])

@@ -42,7 +42,7 @@ class Near:
                 return
 
     def distance(self) -> Distance:
-        """That pair's in the state as it is now."""
+        """The bound of that pair in the present state."""
         found, i = (
             self._monitor.find_nearest(Config().activation.closest_point_smoothing),
             self._nearest,

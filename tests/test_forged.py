@@ -1,4 +1,4 @@
-"""Programs in the place of a browser: whatever they send, the loop goes on within its ranges."""
+"""Programs in place of a browser: with any message, the loop continues within its ranges."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def served():
 def goes_on(served) -> bool:
     """Whether time passes in the loop, and a viewer who comes now gets a page.
 
-    Anybody may pause it or begin anew, and what was sent may still be on its way: so it is told to
-    go on until it does.
+    Any program may pause it or restart it, and messages may still be on their way: so it gets the
+    command to continue until it does.
     """
 
     def passes() -> bool:
@@ -76,7 +76,7 @@ def test_no_widget_takes_what_is_not_of_its_kind_or_out_of_its_range(served, cap
                 client.set_widget(handle, value)
         assert goes_on(served)
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
-    for command in served.loop.commands:  # what the loop took has passed its own checks
+    for command in served.loop.commands:  # these commands have passed their own checks
         if isinstance(command, Configure):
             assert type(first).model_validate(command.config.model_dump()) == command.config
         if isinstance(command, Speed):

@@ -1,4 +1,4 @@
-"""Cameras: what has to be seen is in the free part of the picture, and as large as can be."""
+"""Cameras: the relevant objects are in the free part of the picture, as large as possible."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def test_a_film_has_all_that_happens_in_its_picture() -> None:
 
 
 class Eye:
-    """The camera of a browser that says after 0.5 s what has become of what it was told."""
+    """The camera of a browser that reports its state 0.5 s after a command."""
 
     def __init__(self) -> None:
         self.time = 0.0

@@ -1,4 +1,4 @@
-"""The gallery of robots: each is a process, and what cannot be made is a row that says why."""
+"""The gallery of robots: each has a process, and a failure is a row with its reason."""
 
 from __future__ import annotations
 

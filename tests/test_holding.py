@@ -1,4 +1,4 @@
-"""How far an arm holds its hand while the base moves, and what the base is asked for then."""
+"""The arm's hold of its end-effector while the base moves, and the commanded base motion then."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_the_papers_arm_holds_its_hand_in_its_ready_pose() -> None:
 
 
 def test_stretch_holds_its_hand_along_its_telescope_and_not_along_its_wheels() -> None:
-    """So the base may not drive away with the hand: what is asked leaves it nearly in place."""
+    """The base may not drag the end-effector: the commanded motion leaves it nearly in place."""
     state = ready(stretch())
     R = carried(state, SPEED)
     assert np.linalg.norm(R[:, 0]) > 0.2

@@ -1,4 +1,4 @@
-"""The measures of the code's structure count what they say."""
+"""The measures of the code's structure count correctly."""
 
 from __future__ import annotations
 

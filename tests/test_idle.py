@@ -68,7 +68,7 @@ def test_nobody_costs_nothing_and_somebody_finds_it_where_it_was_left(dashboard)
         wait_for(lambda: loop.latest().t > left.t + 0.1, what="simulated time")
         (next_one, *_) = loop.history(left.t)
         assert next_one.t == pytest.approx(left.t + 0.02, abs=0.021)
-    wait_for(lambda: stand_still(dashboard), what="rest once he has gone")
+    wait_for(lambda: stand_still(dashboard), what="rest after the viewer has left")
 
 
 def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard):

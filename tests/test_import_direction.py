@@ -56,7 +56,7 @@ ONLY_IN = {
 
 ONE_FOLDER = {"pyarrow": "simulation/trace/"}
 """The one folder outside of its rooms that may import a library. A log is Parquet like the table of
-a study, and the dashboard writes logs too, without what a study needs."""
+a study, and the dashboard writes logs too, without a study's libraries."""
 
 
 FILES = sorted((PROJECT / "app").rglob("*.py"))
@@ -138,7 +138,7 @@ def package_of(path: Path) -> str:
 
 
 def violations(source: str, room: str, package: str) -> list[str]:
-    """What a module of a room imports and may not."""
+    """Forbidden imports of a module of a room."""
     return [name for name in imported(ast.parse(source), package) if not allowed(name, room)]
 
 
@@ -186,5 +186,5 @@ def top_of_library(name: str) -> str:
 
 
 def called_name(node: ast.Call) -> str:
-    """The last part of what a call calls."""
+    """The last part of the name of a called function."""
     return getattr(node.func, "attr", getattr(node.func, "id", ""))

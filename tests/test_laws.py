@@ -65,7 +65,7 @@ def paths_in_the_buffer(count: int) -> list[tuple[Array, Array]]:
 
 
 def jump_on(path: tuple[Array, Array], demand: Callable[[Array], Array]) -> float:
-    """[m/s² or rad/s²] what is left of the largest step of a path as the path is refined there."""
+    """[m/s² or rad/s²] limit of the largest step of a path as the path is refined there."""
     begin, end = path
     for _ in range(6):
         shares = np.linspace(0.0, 1.0, 11)[:, None]

@@ -1,4 +1,4 @@
-"""Links: what a page shows comes back from its address, and a wrong one changes nothing."""
+"""Links: the address restores the page, and a wrong one changes nothing."""
 
 import json
 import urllib.error
@@ -13,7 +13,7 @@ from app.config import Config
 from app.dashboard.panels.share import Link, camera_text, read_link
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import DbbError
-from app.simulation.case import Planned, RunCase
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Choose, Configure, Play
 from app.simulation.scenarios import SCENARIOS
 from tests.browser import DashboardTab, wait_for
@@ -80,7 +80,7 @@ def test_a_wrong_link_is_told_in_one_line(query, named):
     assert named in str(told.value)
     why, rest = read_link(query)
     assert why == str(told.value)
-    assert read_link(rest) == ("", rest), "what is left can be opened"
+    assert read_link(rest) == ("", rest), "the rest can be opened"
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
         assert not any(isinstance(c, (Play, Configure)) for c in served.loop.commands[count:])
 
         case = RunCase.of(
-            Planned(
+            RunSpec(
                 "husky_panda",
                 SCENARIOS["tracking"],
                 Config().replace("border.d_b", 0.12),

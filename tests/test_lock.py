@@ -1,4 +1,4 @@
-"""What `make run` and `make test` install is pinned with hashes, as pyproject.toml bounds it."""
+"""`make run` and `make test` install versions pinned with hashes, within pyproject's bounds."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def locked(extra: str) -> dict[Requirement, int]:
 
 
 def asked(extra: str) -> Iterator[Requirement]:
-    """What the package and one of its extras ask for, with the extras within it."""
+    """The requirements of the package and one of its extras, including extras within it."""
     project = tomli.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     waiting = [*project["dependencies"], *project["optional-dependencies"][extra]]
     while waiting:

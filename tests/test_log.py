@@ -1,4 +1,4 @@
-"""Logs: what is read is what was written, and nothing damaged is believed."""
+"""Logs: they return the written content, and damaged ones are refused."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_an_ending_or_a_folder_that_is_no_good_is_named(tmp_path):
 
 @pytest.fixture
 def csv_lines(tmp_path):
-    """A good CSV by its lines, and what writes and reads another."""
+    """A valid CSV by its lines, and a function that writes and reads a changed one."""
     snapshots = random_snapshots(6, 4)
     path = tmp_path / "log.csv"
     write_trace(path, trace_of(snapshots))
@@ -209,7 +209,7 @@ def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_pa
             log = read_trace(path)
         except LogError:
             continue
-        # What is left of the file are names and statistics that nobody reads.
+        # The rest of the file is names and statistics that no reader uses.
         assert difference(log.snapshots, tuple(snapshots)) == ""
     for end in (0, 3, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:end])

@@ -1,4 +1,4 @@
-"""The loop: commands are obeyed, what it publishes holds together, its errors reach the user."""
+"""The loop: it executes commands, publishes consistent snapshots, and reports its errors."""
 
 from __future__ import annotations
 

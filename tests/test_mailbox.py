@@ -1,4 +1,4 @@
-"""However many commands are sent, few wait, and what they come to is the same."""
+"""With any number of commands, few wait, and their result is the same."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from app.config import Config
 from app.errors import LoopError
 from app.simulation.loop.commands import (
-    MOST,
+    MAX_WAITING,
     Choose,
     Configure,
     Mailbox,
@@ -51,7 +51,7 @@ def test_of_a_flood_the_newest_of_each_kind_is_left():
     )
     sent = [kinds[i](k) for k, i in enumerate(rng.integers(len(kinds), size=10_000))]
     left = after(*sent)
-    assert len(left) == len(kinds) < MOST
+    assert len(left) == len(kinds) < MAX_WAITING
     for command in left:
         assert command == [other for other in sent if type(other) is type(command)][-1]
 
@@ -78,7 +78,7 @@ def test_a_beginning_has_the_newest_parameters():
 def test_of_several_beginnings_only_the_last_begins():
     assert after(LATERAL, Reset()) == [Reset()]
     assert after(Reset(), LATERAL) == [LATERAL]
-    assert after(LATERAL, Restart()) == [LATERAL]  # what would be restarted begins already
+    assert after(LATERAL, Restart()) == [LATERAL]  # the restarted scenario starts already
     assert after(Restart()) == [Restart()]
 
 
@@ -87,4 +87,4 @@ def test_everybodys_pull_waits_for_itself():
     assert after(*two) == list(two)
     assert after(*two, Release(0)) == [two[1], Release(0)]
     with pytest.raises(LoopError, match="more than 64"):
-        after(*(Pull((0.3, 0.0, 0.5), who=who) for who in range(MOST + 1)))
+        after(*(Pull((0.3, 0.0, 0.5), who=who) for who in range(MAX_WAITING + 1)))

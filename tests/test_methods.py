@@ -1,4 +1,4 @@
-"""Laws of the compared methods: what each puts above the stack, and what it leaves alone."""
+"""Laws of the compared methods: the terms that each adds, and the rest that does not change."""
 
 import numpy as np
 import pinocchio as pin
@@ -20,7 +20,7 @@ from app.simulation.session import Session
 
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
-"""Torques may change at once, so that one step shows what the stack asks for."""
+"""Torques may change at once, so that one step shows the demand of the tasks."""
 
 
 @pytest.fixture(scope="module", params=CONTROLLERS)
@@ -66,7 +66,7 @@ def bound(Jdqd: float, d_dot: float, d: float, config: BarrierConfig) -> float:
 def test_repulsive_never_moves_the_base_by_itself(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    """Its base does what the same stack without avoidance asks: guided, it comes to rest."""
+    """Its base follows the same tasks without avoidance: guided, it comes to rest."""
     controller = Controller(robot, border_data, Config(), name="repulsive")
     m = near(robot, seed, 0.02, 0.12)
     output = controller.step(m)
@@ -106,7 +106,7 @@ def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
 def test_the_barriers_rows_hold_for_what_the_robot_does(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    """Whatever acceleration the hand is asked for, and by base and arm together."""
+    """For any demanded acceleration of the end-effector, by base and arm together."""
     controller = Controller(robot, border_data, AT_ONCE, name="barrier")
     m = near(robot, seed, 0.051, 0.08, speed=0.02)
     controller.step(m)

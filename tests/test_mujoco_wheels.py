@@ -93,7 +93,7 @@ def test_the_path_of_two_wheels_is_the_circle_of_the_commanded_velocities():
 
 @pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.1), (0.0, 0.8), (0.4, -0.6), (-0.3, 0.5)])
 def test_four_wheels_turn_a_base_evenly_and_nearly_as_fast_as_commanded(command):
-    """Skidding across: what it loses depends on the speed; it does not hop and jerk."""
+    """Skidding sideways: the loss depends on the speed; the base does not hop and jerk."""
     found = rates(run(MujocoWheels(MODEL), 1.5, command))
     mean = found.mean(axis=0)
     np.testing.assert_allclose(mean, command, atol=0.02 + 0.1 * abs(command[1]))

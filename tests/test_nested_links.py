@@ -91,7 +91,7 @@ def test_nested_links_are_written_and_are_no_contact_pair(toy: Toy) -> None:
 def test_links_that_are_said_to_be_nested_have_to_touch(
     toy: Toy, links: tuple[str, ...], outcome: str
 ) -> None:
-    """What plants leave out would else never be missed, as of a name that is a mistake."""
+    """Contacts that plants ignore would else never be missed, for example of a wrong name."""
     bodies = [body.model_dump() for body in toy.model.description.bodies]
     bodies[2]["nested"] = {"upper": links}
     said = RobotDescription.model_validate(toy.model.description.model_dump() | {"bodies": bodies})

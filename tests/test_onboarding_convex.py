@@ -1,4 +1,4 @@
-"""Bodies hold every point they are asked to hold, and little else."""
+"""Bodies enclose all their points, with little additional volume."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A robot as a zip: what is taken, and what a stranger's zip cannot do."""
+"""A robot as a zip: the accepted content, and the limits of an untrusted zip."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def bad_zip(tmp_path: Path, case: str) -> Path:
         path.write_bytes(b"%PDF-1.7" * 100)
     elif case == "cut":
         path.write_bytes(path.read_bytes()[:-40])
-    elif case == "broken":  # its list is whole, what it lists is not
+    elif case == "broken":  # its directory is valid, its content is not
         content = bytearray(path.read_bytes())
         content[60:90] = bytes(30)
         path.write_bytes(content)
@@ -55,7 +55,7 @@ def bad_zip(tmp_path: Path, case: str) -> Path:
         content = bytearray(path.read_bytes())
         content[content.rfind(b"PK\x01\x02") + 8] |= 1
         path.write_bytes(content)
-    elif case == "lying bomb":  # megabytes of zeros, of which the list says one byte
+    elif case == "lying bomb":  # megabytes of zeros, listed as one byte
         zipped(tmp_path, {"toy/toy.urdf": bytes(3_000_000)})
         content = bytearray(path.read_bytes())
         struct.pack_into("<I", content, content.rfind(b"PK\x01\x02") + 24, 1)

@@ -1,4 +1,4 @@
-"""What a URDF may be wrong in: one clear message each, before anything is written."""
+"""Errors of a URDF: one clear message each, before anything is written."""
 
 from __future__ import annotations
 
@@ -515,7 +515,7 @@ def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Pat
 
 
 def robot_model(folder: Path, asked: Request) -> RobotModel:
-    """What pinocchio makes of the joints alone."""
+    """Pinocchio's model of the joints alone."""
     parsed = parse(asked)
     urdf = rebased_urdf(parsed, name="toy", header="test")
     content = new_robot.description(asked, parsed)

@@ -1,4 +1,4 @@
-"""From a URDF to a robot that the core takes, and checks that see what is wrong with one."""
+"""From a URDF to a valid robot, and checks that detect an invalid one."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from app.onboarding.check import (
     border_row,
     dynamics_row,
     limits_row,
+    ready_row,
     run_row,
 )
 from app.onboarding.fit import grouping, stops
@@ -40,7 +41,7 @@ from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import Side, line_from
+from app.onboarding.fit.postures import Side
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -65,6 +66,7 @@ from tests.onboarding import (
     cart,
     cube,
     few_samples,
+    line_without_a_run,
     robot,
     with_mesh,
     write,
@@ -77,7 +79,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def told() -> dict[str, list[float]]:
-    """The shares that were told while the toy was made, by what was done."""
+    """The reported shares while the toy was made, by activity."""
     return {}
 
 
@@ -106,7 +108,7 @@ def made(finished: tuple[NewRobot, BorderData]) -> NewRobot:
 
 
 def written(made: NewRobot, **changes: object) -> RobotModel:
-    """The model of what was written, with some fields of its description changed."""
+    """The model of the written robot, with some fields of its description changed."""
     folder = made.request.out
     stated = load_description(folder / "robot.toml")
     content = stated.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
@@ -172,7 +174,7 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
 def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
     tmp_path: Path, folder: str
 ) -> None:
-    """Whatever the folder is called, and by whichever way it is reached."""
+    """For any name of the folder, and any path to it."""
     beside = tmp_path / "toy-other" / "m.stl"
     beside.parent.mkdir()
     beside.touch()
@@ -261,7 +263,7 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
 
 
 def test_an_arm_that_seldom_meets_anything_is_looked_at_in_more_poses(made: NewRobot) -> None:
-    """Of 6,000 poses of a Stretch 114 had a collision: too few to tell what share goes unseen."""
+    """Of 6,000 poses of a Stretch 114 had a collision: too few for the share of unseen ones."""
     units, options = made.meetings.units, {"seed": 5, "d_b": 0.15, "points": False}
     model = written(made)
     few = sample_meetings(model, units, samples=300, **options)
@@ -278,7 +280,7 @@ def test_while_places_are_looked_for_progress_is_told_all_the_way(
     finished: tuple[NewRobot, BorderData], told: dict[str, list[float]]
 ) -> None:
     """Each side takes seconds: by whole sides it would stand still at 0, 50 and 100 %."""
-    shares = told["looking for places to guide the hand"]
+    shares = told["searching lines for guiding"]
     assert shares == sorted(shares)
     assert shares[0] < 0.01
     assert shares[-1] == 1.0
@@ -296,8 +298,8 @@ def test_processes_of_their_own_find_what_one_finds(
     with Workers(tuple, 2) as workers:
         there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
         shares: list[float] = []
-        lines = workers.map(line_from, [side], shares.append, tells=True)
-        assert [*lines] == [line_from(None, side)]
+        lines = workers.map(line_without_a_run, [side], shares.append, tells=True)
+        assert [*lines] == [line_without_a_run(None, side, lambda _: None)]
     assert shares == sorted(shares)
     assert len({*shares}) > 10
     for ours, theirs in ((here.random, there.random), (here.rare, there.rare)):
@@ -500,17 +502,15 @@ def test_what_a_library_raises_in_a_check_is_that_rows_failure(
 
 
 def test_a_robot_made_for_another_buffer_is_checked_with_that_one(
-    finished: tuple[NewRobot, BorderData], monkeypatch: pytest.MonkeyPatch
+    finished: tuple[NewRobot, BorderData],
 ) -> None:
     made, data = finished
-    monkeypatch.setattr(checks, "load_border_data", lambda *_, **__: data)
 
     def beyond(d_b: float) -> float:
         asked = replace(made.request, d_b=d_b)
         config = tomlkit.parse(description_text(description(asked, made.parsed), "a robot"))
         model = written(made, config=config.get("config", {}))
-        rows = checks.check_robot(model.description, runs=False)
-        return next(row for row in rows if row.name == "ready pose").numbers["beyond_buffer_m"]
+        return ready_row(model, data).numbers["beyond_buffer_m"]
 
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
 
@@ -668,7 +668,7 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
 
 
 def test_what_a_fixed_part_meets_is_seen_where_bodies_of_a_watched_pair_meet() -> None:
-    """Whoever else meets there: a mast in l_1 that no pair sees in any way belongs to l_m."""
+    """A mast in l_1 that no pair sees belongs to l_m, independent of other collisions there."""
     model = husky_panda()
     pairs = tuple(combinations(range(5), 2))
     touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]

@@ -56,7 +56,7 @@ def test_next_parts_and_those_of_a_telescope_are_neighbours(
 
 
 def test_links_without_shapes_are_no_body_of_their_own() -> None:
-    """As Baxter's bare mount, below which its arm begins."""
+    """As Baxter's bare mount; its arm begins below it."""
     part = Part("link", np.zeros((0, 3)), np.zeros(0))
     units = tuple(unit(k)._replace(parts=() if k == 1 else (part,)) for k in range(5))
     poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
@@ -105,7 +105,7 @@ def test_a_head_on_a_torso_meets_the_shoulder_that_turns_beside_it() -> None:
 
 @pytest.mark.parametrize("met", [0, 3, 8])
 def test_a_spot_that_was_met_is_no_body(met: int) -> None:
-    """Of too few points for a body of its links, the whole links are what it holds."""
+    """With too few points for a body of its links, the body encloses the whole links."""
     corners = np.array(np.meshgrid([-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1])).reshape(3, -1).T
     units = tuple(
         Unit(k, f"link{k}", (f"link{k}",), k, (), corners, np.zeros(len(corners), dtype=int))
@@ -122,7 +122,7 @@ def test_a_spot_that_was_met_is_no_body(met: int) -> None:
 
 
 def test_a_fingertip_of_a_hand_of_many_points_is_among_those_looked_at() -> None:
-    """A body holds the points that others come to: what none of them shows would stick out."""
+    """A body encloses the points that others reach; points that none of them reaches stick out."""
     palm, finger = trimesh.creation.icosphere(5, 0.05), trimesh.creation.box((0.01, 0.01, 0.1))
     finger.apply_translation((0.0, 0.0, 0.15))
     shapes = tuple(

@@ -185,7 +185,7 @@ def along(
 
 
 def comparable(name: str, step: ControlStep, plain: dict[str, Array]) -> tuple[Array, Array]:
-    """A quantity of both, as far as this step computes it."""
+    """A quantity of both, if this step computes it."""
     ours, theirs = np.atleast_1d(getattr(step, name)), np.atleast_1d(plain[name])
     if name in LIMITS:
         ours = ours[: len(theirs)]

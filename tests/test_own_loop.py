@@ -1,4 +1,4 @@
-"""What real robots send: the loop behaves as with a simulator's readings, and names each fault."""
+"""Readings of real robots: the loop behaves as with a simulator's, and names each fault."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NAN = np.full(7, np.nan)
 
 
 class Run(NamedTuple):
-    """What a robot did in its own loop."""
+    """The results of a robot in its own loop."""
 
     base: Array
     """(3,) pose at the end."""
@@ -56,7 +56,7 @@ def starts(robot: RobotModel, border_data: BorderData) -> dict[tuple[float, ...]
 
 @pytest.fixture(scope="module")
 def run(robot: RobotModel, border_data: BorderData, starts) -> Callable[..., Run]:
-    """Runs a loop for a time: `bend` is what happens to the readings on their way."""
+    """Runs a loop for a time: `bend` changes the readings on their way."""
 
     def run(
         bend: Bend = lambda k, m: m,

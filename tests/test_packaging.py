@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of a copy of the sources, in whose cache lie borders that must not travel."""
+    """The wheel of a copy of the sources, with borders in its cache that must not be included."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
     for name in ("app", "robot_assets", "dbb_cache"):
         shutil.copytree(PROJECT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -109,7 +109,7 @@ print(Path(app.__file__).parent, *origins)
 
 
 def dbb(installed: Path, cwd: Path, *arguments: str) -> dict:
-    """What the installed console command prints."""
+    """The output of the installed console command."""
     command = str(installed / "bin" / "dbb")
     return json.loads(run(command, *arguments, cwd=cwd, env=environment(installed, cwd)))
 

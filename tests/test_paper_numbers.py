@@ -1,4 +1,4 @@
-"""The numbers that the paper prints, in what ships."""
+"""The numbers that the paper prints, in the delivered files."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_tracking_goes_0_2_m_along_minus_y_in_30_s_by_a_cubic() -> None:
 
 @pytest.mark.parametrize("name", ["guiding-lateral", "guiding-front"])
 def test_guiding_comes_from_the_side_and_from_the_front(name: str) -> None:
-    """§4.2.2: towards the base, with no task but what avoidance asks."""
+    """§4.2.2: towards the base, without other tasks than avoidance."""
     scenario = scenario_by_name(name)
     axis = {"guiding-lateral": 1, "guiding-front": 0}[name]
     assert scenario.mode == "guiding"

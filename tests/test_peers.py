@@ -1,4 +1,4 @@
-"""The comparison with other libraries: one model and one judge for all, and rows for what fails."""
+"""The comparison with other libraries: one model and one evaluator, and rows for failures."""
 
 from __future__ import annotations
 
@@ -379,7 +379,7 @@ def test_the_picture_is_drawn_with_missing_rows_too() -> None:
     assert draw(rows).startswith(b"\x89PNG")
 
 
-# What is asked for --------------------------------------------------------------------------------
+# Options ------------------------------------------------------------------------------------------
 
 
 def test_only_peers_that_exist_can_be_asked_for(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from app.border.cache import BorderData
-from app.config import Config, HandConfig
+from app.config import Config, PersonConfig
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, held_links, held_point
@@ -21,7 +21,7 @@ READY = np.array(MODEL.description.arm.ready_position)
 FOREARM = Push("panda_joint5", np.array([0.02, 0.06, -0.12]), np.array([30.0, -45.0, 20.0]))
 
 ROUNDING = {"planar": 1e-9, "mujoco": 1e-9, "kinematic": 1e-9, "mujoco-contact": 1e-3}
-"""[rad, rad/s] what becomes of rounding in 0.1 s; wheels in contact enlarge it."""
+"""[rad, rad/s] growth of rounding errors in 0.1 s; wheels in contact enlarge it."""
 
 
 @pytest.fixture(params=PLANTS)
@@ -52,7 +52,7 @@ def test_a_push_on_a_link_is_what_the_equation_of_motion_says(plant):
     limit = {"planar": 1e-6, "mujoco": 1e-6, "kinematic": 1e-9, "mujoco-contact": 3e-3}[plant.kind]
     np.testing.assert_allclose(plant.measure().qd_m, expected, atol=limit)
     assert np.abs(expected).max() > 0.02
-    np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)  # and what lies farther out has no part
+    np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)  # joints farther out have no effect
 
 
 def test_the_power_of_a_push_becomes_kinetic_energy(plant):
@@ -135,13 +135,13 @@ def test_a_pull_at_the_elbow_brings_the_elbow_to_where_it_is_pulled(
     np.testing.assert_array_equal(steps[-1].hand_force, 0.0)  # nobody is at the end-effector
     assert steps[-1].hand_target is None
     forces = [np.linalg.norm(s.pulls[0].force) for s in steps]
-    assert max(forces) <= HandConfig().f_max + 1e-9
+    assert max(forces) <= PersonConfig().f_max + 1e-9
 
 
 def test_people_do_not_disturb_one_another(robot: RobotModel):
     state = RobotState(robot)
     there, high = np.array([0.6, 0.2, 0.6]), np.array([0.2, -0.1, 1.1])
-    both, one, other = (People(robot, HandConfig(), DT) for _ in range(3))
+    both, one, other = (People(robot, PersonConfig(), DT) for _ in range(3))
     a, b = Hold(0, there), Hold(7, high, "panda_link4", (0.0, 0.05, 0.0))
     for _ in range(200):
         together, forces = both.pull(state, [a, b])
@@ -155,7 +155,7 @@ def test_people_do_not_disturb_one_another(robot: RobotModel):
 
 
 def test_whoever_takes_another_point_takes_hold_without_a_jerk(robot: RobotModel):
-    state, people = RobotState(robot), People(robot, HandConfig(), DT)
+    state, people = RobotState(robot), People(robot, PersonConfig(), DT)
     for _ in range(500):
         (before,), _ = people.pull(state, [Hold(0, np.array([0.2, 0.3, 0.9]))])
     assert np.linalg.norm(before.force) > 10.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.config import HandConfig
+from app.config import PersonConfig
 from app.errors import DbbError, TargetError
 from app.simulation.people import PersonHand, checked_target
 
@@ -22,21 +22,21 @@ def settled_force(person: PersonHand, p_ee: np.ndarray, target: np.ndarray) -> n
 
 @pytest.mark.parametrize("stretch", [0.01, 0.05, 0.12])
 def test_static_force_is_stiffness_times_stretch_below_the_limit(stretch):
-    config = HandConfig()
+    config = PersonConfig()
     towards = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
     force = settled_force(PersonHand(config, DT), AT, AT + stretch * towards)
     np.testing.assert_allclose(force, config.stiffness * stretch * towards, rtol=1e-9)
 
 
 def test_static_force_is_the_limit_above_it_and_points_to_the_target():
-    config = HandConfig(f_max=40.0)
+    config = PersonConfig(f_max=40.0)
     force = settled_force(PersonHand(config, DT), AT, AT + np.array([0.3, 0.4, 0.0]))
     np.testing.assert_allclose(force, [24.0, 32.0, 0.0], rtol=1e-9)
 
 
 def test_the_person_is_never_stronger_than_the_limit():
     rng = np.random.default_rng(0)
-    person = PersonHand(HandConfig(f_max=17.0, stiffness=2000.0, damping=200.0), DT)
+    person = PersonHand(PersonConfig(f_max=17.0, stiffness=2000.0, damping=200.0), DT)
     strongest = 0.0
     for _ in range(5000):
         target = np.abs(rng.normal(0, 2, 3))
@@ -50,7 +50,7 @@ STIFF = [300.0, 3000.0]  # [N/m]
 
 
 def swing(
-    config: HandConfig,
+    config: PersonConfig,
     body: float,
     steps: int,
     at: np.ndarray = AT,
@@ -73,7 +73,7 @@ def swing(
 @pytest.mark.parametrize("mass", MASSES)
 @pytest.mark.parametrize("stiffness", STIFF)
 def test_at_rest_a_hand_with_a_mass_is_the_same_spring_with_the_same_limit(mass, stiffness):
-    config = HandConfig(stiffness=stiffness, mass=mass, f_max=90.0)
+    config = PersonConfig(stiffness=stiffness, mass=mass, f_max=90.0)
     way = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
     soft = settled_force(PersonHand(config, DT), AT, AT + 0.02 * way)
     np.testing.assert_allclose(soft, 0.02 * stiffness * way, rtol=1e-6)
@@ -85,7 +85,7 @@ def test_at_rest_a_hand_with_a_mass_is_the_same_spring_with_the_same_limit(mass,
 @pytest.mark.parametrize("body", [0.8, 3.0])
 @pytest.mark.parametrize("damping", [25.0, 200.0])
 def test_the_stiffest_hand_brings_a_light_body_to_its_target_and_to_rest(mass, body, damping):
-    config = HandConfig(stiffness=3000.0, damping=damping, mass=mass, f_max=100.0)
+    config = PersonConfig(stiffness=3000.0, damping=damping, mass=mass, f_max=100.0)
     target = AT + np.array([0.2, 0.1, 0.0])
     places, speeds, _ = swing(config, body, 8000, target=target)
     assert np.linalg.norm(speeds, axis=1).max() < 3.0
@@ -98,7 +98,7 @@ def test_the_stiffest_hand_brings_a_light_body_to_its_target_and_to_rest(mass, b
 @pytest.mark.parametrize("speed", [0.3, 1.5])
 def test_with_the_target_at_rest_no_hand_gives_a_body_energy(stiffness, mass, speed):
     """A body comes with some speed, and the hand goes along with it: theirs never grows."""
-    config = HandConfig(stiffness=stiffness, mass=mass, f_max=80.0)
+    config = PersonConfig(stiffness=stiffness, mass=mass, f_max=80.0)
     _, v, f = swing(config, 2.0, 4000, speed=speed)
     before = np.vstack([[speed, 0.0, 0.0], v[:-1]])
     work = np.cumsum(np.sum(f * (before + v) / 2, axis=1)) * DT
@@ -112,7 +112,7 @@ def test_a_heavy_hand_hits_harder_than_its_spring_pulls_and_a_light_one_does_not
     """A wall 0.2 m ahead: the mass is stopped there by the grip alone."""
     strongest = {}
     for mass in (0.0, 0.2, 2.0):
-        person = PersonHand(HandConfig(stiffness=2000.0, mass=mass, f_max=60.0), DT)
+        person = PersonHand(PersonConfig(stiffness=2000.0, mass=mass, f_max=60.0), DT)
         x, hits = AT[0], []
         for _ in range(2000):
             v = 0.0 if person.motion is None or x >= AT[0] + 0.2 else 1.2
@@ -127,7 +127,7 @@ def test_a_heavy_hand_hits_harder_than_its_spring_pulls_and_a_light_one_does_not
 
 def test_targets_at_20_hertz_give_no_steps_of_force_at_1_kilohertz():
     """The end-effector held still, the target dragged at 0.5 m/s in jumps of 25 mm."""
-    config = HandConfig(f_max=150.0)
+    config = PersonConfig(f_max=150.0)
     person, forces = PersonHand(config, DT), []
     for k in range(600):
         target = AT + np.array([0.025 * (k // 50), 0.0, 0.0])
@@ -140,7 +140,7 @@ def test_targets_at_20_hertz_give_no_steps_of_force_at_1_kilohertz():
 
 
 def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
-    person = PersonHand(HandConfig(), DT)
+    person = PersonHand(PersonConfig(), DT)
     target, places = AT + np.array([1.0, 0.0, 0.0]), [AT]
     for _ in range(3000):
         person.force(AT, np.zeros(3), target)
@@ -153,7 +153,7 @@ def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
 
 @pytest.mark.parametrize("mass", [0.0, 2.0])
 def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once(mass):
-    person = PersonHand(HandConfig(mass=mass), DT)
+    person = PersonHand(PersonConfig(mass=mass), DT)
     far = AT + np.array([0.0, 0.5, 0.0])
     assert np.linalg.norm(person.force(AT, np.zeros(3), far)) < 0.1
     settled_force(person, AT, far)
@@ -165,7 +165,7 @@ def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once(mass):
 
 @pytest.mark.parametrize("mass", [0.0, 2.0])
 def test_a_hand_that_is_taken_again_in_motion_is_not_jerked_either(mass):
-    person, v = PersonHand(HandConfig(mass=mass, damping=25.0), DT), np.array([0.8, 0.0, 0.0])
+    person, v = PersonHand(PersonConfig(mass=mass, damping=25.0), DT), np.array([0.8, 0.0, 0.0])
     settled_force(person, AT, AT + np.array([0.0, 0.0, 0.2]))
     person.force(AT, v, None)
     first = person.force(AT, v, AT + np.array([0.3, 0.0, 0.0]))
@@ -175,7 +175,7 @@ def test_a_hand_that_is_taken_again_in_motion_is_not_jerked_either(mass):
 @pytest.mark.parametrize("stretch", [0.05, 0.6])
 def test_with_the_target_at_rest_the_person_only_takes_energy(stretch):
     """Kinetic energy plus that of the (limited) spring never grows, in three dimensions."""
-    config, mass = HandConfig(), 3.0  # [kg]
+    config, mass = PersonConfig(), 3.0  # [kg]
     rng = np.random.default_rng(5)
     target = np.array([0.0, 0.0, 5.0])
     person = PersonHand(config, 1e-4)
@@ -192,12 +192,12 @@ def test_with_the_target_at_rest_the_person_only_takes_energy(stretch):
         v = v + person.force(p, v, target) / mass * 1e-4
         p = p + v * 1e-4
         energies.append(energy())
-    assert np.diff(energies).max() < 2e-5 * energies[0]  # what semi-implicit Euler itself adds
+    assert np.diff(energies).max() < 2e-5 * energies[0]  # the error of semi-implicit Euler itself
     assert energies[-1] < 0.01 * energies[0]
 
 
 def test_a_target_below_the_floor_is_refused_with_its_height():
-    person = PersonHand(HandConfig(), DT)
+    person = PersonHand(PersonConfig(), DT)
     with pytest.raises(TargetError, match=r"z = -0\.250 m, below the floor, which is z = 0"):
         person.force(AT, np.zeros(3), (0.5, 0.0, -0.25))
     np.testing.assert_array_equal(checked_target((0.5, 0.0, 0.0)), [0.5, 0.0, 0.0])
@@ -211,8 +211,8 @@ def test_a_target_must_be_three_finite_numbers(target):
 
 
 def test_other_parameters_act_at_once():
-    person = PersonHand(HandConfig(), DT)
+    person = PersonHand(PersonConfig(), DT)
     target = AT + np.array([0.05, 0.0, 0.0])
     before = settled_force(person, AT, target)
-    person.config = HandConfig(stiffness=600.0)
+    person.config = PersonConfig(stiffness=600.0)
     np.testing.assert_allclose(person.force(AT, np.zeros(3), target), 2 * before, rtol=1e-6)

@@ -1,4 +1,4 @@
-"""What touches is reported, acts, and nothing else is: the arm against base, itself and floor."""
+"""Contacts are reported and have an effect, and only these: arm against base, itself and floor."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ print("after")
 
 
 def output(program: str) -> subprocess.CompletedProcess[str]:
-    """What a program prints into pipes, where C's output is buffered."""
+    """The output of a program into pipes, where C's output is buffered."""
     return subprocess.run(
         [sys.executable, "-c", program],
         cwd=PROJECT,

@@ -34,7 +34,7 @@ def planar():
 
 
 def hold(state: RobotState) -> np.ndarray:
-    """Torques that keep the arm's posture while the base does what it likes."""
+    """Torques that keep the arm's posture during any motion of the base."""
     m, M_aa = state.measurement, state.M[2:, 2:]
     return state.h[2:] + M_aa @ (400.0 * (READY - m.q_m) - 40.0 * m.qd_m)
 
@@ -73,7 +73,7 @@ def test_gravity_compensation_holds_the_arm(plant):
     plant.reset(np.zeros(3), READY)
     damping = DAMPING if plant.kind == "mujoco-contact" else 0.0
     trace = run(plant, 5.0, (0.0, 0.0), torques=lambda s: s.g[2:] - damping * s.qd[2:])
-    # Tyres let the base stand 1 mrad nose down, of which the compensation knows nothing.
+    # Tyres let the base stand 1 mrad nose down, which the compensation does not include.
     limit = {"mujoco-contact": 0.1}.get(plant.kind, 1e-9)
     assert np.abs(trace[-1].q_m - READY).max() < limit
     assert np.abs(trace[-1].base_pose).max() < (3e-3 if plant.kind == "mujoco-contact" else 1e-9)

@@ -21,16 +21,10 @@ from app.robot.model import RobotModel
 from app.robot.shapes import Box
 from app.simulation.run import run_scenario, steps_of
 from app.simulation.scenarios import LINES
-from tests.onboarding import FAST_LINES
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
 INNER = 0.4 * D_B  # [m]
-
-
-@pytest.fixture(autouse=True)
-def _fast_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(postures, "LINES", FAST_LINES)
 
 
 @cache
@@ -100,9 +94,10 @@ def looked_at(
     carried: Callable[[Any], float] = lambda _: 0.0,
     d_b: float = D_B,
 ) -> dict[str, list[Place]]:
-    """Lines of the paper's robot that are asked for if none shows anything, by their scenario.
+    """Lines of the paper's robot that are tried if none satisfies the test, by their scenario.
 
-    `carried` says of a line's start (x, y, its way to the base [m]) what the arm does not hold [-].
+    `carried` returns, for a line's start (x, y, its distance to the base [m]), the uncompensated
+    share.
     """
     tried: dict[str, list[Place]] = {name: [] for name in sides}
     look = postures._Guide._look
@@ -138,7 +133,7 @@ def test_a_line_that_ends_beside_one_that_shows_nothing_is_not_run(
 
 
 def test_a_short_arm_starts_just_outside_of_the_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lines began 0.25 m beside the base at least, whatever the buffer."""
+    """Earlier, lines started at least 0.25 m beside the base, with any buffer."""
     monkeypatch.setattr(postures, "_FARTHEST", 0.22)
     lines = looked_at(monkeypatch, ["guiding-lateral"], d_b=0.06)["guiding-lateral"]
     assert lines
@@ -200,7 +195,7 @@ _figures: dict[tuple[Place, float], dict[str, Any]] = {}
 def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]:
     """Those of the paper's robot guided along a line, run once for all tests."""
     if (place, d_b) not in _figures:
-        line = FAST_LINES["guiding-lateral"].changed(start=place.start, move=place.move)
+        line = LINES["guiding-lateral"].changed(start=place.start, move=place.move)
         config = Config().replace("border.d_b", d_b)
         run = run_scenario(husky_panda(), data, line, config, physics="kinematic")
         _figures[place, d_b] = run.figures
@@ -237,7 +232,7 @@ def test_a_base_that_comes_back_while_the_hand_is_held_has_not_given_way(
 
     def back(*args: Any) -> Iterator[Any]:
         for session, step in steps_of(*args):
-            if step.t > 3.9:
+            if step.t > 7.9:
                 truth = step.truth._replace(base_pose=np.zeros(3))
                 step = step._replace(truth=truth)
             yield session, step

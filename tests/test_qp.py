@@ -64,7 +64,7 @@ def by_least_distance(objective: Objective, limits: Limits) -> Array:
 
 
 def misses(limits: Limits, qdd: Array) -> Array:
-    """(m,) by how much each limit is missed."""
+    """(m,) violation of each limit."""
     reached = limits.C @ qdd
     return np.maximum(np.maximum(limits.l - reached, reached - limits.u), 0.0)
 

@@ -1,4 +1,4 @@
-"""`dbb reach`: what it prints, what it writes and what it refuses."""
+"""`dbb reach`: its output, its files and its refusals."""
 
 from __future__ import annotations
 

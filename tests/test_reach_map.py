@@ -207,7 +207,7 @@ def test_the_hands_chain_ends_at_the_end_effector_and_the_forearms_on_its_capsul
 @pytest.mark.slow
 @pytest.mark.parametrize(("joints", "body", "asked"), [(6, "lEE", 6), (4, "l3", 3)])
 def test_the_map_is_the_mean_number_of_solutions_that_a_search_finds(joints, body, asked, changed):
-    """Over poses in the band where most are reached; of fewer joints less is asked for."""
+    """Over poses in the band where most are reached; with fewer joints the bound is lower."""
     model = changed(lambda urdf: urdf, joints=joints)
     chain = Chain(model, body)
     assert (chain.asked, chain.free) == (asked, len(chain.joints) - asked)

@@ -23,7 +23,7 @@ def snapshot():
 
 
 class Past:
-    """Snapshots that a loop has, and what is kept of them."""
+    """Snapshots of a loop, and the stored ones."""
 
     def __init__(self, snapshot, keeper):
         self._snapshots = [snapshot]
@@ -238,9 +238,9 @@ def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
         (0.02, "buffer", "hand – base inside the buffer"),
         (0.04, "person", "a person releases the robot"),
         (0.06, "contact", "hand – base overlap by 10 mm"),
-        (0.08, "parameter", "f_max [N]: 200"),
+        (0.08, "parameter", "Force at contact f_max [N]: 200"),
         (3.0, "scenario", "way-out starts"),
-        (3.0, "parameter", "f_max [N]: 300"),
+        (3.0, "parameter", "Force at contact f_max [N]: 300"),
         (3.0, "buffer", "hand – base inside the buffer"),
     ]
     past.extend([near(snapshot, 0.0, 0.2)])

@@ -233,7 +233,7 @@ def test_the_hand_starts_at_the_handle_with_every_pair_outside_its_buffer(
     np.testing.assert_allclose(state.T_world_ee.translation, handle.translation, atol=1e-3)
     np.testing.assert_allclose(state.T_world_ee.rotation[:, 2], handle.rotation[:, 2], atol=1e-3)
     session = session_of(setting, robot)
-    step = session.step(*RefrigeratorScenario().leader(session)(session))
+    step = session.step(*RefrigeratorScenario().driver(session)(session))
     session.close()
     distances = {pair.b: d for pair, d in zip(step.control.pairs, step.distances, strict=True)}
     assert min(distances.values()) > Config().border.d_b
@@ -311,7 +311,7 @@ def pushing(force, torque=(0.0, 0.0, 0.0)) -> Callable[[RobotState], Array]:
     ],
 )
 def test_the_wrench_is_what_the_arms_torques_exert_on_a_door_that_stays(at_handle, force, torque):
-    """J^T of it is what the joints have beyond gravity: a force-torque sensor's, in sign too."""
+    """J^T of it equals the joints' torques beyond gravity, including the sign."""
     plant = at_handle(50.0)
     run(plant, 1.5, pushing(force, torque))
     wrench = plant.door.wrench()
@@ -406,11 +406,11 @@ def test_the_hand_holds_the_door_firmly_while_it_opens(
     """The controller's body and the plant's door stay together; a fast opening."""
     scenario = RefrigeratorScenario().changed(opening_rate=6.0)
     session = session_of(setting, robot, physics=kind)
-    leader, state = scenario.leader(session), RobotState(setting.model)
+    driver, state = scenario.driver(session), RobotState(setting.model)
     held = session.physics.door
     assert held is not None
     for k in range(4000):
-        session.step(*leader(session))
+        session.step(*driver(session))
         if k % 100 == 0:
             state.update(session.physics.measure())
             off = off_the_door(state, scenario.door, held.angle())
@@ -429,9 +429,9 @@ def whole_run(
     session = session_of(setting, robot, controller)
     scenario = RefrigeratorScenario()
     faster = scenario.changed(opening_rate=2 * scenario.opening_rate)
-    leader, recorder, trace = faster.leader(session), Recorder(), []
+    driver, recorder, trace = faster.driver(session), Recorder(), []
     for k in range(21_000):
-        step = session.step(*leader(session))
+        step = session.step(*driver(session))
         recorder.add(session, step)
         if k % 100 == 0:
             trace.append(kept(step))

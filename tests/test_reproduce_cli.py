@@ -1,4 +1,4 @@
-"""`dbb reproduce`: what it writes, what it refuses, and that it agrees with `dbb run`."""
+"""`dbb reproduce`: its files, its refusals, and its agreement with `dbb run`."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def luminance(colour: str) -> float:
 
 
 def seen_without_red_cones(colour: str) -> np.ndarray:
-    """Deuteranopia by Viénot, Brettel and Mollon 1999: what is left of linear red and green."""
+    """Deuteranopia by Viénot, Brettel and Mollon 1999: the remainder of linear red and green."""
     r, g, b = ((int(colour[i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5))
     return np.array([0.29275 * r + 0.70725 * g, 0.29275 * r + 0.70725 * g, b])
 

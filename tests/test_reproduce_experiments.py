@@ -1,4 +1,4 @@
-"""Runs are done once, agree with `run_scenario`, and come back whatever the processes."""
+"""Runs are done once, agree with `run_scenario`, and do not depend on the processes."""
 
 from __future__ import annotations
 

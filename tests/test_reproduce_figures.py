@@ -1,4 +1,4 @@
-"""Each figure draws what its CSV holds, from runs and from the project's own functions."""
+"""Each figure draws the data of its CSV, from runs and from the project's own functions."""
 
 from __future__ import annotations
 

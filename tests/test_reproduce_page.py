@@ -1,4 +1,4 @@
-"""`index.html` stands alone and says what it was told, whatever that is."""
+"""`index.html` needs no other file and shows all its input."""
 
 from __future__ import annotations
 

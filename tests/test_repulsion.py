@@ -85,7 +85,7 @@ def test_distances_within_the_robot_do_not_depend_on_the_base(robot: RobotModel,
 
 
 def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndarray:
-    """(N, 2) [m/s²] by how much d̈ = J q̈ + J̇ q̇ is off, and how much with |v_⊥|²/d added.
+    """(N, 2) [m/s²] error of d̈ = J q̈ + J̇ q̇, and the error with |v_⊥|²/d added.
 
     Against central differences of the library's own distance along exact motions, in the buffer of
     the pairs of L_m, where closest points do not change from one side of a body to another.
@@ -159,7 +159,7 @@ def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotM
 
 
 def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> None:
-    """What witness points get wrong: they change sides."""
+    """The error of witness points: they change sides."""
     rng = np.random.default_rng(0)
     moving = Moving(robot, 0)
     found = 0

@@ -1,4 +1,4 @@
-"""What is asked of `dbb new-robot`: one check of its numbers, for the command and for the page."""
+"""The input of `dbb new-robot`: one check of its numbers, for the command and for the page."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> Non
 
 
 def gone(pid: int) -> bool:
-    """Whether a process has ended; one that nobody has asked for its status has, too."""
+    """Whether a process has ended, including one whose status no process has read."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     except FileNotFoundError:
@@ -355,7 +355,7 @@ def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
         assert set(states) == {"c", "d"}
         client.send(_messages.FileTransferPart(uuid, "c", 0, b"x" * 10))
         wait_for(lambda: states["c"]["transferred_bytes"] == 10, what="a part")
-    wait_for(lambda: not states, what="the end of what was begun")
+    wait_for(lambda: not states, what="the end of the started work")
 
 
 def begin(client: RawClient, uuid: str, name: str, size: int, parts: int) -> None:

@@ -1,4 +1,4 @@
-"""A description that does not hold is refused with file, field and what would be right."""
+"""An invalid description is refused with file, field and the valid values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots' files as others write them: read as they are meant, or refused with the cause."""
+"""Robots' files of other programs: read in their sense, or refused with the cause."""
 
 from __future__ import annotations
 
@@ -302,7 +302,7 @@ def test_bodies_hold_fingers_over_their_whole_travel(tmp_path: Path) -> None:
 
 
 def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> None:
-    """Its end goes as far as before, its middle part is held in all of its places."""
+    """Its end has the same reach, and its body encloses the middle part in all places."""
     tube = solid('<box size="0.04 0.04 0.2"/>', xyz="0 0 0.1")
     limit = 'lower="0" upper="0.1" effort="6" velocity="1"'
     first = joint("slide", "prismatic", "fore", "middle", limit=limit)

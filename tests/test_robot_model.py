@@ -51,7 +51,7 @@ def test_wheels_of_the_urdf_stand_on_the_floor_at_the_described_radius():
 
 
 def test_every_link_states_its_inertia():
-    """A library gives a link without one what it likes: pybullet 1 kg, pinocchio 0."""
+    """Libraries choose the inertia of a link without one: pybullet 1 kg, pinocchio 0."""
     for link in URDF.iterfind("link"):
         assert link.find("inertial/mass") is not None, link.get("name")
         assert link.find("inertial/inertia") is not None, link.get("name")

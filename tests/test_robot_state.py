@@ -189,7 +189,7 @@ def test_kinematics_alone_are_those_of_a_whole_update(seed):
 
 
 def test_measurements_may_be_read_only_or_parts_of_larger_arrays():
-    """Those of snapshots are; what is measured is never written to."""
+    """Those of snapshots are; measured arrays are never written to."""
     robot = husky_panda()
     m = random_measurement(np.random.default_rng(5))
     frozen = Measurement(*(np.repeat(values, 2)[::2] for values in m))

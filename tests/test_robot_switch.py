@@ -1,4 +1,4 @@
-"""Another robot on the dashboard, without a restart: what stays, what goes, and what may fail."""
+"""Another robot on the dashboard without a restart: persistent state, new state, failures."""
 
 from __future__ import annotations
 

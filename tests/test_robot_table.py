@@ -1,4 +1,4 @@
-"""Every robot through the same cases: what a row says, and that it is what a run gives."""
+"""Every robot through the same cases: a row has the figures of a run."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def test_key_numbers_are_those_of_the_motion():
     assert numbers["base_displacement_m"] == pytest.approx(np.sqrt(8.0))
     assert numbers["base_yaw_rad"] == pytest.approx(np.pi / 2)
     assert numbers["min_distance_m"] == pytest.approx(dict.fromkeys(log.meta.pairs, 0.0))
-    assert numbers["activation_max"] == 0.25  # of what was inserted, whatever the pairs' are
+    assert numbers["activation_max"] == 0.25  # of the inserted rows, independent of the pairs'
     assert (numbers["ee_error_max_m"], numbers["ee_error_final_m"]) == (50.0, 50.0)
     assert numbers["hand_force_max_n"] == pytest.approx(5.0)
     assert numbers["effort_max"] == {f"u_panda_joint{i}_nm": 100.0 for i in range(1, 8)}

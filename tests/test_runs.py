@@ -1,4 +1,4 @@
-"""What the commands must show: every scenario with avoidance and without, in whole runs."""
+"""Required results of the commands: every scenario with avoidance and without, in whole runs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def assert_the_arm_resists_from_above(run: dict[str, Any]) -> None:
     assert run["min_clearance_m"] >= 0.03
     assert run["base_displacement_m"] < 0.1
     assert run["ee_error_final_m"] > 0.05  # the person does not get the hand down
-    assert run["hand_force_max_n"] > 10.0  # although he pulls
+    assert run["hand_force_max_n"] > 10.0  # although the person pulls
     assert run["solver_failures"] == 0
 
 

@@ -34,6 +34,11 @@ def test_the_names_are_those_of_the_issue():
     assert {n for n, each in LINES.items() if each.mode == "tracking"} == {"tracking"}
 
 
+def motion_of(scenario: LineScenario, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    reference = scenario.reference(t, np.eye(3))
+    return reference.pose.translation, reference.velocity[:3], reference.acceleration[:3]
+
+
 def test_tracking_is_the_papers_line(scenario):
     """0.2 m along -y in 30 s."""
     tracking = LINES["tracking"]
@@ -44,19 +49,19 @@ def test_tracking_is_the_papers_line(scenario):
 def test_it_leads_from_start_to_start_plus_move_and_holds(scenario):
     start, move = np.array(scenario.start), np.array(scenario.move)
     moving = scenario.duration * scenario.moving
-    np.testing.assert_allclose(scenario.position(0.0)[0], start)
-    np.testing.assert_allclose(scenario.position(moving / 2)[0], start + move / 2)
+    np.testing.assert_allclose(scenario.place(0.0), start)
+    np.testing.assert_allclose(scenario.place(moving / 2), start + move / 2)
     for t in (moving, scenario.duration, 2 * scenario.duration):
-        np.testing.assert_allclose(scenario.position(t)[0], start + move)
+        np.testing.assert_allclose(scenario.place(t), start + move)
     for t in (0.0, moving, moving + 0.1):
-        np.testing.assert_allclose(scenario.position(t)[1], 0.0, atol=1e-12)
+        np.testing.assert_allclose(motion_of(scenario, t)[1], 0.0, atol=1e-12)
 
 
 def test_velocity_and_acceleration_are_the_derivatives_of_the_position(scenario):
     h = 1e-4  # [s]
     moving = scenario.duration * scenario.moving
     for t in np.linspace(0.01, 0.99, 23) * moving:
-        before, at, after = (scenario.position(t + k * h) for k in (-1, 0, 1))
+        before, at, after = (motion_of(scenario, t + k * h) for k in (-1, 0, 1))
         np.testing.assert_allclose((after[0] - before[0]) / (2 * h), at[1], atol=1e-7)
         np.testing.assert_allclose((after[1] - before[1]) / (2 * h), at[2], atol=1e-7)
 
@@ -64,7 +69,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_position(scenario)
 def test_the_reference_holds_the_orientation_and_has_the_points_motion(scenario):
     R = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     reference = scenario.reference(1.3, R)
-    p, v, a = scenario.position(1.3)
+    p, v, a = motion_of(scenario, 1.3)
     np.testing.assert_array_equal(reference.pose.rotation, R)
     np.testing.assert_array_equal(reference.pose.translation, p)
     np.testing.assert_array_equal(reference.velocity, [*v, 0, 0, 0])
@@ -103,7 +108,7 @@ def test_who_lets_go_keeps_the_scenarios_own_pace_whatever_the_duration(name, du
     released = own.changed(release_at=2.0, duration=duration)
     assert released.duration == duration
     for t in np.linspace(0.0, 8.0, 41):
-        for of_one, of_other in zip(released.position(t), own.position(t), strict=True):
+        for of_one, of_other in zip(motion_of(released, t), motion_of(own, t), strict=True):
             np.testing.assert_allclose(of_one, of_other, atol=1e-12)
     np.testing.assert_allclose(own.changed(duration=16.0).place(4.0), own.place(2.0))
 
@@ -119,14 +124,14 @@ def test_nobody_holds_the_hand_from_the_release_until_it_is_taken_again():
         (7.9, True),
     ]:
         assert line.holds(t) == held, t
-        lead = line.leader(_Stands(t))(_Stands(t))
+        lead = line.driver(_Stands(t))(_Stands(t))
         assert (lead.pull is not None) == held
         assert lead.reference is None
     assert LINES["guiding-front"].holds(7.9)
 
 
 class _Stands:
-    """As much of a session as a leader reads."""
+    """As much of a session as a driver reads."""
 
     def __init__(self, t: float) -> None:
         self.t, self.T_world_ee = t, pin.SE3.Identity()

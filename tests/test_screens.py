@@ -69,9 +69,21 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
     assert tab.errors == []
 
 
+def test_no_box_of_the_settings_takes_the_page_to_another_server(browser, served):
+    tab = DashboardTab(browser, served.server.address)
+    tab.page.get_by_label("Display settings").first.click()
+    tab.page.get_by_text("Reset View").wait_for(timeout=40_000)
+    addresses = tab.page.evaluate(
+        """() => [...document.querySelectorAll("input")]
+        .filter((each) => each.offsetHeight && each.value.startsWith("ws")).length"""
+    )
+    assert addresses == 0
+    tab.close()
+
+
 def test_light_meshes_have_few_faces_and_fill_the_same_room():
     def room(visuals: list[Visual], joint: int) -> np.ndarray:
-        """Corners (2, 3) [m] of what a joint moves, in its frame."""
+        """Corners (2, 3) [m] of the objects that a joint moves, in its frame."""
         moved = [
             v.mesh.copy().apply_transform(v.placement.homogeneous).bounds
             for v in visuals

@@ -1,4 +1,4 @@
-"""Pictures without a display: of the asked size, of what was asked, the same each time."""
+"""Pictures without a display: of the requested size and content, the same each time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from app.dashboard.export.browser import VARIABLE, browser_path
 from app.dashboard.export.offscreen import RecordedLoop
 from app.dashboard.export.screenshot import strip, take_pictures
 from app.errors import BrowserError
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import filmed
 from app.simulation.scenarios import scenario_by_name
 from tests.logs import random_snapshots
@@ -35,7 +35,7 @@ LOOK = Look(width=400, height=300)
 def snapshots(robot, border_data):
     """A fast pull, on the plant that costs least."""
     scenario = scenario_by_name("guiding-front").changed(duration=1.5)
-    run = Planned("husky_panda", scenario, Config(), physics="kinematic")
+    run = RunSpec("husky_panda", scenario, Config(), physics="kinematic")
     return filmed(run, robot, border_data, [0.333, 1.0])
 
 
@@ -148,7 +148,7 @@ def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(ta
     for panel in (a[:, :300], a[:, -300:]):
         assert (panel.max(axis=-1) > 120).mean() > 0.01, "text"
     scene = a[:, 340:660]
-    assert (scene.min(axis=-1) > 225).mean() > 0.006, "a white arm, which mirrors what is around"
+    assert (scene.min(axis=-1) > 225).mean() > 0.006, "a white arm, which mirrors its surroundings"
 
 
 @pytest.mark.browser

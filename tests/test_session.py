@@ -84,7 +84,7 @@ def same(a: list[Step], b: list[Step]) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("physics", ["kinematic", "planar"])
 def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
-    """Of plants alone it is asked in `test_physics_plants.py`, of each of them."""
+    """`test_physics_plants.py` tests each of the plants alone."""
     a, b = make(physics), make(physics)
     steps = [(kept(a.step(pull=PULL)), kept(b.step(pull=PULL))) for _ in range(1200)]
     same([first for first, _ in steps], [second for _, second in steps])
@@ -129,7 +129,7 @@ def test_a_reset_forgets_the_persons_hold_and_the_count_of_failures(make, q_star
     session.reset(q_start)
     step = session.step(pull=PULL)
     assert session.controller.last.failures == 0
-    assert np.linalg.norm(step.hand_force) < 0.1  # he takes hold where the hand is now
+    assert np.linalg.norm(step.hand_force) < 0.1  # the grip starts at the present place
 
 
 def test_it_stands_still_while_nobody_pulls(make, q_start):
@@ -149,7 +149,7 @@ def test_time_advances_by_the_control_period(make):
 def test_the_controllers_answer_depends_on_its_sensors_alone(
     run: list[Step], robot: RobotModel, border_data: BorderData
 ):
-    """Another controller, given only what is measured, answers bitwise the same.
+    """Another controller with only the measured values gives bitwise the same result.
 
     It never meets the person, whose force therefore has no way into the answer.
     """
@@ -165,7 +165,7 @@ def test_the_controllers_answer_depends_on_its_sensors_alone(
 
 
 def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndarray]:
-    """What the base's own drive is known to do, from commands and measured velocities alone."""
+    """The known response of the base's own drive, from commands and measured velocities alone."""
     drive = Drive(robot.description.base, DT)
     commands = [np.zeros(2)] + [step.base_command for step in steps[:-1]]
     return [

@@ -1,4 +1,4 @@
-"""The start solver: what every start that it gives has in common, and what it refuses."""
+"""The start solver: properties of all its starts, and its refusals."""
 
 from __future__ import annotations
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.cli.wanted import of_case
+from app.cli.run_spec import spec_of_case
 from app.config import Config
 from app.errors import AssetError, CaseError, ConfigError, StudyError
 from app.robot.state import Measurement, RobotState
 from app.simulation.case import RunCase, read_case
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import StartedLine
-from app.studies.pulls.case import COLUMNS, TIMES, flat, planned_of, play_case
+from app.studies.pulls.case import COLUMNS, TIMES, flat, play_case, spec_of
 from app.studies.pulls.draw import (
     SECTORS,
     draw_case,
@@ -36,7 +36,7 @@ NUMBERS = range(8)
 
 def line_of(case: Row) -> StartedLine:
     """The pull of a case."""
-    scenario = planned_of(case, PARAMETERS).scenario
+    scenario = spec_of(case, PARAMETERS).scenario
     assert isinstance(scenario, StartedLine)
     return scenario
 
@@ -92,7 +92,7 @@ def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
 def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases):
     ranges = PARAMETERS.ranges
     for case in cases:
-        config = planned_of(case, PARAMETERS).config
+        config = spec_of(case, PARAMETERS).config
         for name in ("speed", *DRAWN):
             value = case[COLUMNS[name]]
             low, high = getattr(ranges, name)
@@ -174,22 +174,22 @@ def test_a_pull_that_does_not_go_along_the_base_goes_into_it(sources, cases):
 
 
 def test_a_row_of_the_table_holds_its_whole_case(cases):
-    """As its journal has it, with what came of it."""
+    """As in its journal, with its results."""
     for case in cases:
         row = json.loads(json.dumps({**case, "nan": False, "min_clearance_m": 0.1}))
-        assert planned_of(row, PARAMETERS) == planned_of(case, PARAMETERS)
+        assert spec_of(row, PARAMETERS) == spec_of(case, PARAMETERS)
 
 
 def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
     """Played from memory and from the file of a failure, after another case in between."""
     row = play_case(cases[3], PARAMETERS, sources.model, sources.data)
-    run = planned_of(cases[3], PARAMETERS)
+    run = spec_of(cases[3], PARAMETERS)
     file = tmp_path / "case.json"
     file.write_text(RunCase.of(run).text())
     play_case(cases[4], PARAMETERS, sources.model, sources.data)
-    again = of_case(read_case(file), {})
+    again = spec_of_case(read_case(file), {})
     assert again == run
-    figures = run_planned(again, sources.model, sources.data).figures
+    figures = run_from_spec(again, sources.model, sources.data).figures
     again = flat({key: value for key, value in figures.items() if key not in TIMES})
     again = {key: rounded(value) for key, value in again.items()}
     assert {key: row[key] for key in again} == again
@@ -218,9 +218,9 @@ def test_a_file_that_is_no_case_is_refused_by_name(tmp_path, content, words):
 def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, cases):
     short = {name: value for name, value in cases[0].items() if name != "q7_rad"}
     with pytest.raises(CaseError, match=r"6 joints.*has 7"):
-        run_planned(planned_of(short, PARAMETERS), sources.model, sources.data)
+        run_from_spec(spec_of(short, PARAMETERS), sources.model, sources.data)
     with pytest.raises(ConfigError, match="base_delay"):
-        planned_of({**cases[0], "base_delay_s": 9.0}, PARAMETERS)
+        spec_of({**cases[0], "base_delay_s": 9.0}, PARAMETERS)
 
 
 def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
@@ -272,6 +272,6 @@ def test_files_that_are_not_there_end_a_study_instead_of_being_a_row_of_it(
     def missing(*_: object) -> None:
         raise AssetError("no such mesh")
 
-    monkeypatch.setattr("app.simulation.run.run_planned", missing)
+    monkeypatch.setattr("app.simulation.run.run_from_spec", missing)
     with pytest.raises(AssetError, match="no such mesh"):
         play_case(cases[0], PARAMETERS, sources.model, sources.data)

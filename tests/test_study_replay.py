@@ -18,9 +18,9 @@ from app.dashboard.server import serve_dashboard
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Play, Pull, Reset
 from app.simulation.loop.loop import SimulationLoop
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.simulation.session import Session
-from app.studies.pulls.case import planned_of, play_case
+from app.studies.pulls.case import play_case, spec_of
 from app.studies.pulls.draw import draw_case, load_sources
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.runs import Row
@@ -55,7 +55,7 @@ def drawn(sources) -> Row:
 
 @pytest.fixture(scope="module")
 def case(drawn) -> RunCase:
-    return RunCase.of(planned_of(drawn, FAST))
+    return RunCase.of(spec_of(drawn, FAST))
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def begun(loop: SimulationLoop) -> None:
 
 def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, drawn, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
-    trace = run_planned(planned_of(drawn, FAST), sources.model, sources.data).trace
+    trace = run_from_spec(spec_of(drawn, FAST), sources.model, sources.data).trace
     log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
     begun(loop)
@@ -192,7 +192,7 @@ def test_the_button_plays_the_case_of_the_page(case):
 
 
 def labels_of_the_page(server) -> list[str]:
-    """What the widgets of a viewer who has just come are called."""
+    """The names of the widgets of a new viewer."""
     with RawClient(server.address):
         end = time.monotonic() + 60
         while not server.pages:

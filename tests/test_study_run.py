@@ -1,4 +1,4 @@
-"""`dbb study`: the same table by whatever way, and what it writes and refuses."""
+"""`dbb study`: the same table in all modes, its files and its refusals."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ def start(*args: str) -> subprocess.Popen[str]:
 
 
 def printed_here(*args: str) -> str:
-    """What a command prints that ends well, in this process."""
+    """The output of a successful command, in this process."""
     with redirect_stdout(io.StringIO()) as out:
         main(list(args))
     return out.getvalue()
 
 
 def here(capfd: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
-    """What cannot be done, in this process."""
+    """The error of a failing command, in this process."""
     with pytest.raises(SystemExit) as end:
         main(list(args))
     return (int(str(end.value.code)), *capfd.readouterr())
@@ -195,7 +195,7 @@ def listening(process: psutil.Process) -> set[tuple[str, int]]:
 
 
 def test_a_finished_study_is_not_done_again(undisturbed):
-    """No scheduler is asked for, so nothing answers at that address and nothing has to."""
+    """Without a scheduler nothing answers at that address, and nothing has to."""
     before = (undisturbed / "cases.jsonl").read_bytes()
     args = ("study", "--cases", str(CASES), *OPTIONS, "--scheduler", "tcp://127.0.0.1:9")
     printed_here(*args, "--out", str(undisturbed))

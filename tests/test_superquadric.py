@@ -25,7 +25,7 @@ from app.strict import explain
 Array = np.ndarray
 
 DEVIATION = {1.0: 0.005, 2.0: 0.03}
-"""[-] of the longest semi-axis, by the greatest exponent: what the shape's docstring says."""
+"""[-] of the longest semi-axis, by the largest exponent: the bound of the shape's docstring."""
 EXTREMES = [(e1, e2) for e1 in (0.1, 0.2, 1.0, 1.5, 2.0) for e2 in (0.1, 0.2, 1.0, 1.5, 2.0)]
 
 
@@ -37,7 +37,7 @@ def shape_of(axes, e1: float, e2: float, **placed) -> Superquadric:
 
 
 def random_shape(rng: np.random.Generator, greatest: float) -> tuple[Superquadric, float]:
-    """A placed shape, and by how much [m] its distances may be too large."""
+    """A placed shape, and the bound [m] of its distances' excess."""
     axes = rng.uniform(0.03, 1.0, 3)
     shape = shape_of(
         axes,
@@ -55,7 +55,7 @@ def random_pose(rng: np.random.Generator, reach: float) -> pin.SE3:
 
 
 def gauge(p: Array, shape: Superquadric) -> Array:
-    """By how much the shape has to grow so that `p`, (3,) or (k, 3), lies on its surface.
+    """Growth of the shape at which `p`, (3,) or (k, 3), is on its surface.
 
     Written as the sums of powers of the definition, and so without the module's own form of it.
     """
@@ -172,7 +172,7 @@ def test_with_both_exponents_one_it_is_an_ellipsoid(seed: int):
 @pytest.mark.slow
 @pytest.mark.parametrize(("e1", "e2"), EXTREMES)
 def test_the_polytope_is_as_near_to_the_surface_as_is_said(e1: float, e2: float):
-    """Its vertices lie on it; what is farthest outside of its faces are points in between."""
+    """Its vertices are on it; the farthest points outside of its faces are between them."""
     rng = np.random.default_rng(3)
     for axes in ((1.0, 1.0, 1.0), (1.0, 0.3, 0.1), (0.07, 0.5, 1.4)):
         shape = shape_of(axes, e1, e2)

@@ -1,4 +1,4 @@
-"""`dbb sweep`: what it writes, and what it refuses."""
+"""`dbb sweep`: its files and its refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The maps of a sweep show what its numbers say."""
+"""The maps of a sweep show its numbers."""
 
 from __future__ import annotations
 

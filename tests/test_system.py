@@ -1,4 +1,4 @@
-"""What operating systems do differently stands in `app.system`, and is done without elsewhere."""
+"""Differences between operating systems are in `app.system`, with fallbacks elsewhere."""
 
 from __future__ import annotations
 
@@ -77,14 +77,14 @@ NAMES = {
     },
     "mp": {"get_context", "set_start_method", "Pipe", "Pool", "Process", "Queue", "Value"},
 }
-"""What a module has on some systems only, or does differently there. Names of `os` that begin with
-`sched_` or `SCHED_` count too."""
+"""Functions of a module that exist on some systems only, or differ there. Names of `os` that start
+with `sched_` or `SCHED_` count too."""
 GUARD = {"select", "os.getpgid", "os.kill", "os.killpg", "signal.SIGHUP", "signal.SIGKILL"}
 FOR_A_REASON = {
     ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers",
     **{("app/jobs/guard.py", name): "it runs without this package" for name in GUARD},
 }
-"""What may stand elsewhere."""
+"""Exceptions outside of it."""
 
 
 @pytest.mark.parametrize("path", OTHERS, ids=lambda path: str(path.relative_to(PROJECT)))
@@ -122,7 +122,7 @@ def test_the_place_itself_breaks_the_rule() -> None:
 
 @pytest.fixture
 def mac(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A system without what Linux alone has, and with a Mac's units."""
+    """A system without Linux's own features, and with a Mac's units."""
     for name in [name for name in vars(os) if name.lower().startswith("sched_")]:
         monkeypatch.delattr(os, name)
     monkeypatch.setattr(sys, "platform", "darwin")
@@ -140,7 +140,7 @@ def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
 ) -> None:
     wished = []
     monkeypatch.setattr(os, "setpriority", lambda *wish: wished.append(wish))
-    system.come_first(-10)
+    system.raise_priority(-10)
     assert wished == [(os.PRIO_PROCESS, 0, -10)]
 
 
@@ -154,7 +154,7 @@ def test_only_with_a_core_to_spare_the_real_time_policy_is_claimed(
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(os, "setpriority", lambda *_: None)
     monkeypatch.setattr(os, "sched_setscheduler", lambda *wish: wished.append(wish), raising=False)
-    system.come_first(-10)
+    system.raise_priority(-10)
     assert bool(wished) is claimed
 
 
@@ -164,7 +164,7 @@ def test_who_does_not_pause_within_the_budget_loses_the_real_time_policy() -> No
         "import os, threading, time\nfrom app import system\nsystem.usable_cores = lambda: 4\n"
         "begun = threading.Event()\n"
         "def work(): begun.wait(); time.sleep(0.1); print(os.sched_getscheduler(0))\n"
-        "system.come_first(-10)\nprint(os.sched_getscheduler(0), flush=True)\n"
+        "system.raise_priority(-10)\nprint(os.sched_getscheduler(0), flush=True)\n"
         "other = threading.Thread(target=work)\nother.start()\n"
         "end = time.process_time() + 3.0\n"
         "while os.sched_getscheduler(0) == os.SCHED_RR and time.process_time() < end: pass\n"
@@ -194,14 +194,14 @@ def test_a_mac_counts_its_memory_in_bytes(monkeypatch) -> None:
     assert system.peak_memory() == 3
 
 
-def test_a_user_who_may_not_come_first_is_served_all_the_same(monkeypatch) -> None:
+def test_a_user_without_the_right_to_raise_the_priority_is_served_all_the_same(monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError
 
     for name in ("setpriority", "sched_setscheduler", "setsid", "killpg", "nice"):
         monkeypatch.setattr(os, name, refuse, raising=False)
-    system.come_first(-10)
-    system.step_back(5)
+    system.raise_priority(-10)
+    system.lower_priority(5)
     system.lead_group()
     system.end_group(0, at_once=False)
 
@@ -229,7 +229,7 @@ def test_a_group_is_ended_with_all_that_its_leader_has_started(at_once: bool) ->
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the system lists no children")
 def test_what_a_child_has_started_and_is_stopped_goes_on() -> None:
-    """As a process of a browser, for whose end its driver would wait for ever."""
+    """Like a process of a browser; its driver would wait for its end for ever."""
     with subprocess.Popen(
         ["sh", "-c", "sleep 60 & echo $!; wait"], stdout=subprocess.PIPE, text=True
     ) as shell:
@@ -439,7 +439,7 @@ if __name__ == "__main__":
 
 
 def peculiar(source: str) -> list[str]:
-    """What a module uses that not every system has, as `os.setsid`, by any name it gives it."""
+    """System-dependent functions that a module uses, such as `os.setsid`, under any name."""
     tree = ast.parse(source)
     aliases = {"os": "os", "signal": "signal", "sys": "sys"}
     found = []
@@ -475,7 +475,7 @@ def is_peculiar(module: str, name: str) -> bool:
 def test_a_user_without_a_home_gets_an_own_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("HOME", "~")  # what the system says of a user whom it does not know
+    monkeypatch.setenv("HOME", "~")  # the home of a user whom the system does not know
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     system.find_folders()
     assert Path(os.environ["HOME"]).parent == tmp_path

@@ -129,7 +129,7 @@ def random_path(seed: int, steps: int) -> Array:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_along_smooth_activations_nothing_jumps_and_the_printed_blend_does(seed: int) -> None:
-    """Steps a tenth as long change the answer by about a tenth; a jump would stay what it is."""
+    """Steps a tenth as long change the answer by about a tenth; a jump would not shrink."""
     problem = Problem(seed)
     coarse, fine = (largest_step(problem.solve, random_path(seed, n)) for n in (1000, 10_000))
     assert fine < 0.2 * coarse
@@ -189,7 +189,7 @@ def soft_blend(objective: Objective, rows: Rows) -> Array:
 def test_nothing_gains_energy_by_running_into_two_buffers_and_leaving_them() -> None:
     """Energy comes back as it went in without damping and never more with it.
 
-    The printed blend does not give it back: it is told from ours by this law.
+    The printed blend does not satisfy this law, which distinguishes it from ours.
     """
     ours = [run_into_walls(soft_blend, seed, 0.0) for seed in range(4)]
     printed = [run_into_walls(printed_blend, seed, 0.0) for seed in range(4)]
@@ -210,7 +210,7 @@ def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
 
 
 def test_nothing_is_left_to_the_garbage_collector() -> None:
-    """At 1 kHz what only the collector frees becomes pauses of many milliseconds."""
+    """At 1 kHz, garbage that only the collector frees becomes pauses of many milliseconds."""
     problem = Problem(0)
     problem.solve([0.4, 0.7, 0.3, 1.0])
     gc.collect()

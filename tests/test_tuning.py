@@ -1,4 +1,4 @@
-"""One configuration for all viewers: what they set, refuse, undo, mark, save and load."""
+"""One configuration for all viewers: setting, refusal, undo, marks, saving and loading."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.config import Config, parameter, sections, tunable, tunables
-from app.config_file import MOST_BYTES, decode_config, save_config
+from app.config_file import MAX_BYTES, decode_config, save_config
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.tuning import (
     MARK,
@@ -46,7 +46,7 @@ class Clock:
 
 
 class Person:
-    """A client: keeps what it is told and sent."""
+    """A client that records its messages."""
 
     client_id = 1
 
@@ -81,7 +81,7 @@ class Desk:
         self.panels = [TuningPanel(self.viewer(server)) for server in servers]
 
     def viewer(self, server):
-        """Who has a server for himself."""
+        """A viewer with a separate server."""
         shared = SimpleNamespace(tuning=self.tuning, model=husky_panda())
         return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared)
 
@@ -112,7 +112,7 @@ def desk(servers):
 
 
 def put(handle, value, person):
-    """What viser does with a value that a client has sent: take it over, tell the callbacks."""
+    """Viser's reaction to a client's value: store it, call the callbacks."""
     handle._impl.value = value
     event = SimpleNamespace(client=person, client_id=1, target=handle)
     for callback in list(handle._impl.update_cb):
@@ -474,7 +474,7 @@ def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
 
 
 def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
-    """Viser awaits what is `async` in the thread that receives for all viewers."""
+    """Viser awaits `async` functions in the thread that receives for all viewers."""
     handles = desk.panels[0]._gui._gui_input_handle_from_uuid.values()
     (load,) = [handle for handle in handles if handle.label == "Load"]
     assert [iscoroutinefunction(each) for each in load._impl.update_cb] == [False]
@@ -483,7 +483,7 @@ def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"#" * (MOST_BYTES + 1), "more than"),
+        (b"#" * (MAX_BYTES + 1), "more than"),
         (b"\xff\xff", "UTF-8"),
         (b"[border]\nd_b = 1", "border.d_b: must be within 0.06 to 0.3 m"),
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),

@@ -1,4 +1,4 @@
-"""`tools/venv.sh` takes a Python that is there, by uv or by venv and pip, or says what it lacks."""
+"""`tools/venv.sh` takes an existing Python, by uv or by venv and pip, or names the missing one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SCRIPT = PROJECT / "tools" / "venv.sh"
 def venv(
     folder: Path, *arguments: str, python: str = "", tools: tuple[str, ...] = ()
 ) -> subprocess.CompletedProcess[str]:
-    """What the script does where `PATH` has a shell and these tools alone."""
+    """The behaviour of the script if `PATH` has a shell and these tools alone."""
     programs = folder / "programs"
     programs.mkdir(exist_ok=True)
     for tool in ("bash", "env", *tools):

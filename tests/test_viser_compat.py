@@ -40,7 +40,7 @@ OF_CONNECTIONS = {
 OF_AN_EVENT = {"_value", "_waiters"}
 """Of asyncio, which viser's queue waits for."""
 ALSO = {"gate.py": {"_messages"}}
-"""What a page may send is told by viser's own types of messages."""
+"""Viser's own message types define the messages of a page."""
 
 
 def private(path: Path) -> set[str]:
@@ -150,7 +150,7 @@ def test_an_address_is_of_this_machine_alone_or_not(host, alone) -> None:
 def test_a_viewer_gets_the_removal_of_a_node_that_is_created_again(persistent: bool) -> None:
     """Else the page would keep the pose of the node before, as viser sends no default pose.
 
-    What later viewers get from the beginning needs no removal.
+    Messages that later viewers get from the start need no removal.
     """
     loop = asyncio.new_event_loop()
     queue = _Buffer(loop, persistent_messages=persistent)

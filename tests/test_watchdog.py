@@ -1,4 +1,4 @@
-"""Who sleeps holds nothing, who gets nothing is connected anew, and a loop that hangs is told."""
+"""A sleeping viewer releases, a silent connection is renewed, and a hanging loop is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Starts in trouble: they are what they say, and the robot leaves them gently."""
+"""Starts in trouble have their stated kind, and the robot leaves them gently."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ BARE = ["--no-deps", "--python-platform", PLATFORMS["Linux x86-64"], "--python-v
 
 @pytest.fixture(scope="module")
 def outcomes() -> dict[tuple[str, str], Outcome]:
-    """What is installed on each platform with each Python."""
+    """The installed packages on each platform with each Python."""
     try:
         return resolve_all()
     except IndexUnreachableError as error:
@@ -51,7 +51,7 @@ def test_never_pybullet_and_its_fork_and_everywhere_one_mujoco(outcomes) -> None
 
 @pytest.mark.slow
 def test_only_pybullet_is_left_out_and_only_where_the_markers_say(outcomes) -> None:
-    """On the platforms of the promise, for which `requires-python` has no upper hole."""
+    """On the supported platforms; `requires-python` has an upper bound without gaps."""
     for platform, python in PROMISED:
         names = outcomes[platform, python]
         assert bool({"pybullet", "pybullet-arm64"} & names) == (python != "3.14")
@@ -103,7 +103,7 @@ PYPROJECT = (PROJECT / "pyproject.toml").read_text(encoding="utf-8")
 
 
 def direct() -> set[str]:
-    """Names of what the package itself and all extras depend on."""
+    """Names of the dependencies of the package itself and of all extras."""
     text = PYPROJECT[PYPROJECT.index("\ndependencies = [") : PYPROJECT.index("[project.scripts]")]
     names = {name.lower() for name in re.findall(r'^    "([A-Za-z0-9_.-]+)', text, re.M)}
     return names - {"dbb-mobile-manipulator"}  # an extra that takes another in

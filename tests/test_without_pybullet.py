@@ -1,4 +1,4 @@
-"""Where pybullet and its meshes are not installed, all but what needs them works."""
+"""Without pybullet and its meshes, everything works that does not need them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Measures of the code's structure, with their limits: `python -m tools.house [--json]`.
 
-The status is 1 while a measure that binds is beyond its limit: it counts faults, and each can be
-mended where it stands. The limit of a size is an aim.
+The status is 1 if a binding measure exceeds its limit: it counts faults that can be corrected
+locally. The limit of a size is an aim.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Measure(NamedTuple):
     """One line of the table.
 
     Attributes:
-        what: Is counted.
-        value: Now.
-        limit: The largest that is fine.
-        binds: Whether a value beyond the limit fails the check.
+        what: The counted items.
+        value: The present count.
+        limit: The largest accepted count.
+        binds: Whether a larger value fails the check.
     """
 
     what: str
@@ -43,7 +43,7 @@ class Measure(NamedTuple):
 
     @property
     def beyond(self) -> bool:
-        """Whether the value is beyond the limit."""
+        """Whether the value exceeds the limit."""
         return self.value > self.limit
 
 
@@ -59,7 +59,7 @@ def trees() -> dict[str, ast.Module]:
 
 
 def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[str]:
-    """The modules of `known` that a module imports anywhere, for annotations too."""
+    """The modules of `known` that a module imports anywhere, including annotations."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -72,13 +72,13 @@ def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[
 
 
 def imports() -> Imports:
-    """What each module of `app` imports of `app`."""
+    """The modules of `app` that each module of `app` imports."""
     known = frozenset(trees())
     return {name: imports_of(name, tree, known) for name, tree in trees().items()}
 
 
 def single_users(graph: Imports, packages: frozenset[str]) -> list[str]:
-    """Modules that one other module imports and no second one; packages do not count."""
+    """Modules that exactly one other module imports; packages do not count."""
     users: dict[str, int] = {}
     for found in graph.values():
         for name in found:
@@ -87,7 +87,7 @@ def single_users(graph: Imports, packages: frozenset[str]) -> list[str]:
 
 
 def circles(graph: Imports) -> list[frozenset[str]]:
-    """Sets of modules each of which imports, by way of others, each other one of its set."""
+    """Sets of modules that import each other, directly or through others."""
     reach = {name: _reachable(name, graph) for name in graph}
     found = {
         frozenset(other for other in reach[name] if name in reach[other]) | {name}
@@ -117,7 +117,7 @@ def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
 
 
 def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines from `def` to the end, the docstring among them."""
+    """Lines from `def` to the end, including the docstring."""
     return (function.end_lineno or function.lineno) - function.lineno + 1
 
 
@@ -129,9 +129,9 @@ def parameters_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 
 def step_files() -> list[str]:
-    """Files of `app` that one control step enters, in their order, with those of compiled code.
+    """Files of `app` that one control step enters, in order, including those of compiled code.
 
-    The arm is guided by hand inside the buffer of a pair with the base.
+    A person guides the arm inside the buffer of a pair with the base.
     """
     import numpy as np
 
@@ -155,7 +155,7 @@ def step_files() -> list[str]:
             kernel = compiled.get((code.co_filename, code.co_name))
             entered.update(dict.fromkeys(_files_of(kernel) if kernel else [code.co_filename]))
 
-    # A profiler sees calls of compiled functions only where numba looks at their arguments.
+    # A profiler sees calls of compiled functions only if numba checks their arguments.
     seen = {"_estimate": controller.update_estimate, "_law": controller.run_algorithm_2}
     with patch.multiple(controller, **seen):
         sys.setprofile(note)
@@ -195,10 +195,10 @@ def _files_of(kernel: FunctionType) -> list[str]:
 
 
 def measures(step: list[str]) -> list[Measure]:
-    """All of them.
+    """All measures.
 
     Args:
-        step: As `step_files` gives it.
+        step: The result of `step_files`.
     """
     packages = frozenset(
         ".".join(path.parent.relative_to(PROJECT).parts) for path in APP.rglob("__init__.py")
@@ -233,7 +233,7 @@ def _lines(path: Path) -> int:
 
 
 def offenders() -> Iterator[str]:
-    """What stands behind the counts, for those who want to lower them."""
+    """The items behind the counts."""
     for name, function in functions():
         if lines_of(function) > LONG:
             yield f"{name}: {lines_of(function)} lines"
@@ -244,10 +244,10 @@ def offenders() -> Iterator[str]:
 
 
 def main() -> int:
-    """Print the measures; 1 while one that binds is beyond its limit."""
+    """Print the measures; returns 1 if a binding one exceeds its limit."""
     parser = argparse.ArgumentParser(prog="python -m tools.house", description=__doc__)
     parser.add_argument("--json", action="store_true", help="print one JSON object; status 0")
-    parser.add_argument("--names", action="store_true", help="what is too long, too wide or round")
+    parser.add_argument("--names", action="store_true", help="also list the functions and circles")
     options = parser.parse_args()
     step = step_files()
     found = measures(step)

@@ -1,4 +1,4 @@
-"""The measurements behind the documentation's tables: commands, figures that are kept, tables."""
+"""The measurements behind the documentation's tables: commands, stored figures, tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Figures = Mapping[str, Any]
 
 LINES = ("guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking")
 COMPARED = ("none", "repulsive", "barrier", "dbb")
-"""Methods of the tables; `dbb reproduce departures` puts `hqp` beside `dbb`."""
+"""Methods of the tables; `dbb reproduce departures` compares `hqp` with `dbb`."""
 PLANTS = {"planar": "pybullet", "mujoco": "MuJoCo", "mujoco-contact": "MuJoCo, wheels"}
 ENGINE_RUNS = {
     "husky_panda": (*LINES, "refrigerator"),
@@ -45,10 +45,11 @@ PULLS = (
     *("--cases", "690", "--seed", "17", "--hand-stiffness", "300", "2000", "--hand-mass", "0", "0"),
     *("--base-delay", "0", "0", "--encoder-noise", "0", "0", "--mass-error", "0", "0"),
     *("--slip", "0", "0", "--v-max", "0.5", "0.5", "--speed", "0.3", "1.2"),
+    *("--payload", "0", "0", "--faulty", "0"),
 )
-"""Of the study that the documentation shows: strong pulls on a robot as modelled."""
+"""The study of the documentation: strong pulls on a robot as modelled."""
 INSIDE = ("--inside", "--cases", "5000", "--seed", "1")
-"""Of pulls inside of the stated envelope: an hour and a half, which goes on where it was ended."""
+"""Pulls inside of the stated envelope: an hour and a half; it continues after an interruption."""
 
 
 TRUST = {
@@ -56,21 +57,21 @@ TRUST = {
     "files": (10, ("benchmarks.fuzz", "--what", "files", "--count", "1000")),
     "faults": (6, ("benchmarks.faults", "--tries", "18")),
 }
-"""What is done long: how many parts, each of a seed of its own, and the command of a part."""
+"""Long measurements: number of parts, each with its own seed, and the command of a part."""
 
 
 MUTANTS = ("--count", "50", "--json")
-"""How many of the 200 changed robots' files a part has."""
+"""Number of the 200 changed robots' files in a part."""
 
 
 class ResultSet(NamedTuple):
-    """What one file of docs/results holds, and one table shows.
+    """The content of one file of docs/results, and of one table.
 
     Attributes:
         runs: By the row's name, the arguments after `python -m` of a command that prints JSON.
-        keep: The figures of what it prints.
+        keep: Selects the stored figures from the output.
         table: Markdown of the figures by the names of their rows; some may be missing.
-        default: Whether it is measured when none is named: neither a browser nor a package index.
+        default: Whether it is measured by default: it needs neither a browser nor a package index.
     """
 
     runs: Mapping[str, Sequence[str]]
@@ -80,25 +81,25 @@ class ResultSet(NamedTuple):
 
 
 def grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of Markdown."""
+    """A Markdown table."""
     lines = [list(head), ["---"] * len(head), *map(list, rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def metres(value: float | None) -> str:
-    """To millimetres, with a true minus; empty if there is none."""
+    """A length in metres to millimetres, with a true minus; empty without a value."""
     return "" if value is None else f"{value:.3f} m".replace("-", "−")
 
 
 def millimetres(value: float | None) -> str:
-    """With two digits that count, at least tenths; empty if there is none."""
+    """A length in millimetres: two significant digits, at least tenths; empty without a value."""
     if value is None:
         return ""
     return f"{1e3 * value:.1f} mm" if value < 0.01 else f"{1e3 * value:.0f} mm"
 
 
 def number(value: float | None, unit: str = "", digits: int = 3) -> str:
-    """With so many digits that count; empty if there is none."""
+    """A number with significant digits and unit; empty without a value."""
     if value is None:
         return ""
     text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
@@ -111,7 +112,7 @@ def run(scenario: str, *options: str) -> tuple[str, ...]:
 
 
 def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
-    """What tables show of a run; the least distance is of the pairs that the scenario is about."""
+    """The displayed figures of a run; the smallest distance is that of the scenario's pairs."""
     least = {"guiding-fold": "arm_min_clearance_m", "refrigerator": "door_min_distance_m"}
     return {
         "least_distance_m": printed[least.get(printed["scenario"], "min_clearance_m")],
@@ -124,7 +125,7 @@ def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_cell(row: Mapping[str, Any] | None) -> str:
-    """Least distance, how far the hand ends from its target, and whether anything touched."""
+    """Smallest distance, final error of the end-effector, and contact."""
     if row is None:
         return ""
     end = f"{millimetres(row['off_m'])} off"
@@ -135,7 +136,7 @@ def run_cell(row: Mapping[str, Any] | None) -> str:
 
 
 def scenarios_table(found: Figures) -> str:
-    """A line a scenario, a column a controller."""
+    """A row per scenario, a column per controller."""
     rows = []
     for scenario in (*LINES, "refrigerator"):
         moved = found.get(f"{scenario} dbb", {}).get("base_moved_m")
@@ -145,14 +146,14 @@ def scenarios_table(found: Figures) -> str:
 
 
 def disturbances_table(found: Figures) -> str:
-    """A line a disturbance, a column a scenario."""
+    """A row per disturbance, a column per scenario."""
     names = ("guiding-lateral", "guiding-front", "tracking")
     rows = [[d, *(run_cell(found.get(f"{s} {d}")) for s in names)] for d in DISTURBANCES]
     return grid(["disturbance", *(f"`{name}`" for name in names)], rows)
 
 
 def engines_table(found: Figures) -> str:
-    """A line a robot and scenario, a column a plant."""
+    """A row per robot and scenario, a column per plant."""
     rows = [
         [
             f"`{robot}`, `{scenario}`",
@@ -165,7 +166,7 @@ def engines_table(found: Figures) -> str:
 
 
 def plants_table(found: Figures) -> str:
-    """A line a plant."""
+    """A row per plant."""
     times, study = found["times"]["times_us"], found["times"]["study"]
     first = {key: times["planar"][key] for key in ("median", "least")}
     rows = []
@@ -176,11 +177,11 @@ def plants_table(found: Figures) -> str:
             cells.append(f"{study[n]:.0f} s, {study['planar'] / study[n]:.2f} times as fast")
         rows.append([f"`{n}`", *cells, *[""] * (3 - len(cells))])
     taken = f"`dbb study` of {study['cases']} cases"
-    return grid(["plant", "step and reading, median, least", "of pybullet's", taken], rows)
+    return grid(["plant", "step and reading, median, smallest", "of pybullet's", taken], rows)
 
 
 def robots_table(found: Figures) -> str:
-    """A line a robot, case and controller."""
+    """A row per robot, case and controller."""
     rows = []
     for line in (line for lines in found.values() for line in lines):
         if "reason" in line:
@@ -202,7 +203,7 @@ def robots_table(found: Figures) -> str:
 
 
 def keep_robots(printed: dict[str, Any]) -> list[dict[str, Any]]:
-    """What the table shows of each case."""
+    """The displayed figures of each case."""
     shown = ("title", "case", "reason", "controller", "clearance_m", "hand_error_m")
     keys = (*shown, "base_path_m", "contacts")
     return [{key: line[key] for key in keys if key in line} for line in printed["rows"]]
@@ -214,29 +215,29 @@ def law(name: str, *options: str) -> tuple[str, ...]:
 
 
 def law_table(found: Figures) -> str:
-    """A line a figure of the summaries that people ask for."""
+    """A row per figure of the summaries."""
     rows = []
     if summary := found.get("release", {}).get("summary"):
         what = f"{summary['releases']} releases inside the buffer: the base's longest path after"
         speed = number(summary["speed_after_10s_max_mmps"], "mm/s after 10 s")
         rows.append([what, "release", f"{metres(summary['path_max_m'])}, {speed}"])
     if summary := found.get("pulls", {}).get("summary"):
-        what = f"{summary['pulls']} hard pulls of up to 100 N: least distance of arm and base"
+        what = f"{summary['pulls']} hard pulls of up to 100 N: smallest distance of arm and base"
         met = f"bodies met in {summary['overlaps']}, contact in {summary['with_contact']}"
         rows.append([what, "pulls", f"{metres(summary['least_distance_m'])}, {met}"])
-        what = "the same: fastest joint, in its velocity limit"
+        what = "these pulls: fastest joint, relative to its velocity limit"
         rows.append([what, "pulls", number(summary["joint_speed_share_max"], digits=2)])
     if summary := found.get("wander", {}).get("summary"):
-        what = f"{summary['runs']} runs of two people of 50 N who take hand and links anywhere"
+        what = f"{summary['runs']} runs of two people of 50 N who pull the arm anywhere"
         met = f"{metres(summary['least_distance_m'])}, contact in {summary['with_contact']}"
-        rows.append([f"{what}: least distance of arm and base", "wander", met])
+        rows.append([f"{what}: smallest distance of arm and base", "wander", met])
     if summary := found.get("continuity", {}).get("summary"):
-        what = "jump of the base's asked acceleration as the step goes to 0"
+        what = "jump of the base's commanded acceleration in the limit of a zero step"
         jump = number(summary["jump_mps2"], "m/s²", 1)
         jump += f", {number(summary['jump_radps2'], 'rad/s²', 1)}"
         rows.append([f"{what}, {summary['paths']} motions", "continuity", jump])
     if summary := found.get("paths", {}).get("summary"):
-        what = f"{summary['paths']} random tracked curves: how many leave their target by over 1 mm"
+        what = f"{summary['paths']} random tracked curves: number with an error above 1 mm"
         ends = f"{summary['ends_off']} of them at the end, contact in {summary['with_contact']}"
         rows.append([what, "paths", f"{summary['leave']}, {ends}"])
     return grid(
@@ -246,14 +247,14 @@ def law_table(found: Figures) -> str:
 
 
 def performance_table(found: Figures) -> str:
-    """A line a figure of speed."""
+    """A row per figure of speed."""
     rows = []
     if step := found.get("step"):
         for key, what in (
             ("step_p50_us", "control step with both pairs in the buffer, median"),
-            ("step_p99_us", "the same, 99th percentile"),
+            ("step_p99_us", "that step, 99th percentile"),
             ("step_own_p50_us", "the quickest of three such steps, median"),
-            ("floor_p50_us", "the libraries' bare calls, median"),
+            ("floor_p50_us", "direct calls of the libraries, median"),
             ("guided_p50_us", "`ControlLoop.step`, guided with one pair in the buffer, median"),
             ("tracking_p50_us", "`ControlLoop.step`, tracking with both pairs in it, median"),
         ):
@@ -291,7 +292,7 @@ def performance_table(found: Figures) -> str:
 
 
 def reach_table(found: Figures) -> str:
-    """A line a body."""
+    """A row per body."""
     rows = []
     for body, row in found.items():
         for title, of in (("counted", row), ("paper", row["paper"]), ("used", row["description"])):
@@ -304,13 +305,13 @@ def reach_table(found: Figures) -> str:
 
 
 def keep_reach(printed: dict[str, Any]) -> dict[str, Any]:
-    """What the table shows of the one body of the command."""
+    """The displayed figures of the command's body."""
     (row,) = (each for each in printed["bodies"].values())
     return {key: row[key] for key in ("A_per_m2", "B_m", "C", "paper", "description", "r_squared")}
 
 
 def study_table(found: Figures) -> str:
-    """A line a band of forces, and one of all that was pulled inside of the envelope."""
+    """A row per band of forces, and one for all pulls inside of the envelope."""
     counts, rows = ("cases", "entered_buffer", "bodies_overlap", "contact"), []
     for name, study in found.items():
         bands = [band for band in study["by_force"] if band["cases"]]
@@ -322,12 +323,12 @@ def study_table(found: Figures) -> str:
             numbers = (f"{sum(band[key] for band in group):,}" for key in counts)
             label = f"{force}, `--inside`" if name == "inside" else force
             rows.append([label, *numbers, least, fastest])
-    columns = ("cases", "in the buffer", "bodies met", "contact", "least distance", "fastest hand")
+    columns = ("cases", "in the buffer", "bodies met", "contact", "nearest", "largest speed")
     return grid(["force exerted until near", *columns], rows)
 
 
 def gallery_table(found: Figures) -> str:
-    """A line a robot: what was made and how its checks ended, or why it was not."""
+    """A row per robot: its content and the results of its checks, or why it was not made."""
     rows = []
     for name, row in found.items():
         checks = row.get("checks", {})
@@ -346,11 +347,11 @@ def gallery_table(found: Figures) -> str:
             ]
         )
     head = ["robot", "verdict", "made in", "pairs", "unseen", "from the side", "from the front"]
-    return grid([*head, "what did not pass"], rows)
+    return grid([*head, "checks that did not pass"], rows)
 
 
 def guided_cell(check: Figures | None) -> str:
-    """Least distance to the base with and without avoidance, and how far the base moved."""
+    """Smallest distance to the base with and without avoidance, and the motion of the base."""
     if check is None or "min_clearance_m" not in (numbers := check["numbers"]):
         return ""
     near, without, moved = (
@@ -361,23 +362,23 @@ def guided_cell(check: Figures | None) -> str:
 
 
 def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
-    """What the table and its sentence show."""
+    """The displayed figures of the table and its sentence."""
     keys = ("cases", "failed", "failed_rate_bound_95", "entered_buffer_share", "by_force")
     return {key: printed[key] for key in keys}
 
 
 def keep_all(printed: dict[str, Any]) -> dict[str, Any]:
-    """All of it: short enough."""
+    """All figures, because they are few."""
     return printed
 
 
 def keep_law(printed: dict[str, Any]) -> dict[str, Any]:
-    """The summary; the rows are for people who look for something."""
+    """The summary without the rows."""
     return {"summary": printed["summary"]}
 
 
 def install_table(found: Figures) -> str:
-    """A line a stage of `make run` in a fresh clone."""
+    """A row per stage of `make run` in a fresh clone."""
     clone = found["clone"]
     stages = {
         "install_s": f"installing {clone['download_mb']:.0f} MB from {clone['installer']}'s cache",
@@ -390,7 +391,7 @@ def install_table(found: Figures) -> str:
 
 
 def buffer_table(found: Figures) -> str:
-    """A line a speed, a column a place and delay."""
+    """A row per speed, a column per place and delay."""
     rows = [dict(row) for row in found["rows"]["rows"]]
     speeds = [f"{row.pop('v_mps'):.2f} m/s" for row in rows]
     cells = [[f"{need:.2f} m" if need else "none" for need in row.values()] for row in rows]
@@ -399,7 +400,7 @@ def buffer_table(found: Figures) -> str:
 
 
 def claims_table(found: Figures) -> str:
-    """A line a claim of the paper: what it says, what was measured here, whether it holds."""
+    """A row per claim of the paper: its text, the measurement, the verdict."""
     columns = ("section", "figure", "paper", "measured")
     rows = [
         [
@@ -412,7 +413,7 @@ def claims_table(found: Figures) -> str:
 
 
 def house_table(found: Figures) -> str:
-    """A line a measure with its limit."""
+    """A row per measure with its limit."""
     return grid(
         ["measure", "here", "limit"],
         [
@@ -423,7 +424,7 @@ def house_table(found: Figures) -> str:
 
 
 def trust_table(found: Figures) -> str:
-    """A line a kind of what is sent, read or done to a command, and what became of it."""
+    """A row per kind of message, file or fault, with its outcomes."""
     sums: dict[str, Counter[str]] = {}
     growth = []
     for printed in found.values():
@@ -444,11 +445,11 @@ def trust_table(found: Figures) -> str:
             told.append(f"memory of the parts {', '.join(growth)}")
         often = counts["tries"] or sum(counts[key] for key in shown)
         rows.append([what, f"{often:,}", ", ".join(told)])
-    return grid(["what", "how often", "what became of it"], rows)
+    return grid(["input", "count", "outcome"], rows)
 
 
 def mutants_table(found: Figures) -> str:
-    """A line a class of changes to robots' files."""
+    """A row per class of changes to robots' files."""
     sums: dict[str, Counter[str]] = {}
     for part in found.values():
         for kind, counts in part.items():
@@ -456,7 +457,7 @@ def mutants_table(found: Figures) -> str:
                 sums.setdefault(row, Counter()).update(counts)
     sums["all"] = sums.pop("all")
     rows = [[kind, *(f"{row[key]:,}" for key in _OUTCOMES)] for kind, row in sums.items()]
-    return grid(["what is changed", "read alike", "refused in a line", "faults"], rows)
+    return grid(["change", "read equally", "refused in a line", "faults"], rows)
 
 
 _OUTCOMES = ("same", "refused", "FAULT")
@@ -475,7 +476,7 @@ _TOLD = {
         "status": "wrong statuses",
     },
 }
-"""What is counted, by the word for it in the table."""
+"""The counts, by their word in the table."""
 
 
 SETS: dict[str, ResultSet] = {

@@ -1,12 +1,12 @@
-"""Put what is generated into README and docs: `python -m tools.pages [--check]`.
+"""Fill the generated blocks of README and docs: `python -m tools.pages [--check]`.
 
-A page says where by a pair of comments:
+A pair of comments marks the place in a page:
 
     <!-- generated: results scenarios -->
     <!-- end -->
 
-Between the two stands what `BLOCKS` makes: tables of the figures in docs/results, parameters and
-commands as the program has them, rooms as their docstrings describe them.
+`BLOCKS` has the function that fills each block: tables of the figures in docs/results, parameters
+and commands of the program, rooms by their docstrings.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tools.measured import grid
 PROJECT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^(<!-- generated: (.+?) -->\n)(.*?)^(<!-- end -->)$", re.S | re.M)
 COMMAND = re.compile(r"^\W*([a-z][a-z-]+) {2,}[A-Z]", re.M)
-"""A command in the help of `dbb`: its name, then what it does."""
+"""A command in the help of `dbb`: its name, then its description."""
 WIDTH = "124"  # [-] characters of a command's help
 
 
@@ -45,10 +45,10 @@ def pages() -> list[Path]:
 
 
 def generated(text: str) -> str:
-    """A page with its blocks made anew.
+    """A page with its blocks filled again.
 
     Raises:
-        SystemExit: A block has a name that nothing makes.
+        SystemExit: A block has an unknown name.
     """
     return BLOCK.sub(lambda found: f"{found[1]}{made(found[2])}\n{found[4]}", text)
 
@@ -57,7 +57,7 @@ def made(name: str) -> str:
     """The text of a block.
 
     Raises:
-        SystemExit: Nothing makes a block of that name.
+        SystemExit: The name is unknown.
     """
     kind, _, argument = name.partition(" ")
     if kind not in BLOCKS or (kind == "results" and argument not in results.SETS):
@@ -98,20 +98,20 @@ def quantities() -> str:
 
 
 def study_range() -> str:
-    """What `dbb study` draws its cases from, from the record of app/studies/pulls/parameters.py."""
+    """The random intervals of `dbb study`, from the record of app/studies/pulls/parameters.py."""
     rows = []
     for name, field in StudyRange.model_fields.items():
         unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
         value = field.default
         drawn = " to ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:g}"
         if name in LOGARITHMIC:
-            text += " Every factor is as likely as every other."
+            text += " Equal factors have equal probability."
         rows.append([f"`--{name.replace('_', '-')}`", drawn.replace("-", "−"), unit, text.strip()])
     return grid(["option", "default", "unit", "meaning"], rows)
 
 
 def commands() -> str:
-    """The help of each command, as it prints it, and which options a scenario has of its own."""
+    """The printed help of each command, and the options of each scenario."""
     own = grid(
         ["scenario", "its own options"],
         [
@@ -130,7 +130,7 @@ def command_names() -> list[str]:
 
 
 def help_of(*words: str) -> str:
-    """What `dbb WORDS --help` prints, on a page without a terminal."""
+    """The output of `dbb WORDS --help`, without a terminal."""
     plain = {"COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
     printed = io.StringIO()
     with (
@@ -145,13 +145,13 @@ def help_of(*words: str) -> str:
 def figures() -> str:
     """The figures of a run, by their keys."""
     return grid(
-        ["key", "what it is"],
+        ["key", "meaning"],
         [[f"`{key}`", figure.about] for key, figure in {**FIGURES, **DOOR}.items()],
     )
 
 
 def rooms() -> str:
-    """A line a module or package right below `app`, and a line a package within it."""
+    """A row per module or package of `app`, and per package within them."""
     rows = []
     app = PROJECT / "app"
     for path in sorted(app.iterdir()):
@@ -160,18 +160,18 @@ def rooms() -> str:
     for path in sorted(app.rglob("__init__.py")):
         if path.parent != app:
             rows.append([f"`{path.parent.relative_to(PROJECT).as_posix()}/`", about(path)])
-    return grid(["room", "what is in it"], rows)
+    return grid(["room", "contents"], rows)
 
 
 def step() -> str:
-    """The files that a control step enters, in their order, with what each says of itself."""
+    """The files that a control step enters, in order, with their descriptions."""
     found = results.figures("house").get("house", {}).get("step", [])
     lines = [f"{k}. `{name}`: {about(PROJECT / name)}" for k, name in enumerate(found, start=1)]
     return "\n".join([*lines, "", results.caption("house")])
 
 
 def about(path: Path) -> str:
-    """The first sentence of a module's docstring; of a file that has gone, so much."""
+    """The first sentence of a module's docstring; a note if the file is missing."""
     if not path.is_file():
         return "(no longer there)"
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
@@ -191,12 +191,12 @@ BLOCKS: dict[str, Callable[..., str]] = {
 
 
 def words(text: str) -> list[str]:
-    """A page without its layout, so that another version of tyro may draw other boxes."""
+    """A page without its layout, because versions of tyro draw different boxes."""
     return re.sub(r"[\s╭╮╰╯│─┌┐└┘]+|-{5,}", " ", text).split()
 
 
 def stale() -> Iterator[Path]:
-    """Pages whose generated blocks are not what is generated."""
+    """Pages with outdated generated blocks."""
     for path in pages():
         text = path.read_text(encoding="utf-8")
         if words(generated(text)) != words(text):
@@ -204,9 +204,9 @@ def stale() -> Iterator[Path]:
 
 
 def main() -> int:
-    """Write the pages, or name those that are not up to date."""
+    """Write the pages, or list the outdated ones."""
     parser = argparse.ArgumentParser(prog="python -m tools.pages", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page is stale")
+    parser.add_argument("--check", action="store_true", help="status 1 if a page is outdated")
     options = parser.parse_args()
     if options.check:
         found = [path.relative_to(PROJECT) for path in stale()]

@@ -1,8 +1,8 @@
-"""Measure what the tables of the documentation show: `python -m tools.results [NAME ...]`.
+"""Measure the tables of the documentation: `python -m tools.results [NAME ...]`.
 
-Each row of a table is one command with `--json`. What it prints, reduced to the figures that are
-shown, is kept in docs/results/NAME.json with the commit and the machine, as soon as it is there:
-the same call goes on where it was ended, and measures again what an older commit has measured.
+Each row of a table is one command with `--json`. The displayed figures of its output are stored in
+docs/results/NAME.json with the commit and the machine, as soon as they exist: after an interruption
+the same call continues, and repeats the measurements of older commits.
 `python -m tools.pages` puts the tables into the pages.
 """
 
@@ -24,7 +24,7 @@ from tools.measured import SETS
 PROJECT = Path(__file__).resolve().parent.parent
 RESULTS = PROJECT / "docs" / "results"
 CODE = ("app", "robot_assets")
-"""What figures depend on: rows of the commit that last changed one of these are up to date."""
+"""Files that figures depend on: rows of the commit that last changed one of them are up to date."""
 
 Rows = dict[str, dict[str, Any]]
 
@@ -36,7 +36,7 @@ def read(name: str) -> Rows:
 
 
 def write(name: str, rows: Mapping[str, Any]) -> None:
-    """Keep the rows of a set: the file is whole at every moment."""
+    """Store the rows of a set; the file is complete at every moment."""
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{name}.json"
     part = path.with_suffix(".part")
@@ -50,7 +50,7 @@ def figures(name: str) -> dict[str, Any]:
 
 
 def caption(name: str) -> str:
-    """One sentence: by which command, at which commit, on which machine and when."""
+    """A sentence with command, commit, machine and date."""
     found = read(name)
     if not found:
         return f"*Not measured yet; `make results ARGS={name}` does it.*"
@@ -69,17 +69,17 @@ def table(name: str) -> str:
 
 
 def commit() -> str:
-    """The commit that last changed the code, with a `+` where files have changed since.
+    """The commit that last changed the code, with a `+` if files have changed since.
 
     Raises:
-        SystemExit: This is no checkout of git.
+        SystemExit: This is no git checkout.
     """
     last = _git("log", "-1", "--format=%h", "--", *CODE)
     return f"{last}+" if _git("status", "--porcelain", "--", *CODE) else last
 
 
 def machine() -> str:
-    """What times depend on, as in `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
+    """The machine that times depend on, as in `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
     name = platform.processor() or platform.machine()
     cpus = Path("/proc/cpuinfo")
     if cpus.is_file():
@@ -93,9 +93,9 @@ def measure(name: str, again: bool, only: Collection[str] = ()) -> bool:
     """Measure the rows of a set that are missing or of another commit; False if one failed.
 
     Args:
-        name: Of the set.
-        again: Those that are up to date, too.
-        only: Rows that are looked at, all if it is empty.
+        name: Name of the set.
+        again: Repeat rows that are up to date, too.
+        only: Rows to measure; all if it is empty.
     """
     rows, at, good = read(name), commit(), True
     wanted = SETS[name].runs
@@ -125,7 +125,7 @@ def measure(name: str, again: bool, only: Collection[str] = ()) -> bool:
 
 
 def rounded(value: Any) -> Any:
-    """With six digits that count in each number: the last ones of a run are not the same twice."""
+    """A value with six significant digits in each number: the last ones of a run vary."""
     if isinstance(value, dict):
         return {key: rounded(each) for key, each in value.items()}
     if isinstance(value, list):
@@ -134,7 +134,7 @@ def rounded(value: Any) -> Any:
 
 
 def _environment() -> dict[str, str]:
-    """This checkout comes first, and numerics take one thread."""
+    """An environment with this checkout first, and one thread for numerics."""
     return {"OMP_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(PROJECT)}
 
 
@@ -146,10 +146,10 @@ def _git(*arguments: str) -> str:
 
 
 def main() -> int:
-    """Measure what is asked for; 1 if a command failed."""
+    """Measure the requested sets; returns 1 if a command failed."""
     parser = argparse.ArgumentParser(prog="python -m tools.results", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SETS)}")
-    parser.add_argument("--again", action="store_true", help="what is up to date, too")
+    parser.add_argument("--again", action="store_true", help="repeat rows that are up to date, too")
     options = parser.parse_args()
     if unknown := set(options.names) - set(SETS):
         parser.error(f"no results {', '.join(sorted(unknown))}; there are {', '.join(SETS)}")

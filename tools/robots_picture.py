@@ -3,7 +3,7 @@
 python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
 DBB_ROBOTS=out/gallery python tools/robots_picture.py docs/pictures/gallery.png new_tiago …
 
-More than fit into a row are shown from the side alone.
+If there are more than one row can hold, only the view from the side is shown.
 """
 
 import sys
@@ -26,7 +26,7 @@ from app.robot.model import RobotModel
 from app.studies.style import SOFT, new_figure, png_of, styled
 
 D_B = 0.15  # [m]
-ALONG, ACROSS, UP = (-0.7, 1.25), (-0.85, 0.65), (-0.05, 2.0)  # [m] what is seen
+ALONG, ACROSS, UP = (-0.7, 1.25), (-0.85, 0.65), (-0.05, 2.0)  # [m] visible range
 HEIGHTS = 9  # [-] contours from the floor up
 IN_A_ROW = 6  # [-] robots
 

@@ -1,9 +1,9 @@
-"""Whether the figures of runs are the same: in two environments, or before and after a change.
+"""Compare the figures of runs between two environments, or before and after a change.
 
-`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json`, with controllers
-and robots given, and keeps the figures; `... compare FILE` runs them again, with `--python` in
-another environment, and prints what differs by more than `--tolerance` (0: to the bit), times left
-out. Both run the code of the current folder, so that two checkouts can be compared.
+`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json`, with the given
+controllers and robots, and stores the figures; `... compare FILE` runs them again, with `--python`
+in another environment, and prints differences above `--tolerance` (0: bit by bit), without times.
+Both run the code of the current folder, so that two checkouts can be compared.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
-"""Figures of how fast a run went."""
+"""Figures of a run's speed."""
 SCENARIOS = (
     "guiding-lateral",
     "guiding-front",
@@ -31,7 +31,7 @@ SCENARIOS = (
 
 
 def figures(python: str, case: str) -> dict[str, Any]:
-    """What a run gives in an environment, or its error, times left out.
+    """The figures of a run in an environment, or its error, without times.
 
     Args:
         python: The interpreter.
@@ -45,7 +45,7 @@ def figures(python: str, case: str) -> dict[str, Any]:
 
 
 def differences(first: Any, second: Any, tolerance: float, name: str = "") -> list[str]:
-    """What differs, as `min_distance_m.lm-l3: 0.1, 0.2`."""
+    """The differences, as `min_distance_m.lm-l3: 0.1, 0.2`."""
     if isinstance(first, dict) and isinstance(second, dict):
         return [
             text
@@ -74,7 +74,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("do", choices=["keep", "compare"])
     parser.add_argument("file", type=Path)
-    parser.add_argument("--python", default=sys.executable, help="of the environment to run in")
+    parser.add_argument("--python", default=sys.executable, help="interpreter of the environment")
     parser.add_argument("--scenario", nargs="+", default=SCENARIOS)
     parser.add_argument("--controller", nargs="+", default=["dbb"])
     parser.add_argument("--robot", nargs="+", default=["husky_panda"])
@@ -85,7 +85,7 @@ def _options() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Print a line a run; 1 if any figure differs."""
+    """Print a line per run; returns 1 if any figure differs."""
     options = _options()
     kept = json.loads(options.file.read_text()) if options.file.exists() else {}
     cases = list(kept) if options.do == "compare" else [c for c in _cases(options) if c not in kept]

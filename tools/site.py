@@ -1,6 +1,6 @@
-"""The site, made of files alone: `make site` or `python -m tools.site [--out out/site]`.
+"""A static site of files: `make site` or `python -m tools.site [--out out/site]`.
 
-It has the documentation, every scenario with every controller as a page that plays it, the border
+It has the documentation, replays of every scenario with every controller, the border
 over d_b, and the polar maps. Robots whose meshes may not be published are left out.
 """
 
@@ -36,7 +36,7 @@ from app.dashboard.scene.camera import first_view
 from app.errors import DbbError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import filmed, run_scenario
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
@@ -46,12 +46,12 @@ from app.system import write_whole
 
 PROJECT = Path(__file__).resolve().parent.parent
 ROBOT = "husky_panda"
-"""The paper's; its meshes are under BSD and Apache licences."""
+"""The paper's robot; its meshes have BSD and Apache licences."""
 LARGEST = 3e6
-"""[bytes] of one page, so that it opens at once."""
+"""[bytes] largest page, so that it opens at once."""
 DISTANCES = tuple(round(0.01 * k, 2) for k in range(6, 25, 3))
 """[m] buffer distances of the border's pages."""
-HOLD = 1.0  # [s] for which each of them is shown
+HOLD = 1.0  # [s] display time of each page
 
 
 class Played(NamedTuple):
@@ -59,9 +59,9 @@ class Played(NamedTuple):
 
     Attributes:
         page: Its address.
-        verdict: How it went.
-        result: That the arm touched something, else the least distance to the base.
-        loud: Whether anything touched, or was inside of something else.
+        verdict: The result in words.
+        result: Contact of the arm, otherwise the smallest distance to the base.
+        loud: Whether there was contact or penetration.
     """
 
     page: str
@@ -84,13 +84,13 @@ def make_site(
     controllers: Sequence[str],
     layers: Sequence[Layer],
 ) -> None:
-    """Replays, borders and the page that leads to them; `docs` and `maps` are linked if there.
+    """Replays, borders and the page that links them; `docs` and `maps` are linked if they exist.
 
     Args:
-        out: Folder, which is made.
+        out: New folder.
         scenarios: One row of replays each.
         controllers: One column each.
-        layers: What borders are coloured by, of `app.dashboard.export.Layer`.
+        layers: Colourings of borders, of `app.dashboard.export.Layer`.
 
     Raises:
         DbbError: A page is larger than `LARGEST`.
@@ -136,10 +136,10 @@ def _replay(
 
 
 def _at_rest(model: RobotModel, data: BorderData, t: float, d_b: float) -> Snapshot:
-    """The robot before anybody pulls, with a buffer distance [m], as if it were a time [s]."""
+    """The robot before a pull, with a buffer distance [m] in place of the time [s]."""
     scenario = scenario_of(model.description, "guiding-front")
     config = Config(border=BorderConfig(d_b=d_b))
-    run = Planned(model.description.name, scenario, config, physics="kinematic")
+    run = RunSpec(model.description.name, scenario, config, physics="kinematic")
     return replace(filmed(run, model, data, [0.0])[0], t=t)
 
 
@@ -176,7 +176,7 @@ def _write(path: Path, page: str) -> None:
 
 
 def main() -> None:
-    """Make all of it."""
+    """Make the whole site."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=PROJECT / "out/site")
     out = parser.parse_args().out

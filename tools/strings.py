@@ -1,7 +1,7 @@
 """All texts that a person can read on the page or the command line, panel by panel.
 
-`python -m tools.strings [FILE ...]` prints them, so that they can be read in one sitting; without
-files it takes those of the dashboard. Docstrings and comments are left out.
+`python -m tools.strings [FILE ...]` prints them for reading in one sitting; default: the files
+of the dashboard. Docstrings and comments are left out.
 """
 
 from __future__ import annotations

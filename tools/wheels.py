@@ -1,8 +1,8 @@
-"""Where this project installs from published wheels: `python -m tools.wheels [--write]`.
+"""Platforms with published wheels of all dependencies: `python -m tools.wheels [--write]`.
 
-Every dependency of the package and of all its extras is resolved for each Python and platform of
-the promise, without building anything and without an interpreter of that Python. What is found
-stands in the table of docs/install.md, between two marks.
+Every dependency of the package and of all its extras is resolved for each supported Python and
+platform, without building anything and without an interpreter of that Python. The result is the
+table of docs/install.md, between two marks.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ PROMISED = {
     *product(["Linux x86-64"], PYTHONS),
     *product(["macOS arm64"], ["3.11", "3.12", "3.13"]),
 }
-"""Platforms and Pythons for which everything has to be there."""
+"""Platforms and Pythons with all wheels."""
 OPTIONAL = {
     "pybullet": "pybullet",
     "pybullet-arm64": "pybullet's fork",
     "mujoco": "MuJoCo",
     "mujoco-core": "MuJoCo",
 }
-"""What is not the same everywhere, and how the table calls it."""
-_MACOS = "14.0"  # the oldest one of the promise
+"""Differences between platforms, by their name in the table."""
+_MACOS = "14.0"  # the oldest supported one
 _AT_ONCE = 4
 _PATIENCE = 300  # [s]
 
@@ -48,11 +48,11 @@ class IndexUnreachableError(Exception):
 
 
 Outcome = str | frozenset[str]
-"""Names of all packages that are installed, or what uv says of one that has no wheel."""
+"""Names of all installed packages, or uv's message on one without a wheel."""
 
 
 def resolve(platform: str, python: str) -> Outcome:
-    """What would be installed of the package and all its extras, from wheels alone.
+    """The packages for this project with all its extras, from wheels alone.
 
     Raises:
         IndexUnreachableError: No package index answers.
@@ -62,12 +62,12 @@ def resolve(platform: str, python: str) -> Outcome:
 
 
 def compiled(arguments: list[str]) -> Outcome:
-    """What `uv pip compile` gives with these arguments, from wheels alone.
+    """The result of `uv pip compile` with these arguments, from wheels alone.
 
     Raises:
         IndexUnreachableError: No package index answers.
     """
-    # Nothing is built, so any interpreter will do: else uv looks for that Python, or downloads it.
+    # Any interpreter is sufficient without a build; otherwise uv searches for that Python.
     uv = [sys.executable, "-m", "uv", "pip", "compile", "--python", sys.executable]
     command = [*uv, "--quiet", "--only-binary", ":all:"]
     done = subprocess.run(
@@ -112,19 +112,19 @@ def _cell(outcome: Outcome) -> str:
 
 
 def written() -> str:
-    """The table as it stands in the document."""
+    """The present table of the document."""
     return DOCUMENT.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
 
 
 def write(new: str) -> None:
-    """Put a table into the document in place of the one that stands there."""
+    """Replace the table in the document."""
     text = DOCUMENT.read_text(encoding="utf-8")
     before, _, rest = text.partition(BEGIN)
     DOCUMENT.write_text(f"{before}{BEGIN}{new}{END}{rest.partition(END)[2]}", encoding="utf-8")
 
 
 def main() -> int:
-    """Print the table, or write it; 1 if something of the promise is not there."""
+    """Print the table, or write it; returns 1 if a supported platform lacks a wheel."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--write", action="store_true", help=f"into {DOCUMENT.name}")
     options = parser.parse_args()

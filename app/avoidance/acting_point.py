@@ -1,7 +1,7 @@
 """FindActingPoint (Algorithm 3), and the force at the acting point (§3.1).
 
-All points are in the base's frame. The border moves with the base, whose motion is planar: one
-point is transformed instead of fifty thousand.
+All points are in the base's frame. The border moves with the base, whose motion is planar, so only
+one point is transformed instead of fifty thousand.
 """
 
 import math
@@ -20,11 +20,11 @@ from app.strict import Array
 def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: float) -> float:
     """α = S_0 d / (|S(p_n)| + S_0/2), bounded below and above, in metres; S_0 is the gain.
 
-    Where the base moves the point well, α is in proportion to d/|S|. Near the wheel axis, where S
-    vanishes, that ratio would jump from bound to bound within millimetres; this one is 2 d there,
-    enough for the force to turn the base, and changes no faster than that.
+    If the base moves the point well, α is proportional to d/|S|. Near the wheel axis, where S
+    vanishes, that ratio would jump between its bounds within millimetres. The formula here is 2 d
+    there, which is enough for the force to turn the base, and changes smoothly.
 
-    Paper: Eq. (13). Bounds as Figure 8b demands: too large a step leaves no component of the force
+    Paper: Eq. (13). Bounds as in Figure 8b: with too large a step the force has no component
     along the line between the end-effector and the border.
 
     Args:
@@ -100,7 +100,7 @@ def find_acting_point(
 def avoidance_force(
     p_b: Array, p_act: Array, d: float, n: Array, f_max: float, d_b: float
 ) -> Array:
-    """f_m,i: from the acting point towards the closest point, the stronger the nearer they are.
+    """f_m,i: from the acting point towards the closest point, larger at a smaller distance.
 
     f = f_max (1 − d/d_b) ‖n_xy‖ (p_b − p_act) / ‖p_b − p_act‖. The magnitude is within [0, f_max].
     The factor ‖n_xy‖ is our extension, the horizontal part of a force along n: over the base's flat
@@ -150,7 +150,8 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 
 @compiled()
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
-    """ẍ_m = A_b f_m (n_b,): how the resultant force accelerates the base as its kind can move.
+    """ẍ_m = A_b f_m (n_b,): acceleration of the base by the resultant force, within its kind's
+    motions.
 
     Paper: Eq. (16).
 
@@ -181,7 +182,7 @@ class ActingPoint(NamedTuple):
 
 
 class ActingPointFinder:
-    """Algorithm 3 for one pair, where a drawing or a study needs it outside of a control step."""
+    """Algorithm 3 for one pair, for drawings and studies outside of a control step."""
 
     def __init__(self, border: BorderSearch, field: ScoreField) -> None:
         self.field = field

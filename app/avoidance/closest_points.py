@@ -1,6 +1,6 @@
 """FindClosestPoints: signed distances of all link pairs, with a normal that keeps its sign.
 
-The closest point of a pair moves continuously, also along a link that turns parallel to a face.
+The closest point of a pair moves continuously, also if a link turns parallel to a face.
 """
 
 import math
@@ -28,22 +28,22 @@ _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  #
 class Nearest(NamedTuple):
     """Closest points that move continuously.
 
-    Of each pair, and then of each convex part of the body `a` of those that have several: a row
-    each, k of them.
+    There are k rows: one for each pair, then one for each convex part of the bodies `a` with
+    several parts.
     """
 
     pairs: Sequence[Pair]
     joints: Array
-    """(k, 2) that carry `a` and `b`."""
+    """(k, 2) joints that move `a` and `b`."""
     rows: Sequence[Sequence[int]]
-    """Of each pair: its own, and those of its parts where it has several."""
+    """For each pair: its own row, and those of its parts if there are several."""
     d: Array
     """(k,) [m] signed distances."""
     points: Array
     """(k, 4, 3) [m] p_a, p_b, n and core of `ClosestPoints`, in the world."""
 
     def closest(self, i: int) -> ClosestPoints:
-        """Those of the i-th pair, with its parts; they share the rows' memory."""
+        """The closest points of the i-th pair, with its parts; they share the rows' memory."""
         pair, d, points = self.pairs[i], self.d, self.points
         return with_parts(*[ClosestPoints(pair, d.item(k), *points[k]) for k in self.rows[i]])
 
@@ -57,10 +57,10 @@ class DistanceMonitor:
         self._distances = PairDistances(state.model, pairs)
         self._smooth = SmoothPoints(state, pairs)
         self.rows = self._smooth.rows
-        """Of each pair, its own row, and those of its parts where `a` has several."""
+        """For each pair, its own row, and those of its parts if `a` has several."""
 
     def find_closest_points(self) -> list[ClosestPoints]:
-        """The closest points of every pair, as the collision library finds them.
+        """The closest points of every pair, from the collision library.
 
         Paper: Algorithm 2, lines 4 and 9. The direction is the library's signed normal, not
         p_b - p_a, which flips in penetration and would turn repulsion into attraction.
@@ -69,7 +69,7 @@ class DistanceMonitor:
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
 
     def find_nearest(self, blend: float) -> Nearest:
-        """The same as they move continuously, at the library's distances; τ [m] is `blend`."""
+        """Continuously moving closest points, at the library's distances; τ [m] is `blend`."""
         self._distances.update_from(self._state.data)
         points = self._smooth.find(blend)
         d = np.empty(len(points))
@@ -83,16 +83,17 @@ class DistanceMonitor:
 
 
 class SmoothPoints:
-    """The mean over a link's core, each point by how little farther than the nearest it is.
+    """The mean over a link's core, weighted by the additional distance of each point.
 
-    The library's closest point is one of many where a capsule lies along a face, and leaps from one
-    end to the other as it turns. Weights exp((min d - d_k)/τ) over some nodes of the core make a
-    motion of that, for every d_k is continuous. Where one point is clearly nearest it is that one.
+    If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
+    one end to the other as the capsule turns. Weights exp((min d - d_k)/τ) over nodes of the core
+    make it move instead, because every d_k is continuous. If one point is clearly nearest, it is
+    the result. If `a` has several convex parts, the normal is the mean of theirs at that point,
+    with the same
+    weights: the gradient of a smooth distance, which is shorter than 1 in a corner between two
+        parts.
 
-    Where `a` has several convex parts the normal is the mean of theirs at that point, by the same
-    weights: the gradient of a smooth distance, which is shorter than 1 in a corner between two.
-
-    A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
+    A flat face may be nearest anywhere, so its points nearest to the corners of `a` are nodes too.
     """
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
@@ -100,7 +101,7 @@ class SmoothPoints:
         model, oMi = state.model, state.data.oMi
         names = list(dict.fromkeys(body for pair in pairs for body in pair))
         bodies = [_Body.of(model, name) for name in names]
-        # Views of pinocchio's own placements: asking for them anew would cost as much again.
+        # Views of pinocchio's own placements, because repeated access would double the cost.
         self._body_joints = np.array([model.body_joints[name] for name in names], dtype=int)
         placed = [oMi[joint] for joint in self._body_joints.tolist()]
         self._placed = [part for T in placed for part in (T.rotation, T.translation[None])]
@@ -117,13 +118,13 @@ class SmoothPoints:
         self._sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
         ends = np.cumsum([len(pairs), *map(len, parts)]).tolist()
         self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
-        """Of each pair: its own, and those of its parts where `a` has several."""
+        """For each pair: its own row, and those of its parts if `a` has several."""
         joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
         self.joints = np.array(joints, dtype=int).reshape(-1, 2)
-        """(k, 2) that carry `a` and `b` of each row."""
+        """(k, 2) joints that move `a` and `b` of each row."""
 
     def arrays(self) -> dict[str, Array]:
-        """What `mean_nearest` takes besides poses, by the names of `app.control.inputs.ROBOT`."""
+        """Arguments of `mean_nearest` except poses, by the names of `app.control.inputs.ROBOT`."""
         return {
             "shapes": self._shapes.rows,
             "triangles": self._shapes.triangles,
@@ -142,9 +143,9 @@ class SmoothPoints:
 
 class _Body(NamedTuple):
     shapes: Shapes
-    """In the frame of the joint that carries it."""
+    """A body in the frame of its joint."""
     nodes: Array
-    """(K, 4) [m] points of its core in that frame, and its radius around each."""
+    """(K, 4) [m] points of its core in that frame, with the radius around each."""
 
     @classmethod
     def of(cls, model: RobotModel, name: str) -> Self:
@@ -183,7 +184,7 @@ def _mean_nearest(
     work: Array,
     found: Array,
 ) -> None:
-    """Of one pair, into (4, 3): of some shapes of a body with nodes, to a whole one with nodes."""
+    """Write (4, 3) of one pair: from some shapes of a body to a whole body, both with nodes."""
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
     count = len(nodes)
@@ -240,14 +241,14 @@ def mean_nearest(
     placed: Array,
     blend: float,
 ) -> Array:
-    """(k, 4, 3) of `Nearest`, as of `SmoothPoints`.
+    """(k, 4, 3) of `Nearest`, as in `SmoothPoints`.
 
     Args:
         rows: (P, 16) of the `Shapes` of all bodies, one body after the other.
         triangles: (T, 4, 3) of them.
         nodes: (K, 4) [m] of all bodies, and their radii.
-        firsts: (bodies + 1, 2) the first shape and the first node of each.
-        sought: (k, 4) bodies `a` and `b`; the first and the end of the shapes of `a` that count.
+        firsts: (bodies + 1, 2) index of the first shape and the first node of each.
+        sought: (k, 4) bodies `a` and `b`; first and end index of the relevant shapes of `a`.
         placed: (4 bodies, 3) axes as R (3, 3) and origin (3,) [m] of each body in the world.
         blend: [m] τ.
     """
@@ -271,10 +272,10 @@ def mean_nearest(
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
-    """Where a shape is nearest to something flat: one of these points, or between them.
+    """Points of a shape's core; its nearest point to a flat object is one of them or between them.
 
     Returns:
-        (K, 3) [m] points of its core, in the frame of the joint that carries it; and [m] the radius
+        (K, 3) [m] points of its core, in the frame of its joint; and [m] the radius
         of the shape around its core.
     """
     radius = 0.0
@@ -301,5 +302,5 @@ def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
 
 
 def _farthest_out(corners: Array) -> Array:
-    """(K, 3) [m] those of some corners that lie farthest in some direction."""
+    """(K, 3) [m] the corners that are farthest in some direction."""
     return corners[np.unique((corners @ _SIGNS.T).argmax(axis=0))]

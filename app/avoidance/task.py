@@ -23,7 +23,7 @@ def activation(d: float, d_b: float, d_full: float) -> float:
     Args:
         d: [m] signed distance of the pair.
         d_b: [m] buffer distance.
-        d_full: [m] distance at which the task is in full force, below d_b.
+        d_full: [m] distance at which the task is fully active, below d_b.
 
     Returns:
         β in [0, 1], with a continuous derivative in d.
@@ -56,8 +56,8 @@ def generate_rep_acc(d_dot: float, k_p: float, k_v: float) -> float:
 def generate_rep_force_acc(n: Array, velocity: Array, k_p: float, k_v: float) -> Array:
     """ẍ_rep = k_p u − k_v ṗ (3,) [m/s²]: pushes the arm's closest point away from the base.
 
-    The compared method `repulsive`, realised by the arm alone. §4.2.1 names the method; its force
-    on the closest point and its damping are Dietrich's (2011, 2012).
+    This is the compared method `repulsive`, realised by the arm alone. §4.2.1 names the method; its
+    force on the closest point and its damping are Dietrich's (2011, 2012).
 
     Args:
         n: (3,) unit normal from the base to the arm.
@@ -93,9 +93,9 @@ def generate_avoidance_task(
         J_r: (k, n) Jacobians of the pairs of L_m^c.
         b_r: (k,) ẍ_r − J̇_r q̇.
         beta_r: (k,) [-] their activations.
-        J_sca: (≥ n_b + k, n) is written.
-        b_sca: (≥ n_b + k,) ẍ_sca − J̇_sca q̇ is written.
-        B: (≥ n_b + k,) the diagonal of B is written.
+        J_sca: (≥ n_b + k, n) output.
+        b_sca: (≥ n_b + k,) ẍ_sca − J̇_sca q̇, output.
+        B: (≥ n_b + k,) the diagonal of B, output.
     """
     n_b = len(xdd_m)
     for i in range(n_b):

@@ -1,7 +1,8 @@
-"""Files of what is made offline for a robot: its link pairs, and the clouds of their borders.
+"""Files of a robot's offline results: its link pairs, and the clouds of their borders.
 
-A file is found by its key and checked before it is believed, or else its content is made once and
-kept. It is one `.npz` without pickles, written as a whole. Its key is a hash of all that its
+A file is found by its key and verified before use; otherwise its content is computed once and
+stored. It is one `.npz` without pickles, written as a whole. Its key is a hash of all inputs,
+equal on all machines, and is part of its name and of its header.
 content depends on, equal on all machines, and stands in its name and in its header.
 """
 
@@ -36,9 +37,9 @@ from app.system import write_whole
 Arrays = dict[str, Array]
 Read = TypeVar("Read")
 
-FORMAT = 2  # number of the file's layout and of the way of sampling; a new one outdates all files
-_BLOCK = np.array([80, 80, 50])  # [0.1 mm] points are told by their block and their place in it
-_LARGEST = 256_000_000  # [bytes] of a file, expanded; that of the paper's robot has 30 MB
+FORMAT = 2  # version of layout and sampling; a new version invalidates all files
+_BLOCK = np.array([80, 80, 50])  # [0.1 mm] block size; points are stored as block and offset
+_LARGEST = 256_000_000  # [bytes] largest expanded file; the paper's robot needs 30 MB
 _PARTS = ("blocks", "places", "distances")
 
 _log = logging.getLogger(__name__)
@@ -56,11 +57,11 @@ _UNREADABLE = (
 
 
 class DamagedFileError(Exception):
-    """A file that is not what its name says; the reason is its message."""
+    """A file whose content does not match its name; the message has the reason."""
 
 
 class _Header(Strict):
-    """What a file says of itself, beside its arrays."""
+    """The description of a file, beside its arrays."""
 
     key: str
     format: int
@@ -74,11 +75,11 @@ class _Header(Strict):
 
 
 def write(path: Path, header: _Header, arrays: Arrays) -> None:
-    """Write a file as a whole or not at all; a zip has a checksum of each array.
+    """Write a file completely or not at all; a zip has a checksum of each array.
 
     Raises:
         OSError: The folder cannot be made.
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     told = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
     content: dict[str, Any] = {"header": told, **arrays}
@@ -89,18 +90,18 @@ def write(path: Path, header: _Header, arrays: Arrays) -> None:
 
 
 def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
-    """The content of a file whose checksums hold, which are zip's own.
+    """The content of a file with valid checksums, which are zip's own.
 
     Raises:
-        FileNotFoundError: There is no file.
-        DamagedFileError: It cannot be read, or not as what it should be.
+        FileNotFoundError: The file does not exist.
+        DamagedFileError: The file cannot be read, or has another content.
     """
     try:
-        # Opened here: `np.load` leaves a file open that it cannot read, and takes a plain array.
+        # Opened here: `np.load` leaves an unreadable file open, and accepts a plain array.
         with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
             expanded = sum(each.file_size for each in file.zip.infolist())
             if expanded > _LARGEST:
-                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, as no border does")
+                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, too large")
             return unpack({name: file[name] for name in file.files})
     except FileNotFoundError:
         raise
@@ -109,14 +110,14 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
 
 
 def robot_content(description: RobotDescription) -> dict[str, object]:
-    """All of a robot that the places of its bodies depend on.
+    """All data of a robot that determine the places of its bodies.
 
-    Of the description count the bodies' shapes, the arm's joints and limits and the base's link; of
-    the URDF its joints; of a mesh its bytes. Sources, colours, masses, gains and the place where
-    packages are installed do not.
+    From the description these are the bodies' shapes, the arm's joints and limits and the base's
+    link; from the URDF its joints; from a mesh its bytes. Sources, colours, masses, gains and the
+    paths of installed packages do not count.
 
     Raises:
-        AssetError: The URDF or a mesh is not there.
+        AssetError: The URDF or a mesh is missing.
     """
     arm = description.arm
     urdf = read_urdf(description)
@@ -135,7 +136,7 @@ def robot_content(description: RobotDescription) -> dict[str, object]:
             if isinstance(shape, ConvexMesh)
         ],
         **({"unwatched": sorted(description.unwatched)} if description.unwatched else {}),
-        "kinematics": [  # in canonical XML, without comments and layout
+        "kinematics": [  # in canonical XML, without comments and white space
             ElementTree.canonicalize(ElementTree.tostring(joint, "unicode"), strip_text=True)
             for joint in urdf.iterfind("joint")
         ],
@@ -144,14 +145,14 @@ def robot_content(description: RobotDescription) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class BorderData:
-    """All that is made offline for one robot."""
+    """All offline results for one robot."""
 
     pairs: LinkPairs
     """§2.1, the pairs of (1)."""
     clouds: dict[str, Cloud]
     """P_i of Algorithm 1, by the name of the pair of L_m."""
     origin: Literal["cache", "shipped", "sampled"]
-    """Where it came from: the cache, a file shipped with the project, or sampled now."""
+    """Its origin: the cache, a delivered file, or sampled now."""
 
 
 def load_border_data(
@@ -162,19 +163,19 @@ def load_border_data(
     processes: int | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> BorderData:
-    """Pairs and clouds of a robot: kept ones, or sampled on so many processes, or all cores.
+    """Pairs and clouds of a robot, stored or sampled now, by `processes` or on all cores.
 
-    The default sampling is what the shipped file was made with. `progress` draws a bar on stderr;
-    `on_progress` is called with the share that is sampled, 0 to 1.
+    The default sampling is that of the delivered file. `progress` draws a bar on stderr;
+    `on_progress` takes the share that is sampled, 0 to 1.
 
     Raises:
-        AssetError: The URDF or a mesh is not there.
-        DescriptionError: The mobile robot is too large to be kept.
+        AssetError: The URDF or a mesh is missing.
+        DescriptionError: The mobile robot is too large for the file format.
     """
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:
         return found
-    # Imported here: a control step of a robot whose border is kept needs no sampling.
+    # Imported here: a robot with a stored border needs no sampling.
     from app.border.sampling import sample_clouds
 
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
@@ -192,20 +193,20 @@ def load_border_data(
     try:
         write(path, *pack(data, key))
     except (OSError, OutputError) as error:
-        _log.warning("%s cannot be kept (%s); it will be made again", path, error)
+        _log.warning("%s cannot be stored (%s); it will be computed again", path, error)
     return data
 
 
 def kept_border_data(
     model: RobotModel, sampling: SamplingConfig | None = None
 ) -> BorderData | None:
-    """Pairs and clouds of a robot if they need not be sampled, else None.
+    """Pairs and clouds of a robot if they are stored, otherwise None.
 
-    The user's cache comes before what the project ships. A file that is damaged or of another robot
-    is never believed, with a warning.
+    The user's cache has precedence over the project's files. A damaged file, or one of another
+    robot, is ignored with a warning.
 
     Raises:
-        AssetError: The URDF or a mesh is not there.
+        AssetError: The URDF or a mesh is missing.
     """
     key = border_key(model.description, sampling or SamplingConfig())
     folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
@@ -226,10 +227,10 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
-    """32 hexadecimal digits that change whenever the border could.
+    """32 hexadecimal digits that depend on all inputs of the border.
 
     Raises:
-        AssetError: The URDF or a mesh is not there.
+        AssetError: The URDF or a mesh is missing.
     """
     content = {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -249,7 +250,7 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     """The inverse of `pack`.
 
     Raises:
-        DamagedFileError: The file is of another key or format, or not as it was written.
+        DamagedFileError: The file has another key or format, or a changed content.
     """
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
@@ -268,7 +269,7 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
 
 
 def _pack(cloud: Cloud) -> dict[str, Array]:
-    """Bytes that compress well: blocks in a row as differences, places in a block, distances."""
+    """Compressible bytes: differences of consecutive blocks, offsets in a block, distances."""
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
     blocks, points = blocks[order], cloud.points[order]
@@ -283,7 +284,7 @@ def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
     """The inverse of `_pack`.
 
     Raises:
-        DamagedFileError: The arrays are not of the right type or shape.
+        DamagedFileError: An array has a wrong type or shape.
     """
     n = places.shape[-1]
     shapes = [(blocks, (3, 2, n)), (places, (3, n)), (distances, (1, 2, n))]
@@ -295,7 +296,7 @@ def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
 
 
 def _bytes(array: Array) -> Array:
-    """(k, 2, N) uint8: low and high bytes of each column of (N, k) 16-bit numbers, apart."""
+    """(k, 2, N) uint8: low and high bytes of each column of (N, k) 16-bit numbers, separately."""
     little = np.ascontiguousarray(array.T).astype(array.dtype.newbyteorder("<"))
     return np.ascontiguousarray(little.view(np.uint8).reshape(*little.shape, 2).transpose(0, 2, 1))
 

@@ -1,4 +1,4 @@
-"""How what is made offline is sampled: the link pairs and the clouds P_i."""
+"""Parameters of the offline sampling of link pairs and clouds P_i."""
 
 from pydantic import Field
 
@@ -6,28 +6,28 @@ from app.strict import Strict
 
 
 class SamplingConfig(Strict):
-    """How the joints are sampled, for the pairs of (1) and for P_i."""
+    """Sampling of the joints, for the pairs of (1) and for P_i."""
 
     seed: int = Field(default=0, ge=0)
-    """[-] of all random numbers."""
+    """[-] seed of all random numbers."""
     pair_samples: int = Field(default=100_000, ge=100)
     """[-] joint positions for (1)."""
     cloud_samples: int = Field(default=200_000, ge=100)
     """[-] joint positions from which the flood of P_i starts."""
     d_low: float = Field(default=0.03, ge=0.0, le=0.3)
-    """[m] least distance d_m of P_i."""
+    """[m] smallest distance d_m of P_i."""
     d_high: float = Field(default=0.32, ge=0.05, le=0.6)
     """[m] largest distance d_m of P_i."""
     voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
-    """[m] side of a voxel in plan; P_i has one point a voxel."""
+    """[m] side of a voxel in plan; P_i has one point per voxel."""
     voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)
     """[m] height of a voxel."""
     sectors: int = Field(default=16, ge=1, le=64)
-    """[-] parts of the plan that are flooded apart from each other."""
+    """[-] sectors of the plan that are flooded separately."""
     rounds: int = Field(default=4, ge=1, le=16)
-    """[-] most floods of a sector; from the second on they start at the neighbours' seams."""
+    """[-] most floods of a sector; the second and later ones start at the neighbours' seams."""
     retries: int = Field(default=6, ge=0, le=16)
-    """[-] how often a batch of poses tries again for the voxels beside it that are still open."""
+    """[-] number of retries of a batch of poses for its open neighbouring voxels."""
 
 
 QUICK = SamplingConfig(
@@ -39,4 +39,4 @@ QUICK = SamplingConfig(
     retries=2,
     sectors=8,
 )
-"""In seconds on one core: a tenth of the samples, in voxels of 3 cm."""
+"""Seconds on one core: a tenth of the samples, in voxels of 3 cm."""

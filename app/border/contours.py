@@ -1,9 +1,10 @@
-"""Contours of a union of convex shapes, height by height, and their point nearest to another.
+"""Contours of a union of convex shapes, height by height, and their nearest point to another point.
 
-The boundary of a union of convex slices is what of each slice's ring lies outside of the others:
-one closed curve or several, around islands or holes. Rings are closed polygons, one a height,
-blended vertex by vertex between two heights, and so is how far they lie outside of the other
-shapes: where that is zero two rings cross. All of it moves continuously with the height.
+The boundary of a union of convex slices consists of the parts of each slice's ring that are outside
+of the other slices: one closed curve or several, around islands or holes. Rings are closed
+polygons, one per height; their vertices, and the distances of these to the other shapes, are
+interpolated between two heights. Two rings cross where such a distance is zero. Everything moves
+continuously with the height.
 """
 
 import math
@@ -14,15 +15,15 @@ import numpy as np
 from app.compiled import compiled
 from app.strict import Array
 
-_SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
-_TOUCHING = 1e-9  # [m] nearer to a corner than that a way to it has no direction
+_SAME_CORNER = 0.01  # [m] largest distance of two ends that meet in one corner
+_TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
 
-BLOCK = 24  # [-] edges that are looked at or left out together; the rings have a multiple of them
+BLOCK = 24  # [-] edges of a block of the search; rings have a multiple of it
 
 Best = tuple[float, complex, complex]
 """Distance [m] of the nearest point so far, the point, and the unit tangent there, as x + iy."""
 Corner = tuple[complex, complex, bool]
-"""Where a ring is cut by another shape: the point, its unit tangent, whether the ring begins."""
+"""A cut of a ring by another shape: the point, its unit tangent, whether the ring starts there."""
 
 
 class Foot(NamedTuple):
@@ -35,7 +36,7 @@ class Foot(NamedTuple):
 
 
 class NearestBorder(Protocol):
-    """What the search for the acting point asks of a border."""
+    """The interface of a border for the search of the acting point."""
 
     def nearest(self, p: Array) -> Foot | None:
         """The point nearest to p, (3,) [m], at its height; None only if there is no border."""
@@ -48,15 +49,15 @@ class Table(NamedTuple):
     firsts: Array
     """(K + 1,) row of each shape's first ring, and the number of rows."""
     heights: Array
-    """(N,) [m] of the rings, ascending for each shape."""
+    """(N,) [m] heights of the rings, ascending for each shape."""
     vertices: Array
-    """(N, R + 1) [m] as x + iy."""
+    """(N, R + 1) [m] vertices as x + iy."""
     tangents: Array
     """(N, R + 1) unit tangents at the vertices, as x + iy."""
     shown: Array
-    """(N, R + 1) [m] by how much the vertices lie outside of the other shapes."""
+    """(N, R + 1) [m] distance of the vertices to the other shapes, positive outside."""
     spans: Array
-    """(N, R / BLOCK) [m] from the middle vertex of a block of edges to its others, at most."""
+    """(N, R / BLOCK) [m] largest distance from the middle vertex of a block to its others."""
 
 
 class Contours:
@@ -66,15 +67,15 @@ class Contours:
         self.table = table
 
     def within(self, z: float) -> float:
-        """[m] the height nearest to z that there is."""
+        """[m] the available height nearest to z."""
         return level(self.table.firsts, self.table.heights, z)
 
     def nearest(self, p: Array) -> Foot | None:
         """The point of the contours nearest to p, (3,) [m] in the base's frame, at its height.
 
-        It moves continuously with p, but where p has two nearest points (the medial axis). Heights
-        beyond the contours are taken as their lowest or highest. None only if there is no ring at
-        all.
+        It moves continuously with p, except where p has two nearest points (the medial axis).
+        Heights beyond the contours are replaced by their lowest or highest. None only if there is
+        no ring at all.
         """
         if not len(self.table.heights):
             return None
@@ -82,7 +83,7 @@ class Contours:
         return Foot(foot[0], foot[1])
 
     def contours(self, z: float) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height z [m], or the pieces of each ring that show.
+        """(K, 2) [m] each, the polygons at a height z [m], or the visible pieces of each ring.
 
         There is none beyond the lowest and the highest ring.
         """
@@ -98,17 +99,17 @@ class Contours:
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """(K, 3) [m] each, the contours at a height or at the nearest one there is, drawn at z."""
+        """(K, 3) [m] each, the contours at a height or at the nearest available one, drawn at z."""
         if not len(self.table.heights):
             return []
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """(K, 2) [m] each, where a closed ring (R + 1,) as x + iy shows: by zero or more."""
+    """(K, 2) [m] each, the parts of a closed ring (R + 1,) as x + iy with `shown` ≥ 0."""
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(shown[:-1]))  # begin where it is cut
+    turned = int(np.argmin(shown[:-1]))  # start at a cut
     ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
     found: list[Array] = []
     piece: list[complex] = []
@@ -137,7 +138,7 @@ def level(firsts: Array, heights: Array, z: float) -> float:
 
 @compiled()
 def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, float]:
-    """Row of the ring at or below z among rows first to last, and the share up to the next one."""
+    """Row of the ring at or below z among rows first to last, and the fraction to the next one."""
     k = first + int(np.searchsorted(heights[first:last], z, side="right")) - 1
     if heights[k] == z or k + 1 == last:
         return k, 0.0
@@ -163,7 +164,7 @@ def _search_edges(
     best: Best,
     corners: list[Corner],
 ) -> Best:
-    """The nearest point with a block of a ring's edges looked at; its corners are added."""
+    """The nearest point including a block of a ring's edges; adds the block's corners."""
     ahead = _dot(p - ring[0], tangents[0]) >= 0.0
     for i in range(BLOCK):
         edge, turn = ring[i + 1] - ring[i], tangents[i + 1] - tangents[i]
@@ -183,10 +184,10 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """The nearest point with those looked at where a ring ends and another one goes on.
+    """The nearest point including the corners where one ring ends and another continues.
 
-    The two ends differ by what the rings are off: the way from one to the other belongs to the
-    contour. At a corner the tangent turns with the point that asks.
+    The two ends differ by the interpolation error: the segment between them belongs to the
+    contour. At a corner the tangent turns with the query point.
     """
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
@@ -204,7 +205,7 @@ def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
             t = both if abs(both) > _TOUCHING else t
         best = _nearer(best, p, at, _square(p, at, t))
     for c, (at, t, begins) in enumerate(corners):
-        if begins and not met[c]:  # no ring leads to it: its shape is farther away
+        if begins and not met[c]:  # no ring ends there: its shape is farther away
             best = _nearer(best, p, at, _square(p, at, t))
     return best
 
@@ -223,10 +224,10 @@ def _dot(a: complex, b: complex) -> float:
 
 @compiled()
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
-    """The share of an edge from which p lies at a right angle to the contour's tangent.
+    """The fraction along an edge at which the line to p is perpendicular to the contour's tangent.
 
-    The tangent is blended along the edge. The foot of p on the bare polygon would jump over
-    its corners: seen from inside, a corner is never nearest.
+    The tangent is interpolated along the edge. The foot of p on the bare polygon would jump over
+    its corners, because seen from inside, a corner is never nearest.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -238,7 +239,7 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 @compiled()
 def _shown_part(start: float, end: float) -> tuple[float, float]:
-    """The part of an edge, within [0, 1], where a value that goes so is not negative."""
+    """The part of an edge, within [0, 1], where a linear value is not negative."""
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
     first = start / (start - end) if start < 0.0 else 0.0
@@ -248,7 +249,7 @@ def _shown_part(start: float, end: float) -> tuple[float, float]:
 
 @compiled()
 def _square(p: complex, foot: complex, along: complex) -> complex:
-    """The unit tangent at right angles to the way from p to its foot, on the side of `along`."""
+    """The unit tangent perpendicular to the line from p to its foot, on the side of `along`."""
     way = p - foot
     length = abs(way)
     if length < _TOUCHING:
@@ -267,11 +268,12 @@ def nearest_point(
     spans: Array,
     at: Array,
 ) -> Array:
-    """The point of a `Table` that is nearest to a point, at the height nearest to its own.
+    """The point of a `Table` that is nearest to a point, at the available height nearest to its
+    own.
 
-    At each of the table's heights some ring shows: what hides one is nearer to the outside. Blocks
-    of edges are searched from near to far, until the next one is farther than what was found: so
-    the cost hardly grows with the number of shapes.
+    At each height of the table at least one part of a ring is outside of all other shapes. Blocks
+    of edges are searched in the order of their distance until the next one is farther than the
+    result, so the cost hardly grows with the number of shapes.
 
     Returns:
         (2, 3) of a `Foot`.
@@ -279,7 +281,7 @@ def nearest_point(
     z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
     shapes, blocks = len(firsts) - 1, spans.shape[1]
     rows, shares = np.zeros(shapes, np.int64), np.zeros(shapes)
-    bounds = np.full((shapes, blocks), np.inf)  # [m] no point of a block is nearer
+    bounds = np.full((shapes, blocks), np.inf)  # [m] lower bounds of the distances of blocks
     for j in range(shapes):
         if heights[firsts[j]] <= z <= heights[firsts[j + 1] - 1]:
             k, share = _row(heights, firsts[j], firsts[j + 1], z)

@@ -6,9 +6,9 @@ import numpy as np
 
 from app.strict import Array
 
-POINT_UNIT = 1e-4  # [m] resolution of the kept points
-DISTANCE_UNIT = 1e-5  # [m] resolution of the kept distances
-POINT_RANGE = 3.2  # [m] largest coordinate that can be kept
+POINT_UNIT = 1e-4  # [m] resolution of the stored points
+DISTANCE_UNIT = 1e-5  # [m] resolution of the stored distances
+POINT_RANGE = 3.2  # [m] largest coordinate that can be stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,18 +43,18 @@ class Cloud:
 def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
     """A cloud from points (N, 3) int16 and distances (N,) uint16, as in `Cloud`, in any order."""
     x, y, z = points.astype(np.int64).T
-    # One key of height, then y, then x: sorting it is several times faster than by three keys.
+    # One key of height, then y, then x, because sorting it is several times faster than three keys.
     order = np.argsort((z << 32) + (y << 16) + x)
     return Cloud(pair, _frozen(points[order]), _frozen(distances[order]))
 
 
 def quantise_points(points: Array) -> Array:
-    """(N, 3) int16 from points (N, 3) [m]; beyond the range they stop at its end."""
+    """(N, 3) int16 from points (N, 3) [m], clipped to the range."""
     return np.rint(np.clip(points, -POINT_RANGE, POINT_RANGE) / POINT_UNIT).astype(np.int16)
 
 
 def quantise_distances(distances: Array) -> Array:
-    """(N,) uint16 from distances (N,) [m] of zero or more."""
+    """(N,) uint16 from distances (N,) [m] ≥ 0."""
     return np.rint(np.clip(distances, 0.0, 0.65) / DISTANCE_UNIT).astype(np.uint16)
 
 
@@ -64,7 +64,7 @@ def _frozen(array: Array) -> Array:
     return array
 
 
-SAME_HEIGHT = 0.005  # [m] how far from a height a point still counts as of that height
+SAME_HEIGHT = 0.005  # [m] tolerance of the height of a point
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,8 @@ def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
 
     Paper: Eq. (3).
 
-    Kept distances are rounded, so the selection is narrower by half of their resolution: each point
-    is within ε of d_b when measured again. The border is empty where P_i has no such points.
+    Stored distances are rounded, so the selection is narrower by half of their resolution: each
+    point is within ε of d_b when measured again. The border is empty if P_i has no such points.
     """
     slack = eps - DISTANCE_UNIT / 2
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))

@@ -1,4 +1,4 @@
-"""Flood refinement: from every pose found, step to the empty voxels beside its closest point."""
+"""Flood refinement: from each known pose, step to the empty voxels beside its closest point."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from app.strict import Array
 _BATCH = 2048
 _DAMPING = 0.03  # [m] of the pseudo-inverse; an arm's Jacobian is around 0.5 m
 _FREE_STEP = 0.10  # [rad] self-motion or perturbation of the first retry; grows with each
-_MAX_STEP = 0.25  # [rad] longest step of a joint: farther the Jacobian says nothing
+_MAX_STEP = 0.25  # [rad] longest step of a joint for which the Jacobian is valid
 
 
 class Witnesses(NamedTuple):
-    """What many poses bring about."""
+    """Closest points of many poses."""
 
     d: Array
     """(N,) [m] signed distance of the pair."""
@@ -31,7 +31,7 @@ class Witnesses(NamedTuple):
 
 
 class PairReader:
-    """Witness points of one pair of L_m, for many poses of the arm with the base at the origin."""
+    """Closest points of one pair, for many poses of the arm with the base at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
@@ -52,9 +52,9 @@ class PairReader:
         return Witnesses(d, p_b, normal)
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of the material points that are at p_b (N, 3) [m] in poses q_m.
+        """(N, 3, n_m) Jacobians of the material points at p_b (N, 3) [m] in poses q_m.
 
-        The body slides under its closest point, so a step along them is only a good guess.
+        The body slides under its closest point, so a step along them is only an estimate.
         """
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J = np.empty((len(q_m), 6, model.nv))
@@ -70,7 +70,7 @@ class PairReader:
 
 
 class Flood:
-    """Fills the open voxels of one pair, one point a voxel."""
+    """Fills the open voxels of one pair with one point each."""
 
     def __init__(
         self,
@@ -80,13 +80,13 @@ class Flood:
         shell: tuple[float, float],
         rng: np.random.Generator,
     ) -> None:
-        """Prepare; `shell` [m] holds the least and the largest distance of a wanted point."""
+        """Prepare; `shell` [m] has the smallest and the largest distance of a valid point."""
         self._model, self._reader, self._voxels, self._rng = model, reader, voxels, rng
         self._low, self._high = shell
-        # A joint's share of a free step: full for a turn, small for a short slide.
+        # The size of a joint's free step: full for a rotation, small for a short slide.
         self._scale = np.minimum(model.q_upper - model.q_lower, 2 * np.pi) / (2 * np.pi)
         self.open = np.zeros(voxels.count, dtype=bool)
-        """(voxels.count,) whether a voxel is still wanted."""
+        """(voxels.count,) whether a voxel is still open."""
         self._q = np.empty((0, model.n_m))
         self._seen = Witnesses(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
@@ -94,14 +94,14 @@ class Flood:
         """Flood the open voxels.
 
         Args:
-            open_voxels: (voxels.count,) bool, the voxels wanted; changed in place.
-            sources: (N, n_m) [rad or m] poses to start from, wherever their points lie.
-            retries: How often a batch tries again for the voxels beside it that are still open;
+            open_voxels: (voxels.count,) bool, the open voxels; changed in place.
+            sources: (N, n_m) [rad or m] starting poses, anywhere.
+            retries: Number of retries of a batch for its open neighbouring voxels;
                 each time the first pose of the batch beside a voxel tries.
 
         Returns:
-            (N, n_m) float32 [rad or m] the poses accepted, the sources that fell into open voxels
-            among them, and (N, 3) int16 their points as in `Cloud`.
+            (N, n_m) float32 [rad or m] the accepted poses, including sources in open voxels,
+            and (N, 3) int16 their points as in `Cloud`.
         """
         self.open = open_voxels
         seen = self._reader.witnesses(sources)
@@ -123,7 +123,7 @@ class Flood:
         return q_m, points
 
     def _accept(self, seen: Witnesses) -> Array:
-        """Indices of the witnesses that fall into open voxels, one each; closes those."""
+        """Indices of the closest points in open voxels, one for each; closes those voxels."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
         fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
         candidates = np.flatnonzero(fits & self.open[keys])
@@ -133,7 +133,7 @@ class Flood:
         return fresh
 
     def _expand(self, q: Array, seen: Witnesses, round_: int) -> tuple[Array, Witnesses]:
-        """One try towards each open voxel beside the poses' own, from the first pose beside it."""
+        """One try towards each neighbouring open voxel, from the first pose beside it."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - seen.p_b[:, None]
@@ -142,7 +142,7 @@ class Flood:
         source, side = np.nonzero(wanted)
         if not len(source):
             return q[:0], _pick(seen, source)
-        # Nearly half of the tries would be for a voxel that another pose of the batch tries too.
+        # Without this, nearly half of the tries would be duplicates of another pose's.
         _, first = np.unique(keys[source, side], return_index=True)
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
@@ -153,8 +153,8 @@ class Flood:
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
         """(N, n_m) poses whose closest points should have moved by `step` (N, 3) [m].
 
-        The first round takes the plain damped step; later ones add self-motion, and the last a
-        perturbation of any direction. Joints that would leave their limits are held instead.
+        The first round uses the plain damped step; later ones add self-motion, and the last a
+        random perturbation. Joints that would leave their limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -173,7 +173,7 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
 
 
 def _take(queue: list[tuple[Array, Witnesses]]) -> tuple[Array, Witnesses]:
-    """Poses from the end of a queue, a batch at least if there are as many."""
+    """Poses from the end of a queue, at least a batch if there are enough."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())
@@ -192,7 +192,7 @@ _STEPS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 
 class Voxels:
     """A grid over the box of all points up to `reach` from l_m and above the floor.
 
-    Points are int16 in units of 0.1 mm, so that a point's voxel is exact and the same everywhere.
+    Points are int16 in units of 0.1 mm, so that a point's voxel is exact on all machines.
     """
 
     def __init__(
@@ -213,10 +213,10 @@ class Voxels:
         low, high = lower - reach, upper + reach
         if max(np.abs(low).max(), np.abs(high).max()) > POINT_RANGE:
             raise DescriptionError(
-                f"bodies: the mobile robot reaches further than {POINT_RANGE - reach:g} m "
-                "from the base's centre; the border cannot be kept"
+                f"bodies: the mobile robot extends more than {POINT_RANGE - reach:g} m "
+                "from the base's centre, too far for a stored border"
             )
-        low[2] = 0.0  # nothing of interest is under the floor
+        low[2] = 0.0  # no points below the floor
         self._size = np.rint(size / POINT_UNIT).astype(int)
         self._origin = np.floor(low / POINT_UNIT / self._size).astype(int) * self._size
         span = np.ceil(high / POINT_UNIT).astype(int) - self._origin
@@ -230,7 +230,7 @@ class Voxels:
         return (points - self._origin) // self._size
 
     def keys(self, cells: Array) -> Array:
-        """(N,) number of each cell (N, 3), or −1 outside of the grid."""
+        """(N,) index of each cell (N, 3), or −1 outside of the grid."""
         inside = ((cells >= 0) & (cells < self.shape)).all(axis=-1)
         nx, ny, _ = self.shape
         return np.where(inside, (cells[..., 2] * ny + cells[..., 1]) * nx + cells[..., 0], -1)
@@ -244,15 +244,15 @@ class Voxels:
         return ((cells + 0.5) * self._size + self._origin) * POINT_UNIT
 
     def sector_mask(self, sector: int) -> Array:
-        """(count,) whether each voxel lies in a sector."""
+        """(count,) whether each voxel is in a sector."""
         return np.tile(self._plan_sectors().ravel() == sector, int(self.shape[2]))
 
     def sectors(self, keys: Array) -> Array:
-        """(…) sector of each voxel by its number (…)."""
+        """(…) sector of each voxel by its index (…)."""
         return self._plan_sectors().ravel()[keys % (self.shape[0] * self.shape[1])]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the free voxels at and beside each point (N, 3) int16, else −1."""
+        """(N, 7) sectors of the free voxels at and beside each point (N, 3) int16, otherwise −1."""
         cells = self.cells(points)
         around = np.concatenate([cells[:, None], self.neighbours(cells)], axis=1)
         keys = self.keys(around)
@@ -261,7 +261,7 @@ class Voxels:
     def _plan_sectors(self) -> Array:
         """(ny, nx) sector of each column of voxels.
 
-        The sectors are turned by half of one, so that no seam lies on the wheels' axis.
+        The sectors are turned by half of one, so that no seam is on the wheels' axis.
         """
         x = (np.arange(self.shape[0]) + 0.5) * self._size[0] + self._origin[0]
         y = (np.arange(self.shape[1]) + 0.5) * self._size[1] + self._origin[1]

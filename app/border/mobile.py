@@ -1,7 +1,8 @@
-"""Exact distance of points to a convex shape, and to the mobile robot's (DistanceToMobile).
+"""Exact distance of points to a convex shape, and to the mobile robot (DistanceToMobile).
 
-A kernel measures them, with the same answers as the collision library, boxes and round shapes fifty
-times faster: so a border for another d_b is there at once. A hull takes a time for each triangle.
+A kernel computes them with the results of the collision library, for boxes and round shapes fifty
+times faster, so a border for another d_b is immediately available. A hull takes time for each
+triangle.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from app.strict import Array
 
 _BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
 _MAX_NEWTON = 30
-_AT_END = 1e-9  # [m] of the distance at a ray's end
-_FLAT = 1e-9  # [m] by which rounding may part what lies in a plane
+_AT_END = 1e-9  # [m] tolerance of the distance at a ray's end
+_FLAT = 1e-9  # [m] tolerance of rounding for points in a plane
 
 
 class ConvexPart:
@@ -31,7 +32,7 @@ class ConvexPart:
         self.lower, self.upper = bounds(geometry, placement)
         """(3,) [m] corners of a box around it, along the base's axes."""
         self.shapes = Shapes.of(geometry, placement)
-        """It alone, as the kernels take it."""
+        """The shape in the kernels' format."""
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
         """[m] signed distance of a point (3,) [m], and the unit vector (3,) to it."""
@@ -48,16 +49,16 @@ class ConvexPart:
         return distances_and_normals(*self.shapes, points)[:, 0]
 
     def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
-        """How far along each ray the shape's offset ends.
+        """Distance along each ray to the end of the shape's offset.
 
         The distance to a convex shape is a convex function along a ray: from any start on the
-        rising side Newton's first step lands at the outer root or beyond it, and the next ones come
-        down to it.
+        rising side Newton's first step ends at the outer root or beyond it, and the next ones
+        approach it from outside.
 
         Args:
-            origin: (3,) [m] from which all rays start.
+            origin: (3,) [m] start of all rays.
             rays: (K, 3) unit vectors.
-            start: (K,) [m] first guesses, beyond the shape.
+            start: (K,) [m] initial estimates, beyond the shape.
             d_b: [m] the offset.
 
         Returns:
@@ -85,7 +86,7 @@ class MobileBody:
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
         objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
-        # The planar joint that carries l_m has its frame on the floor: the base's frame.
+        # The planar joint of l_m has its frame on the floor: the base's frame.
         self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
@@ -106,7 +107,7 @@ def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array,
 
 
 class Shapes(NamedTuple):
-    """Convex shapes as the kernels take them."""
+    """Convex shapes in the kernels' format."""
 
     rows: Array
     """(P, 16) kind; half sides [m], or radius and half length [m], or the first and the end of its
@@ -116,7 +117,7 @@ class Shapes(NamedTuple):
 
     @classmethod
     def of(cls, geometry: coal.CollisionGeometry, placement: pin.SE3) -> Shapes:
-        """One of coal's shapes where it is placed."""
+        """One of coal's shapes in its pose."""
         triangles = np.empty((0, 4, 3))
         if isinstance(geometry, coal.Box):
             kind, size = _BOX, geometry.halfSide
@@ -145,12 +146,12 @@ class Shapes(NamedTuple):
 
 
 def _triangles(geometry: coal.CollisionGeometry) -> Array:
-    """(T, 4, 3) of `Shapes`, without slivers whose plane rounding has turned into the hull."""
+    """(T, 4, 3) of `Shapes`, without slivers whose normals rounding has turned inwards."""
     points = geometry.points()
     found = (geometry.polygons(i) for i in range(geometry.num_polygons))
     corners = points[[[each[k] for k in range(3)] for each in found]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    with np.errstate(invalid="ignore"):  # without an area: not a number, and left out
+    with np.errstate(invalid="ignore"):  # triangles without an area give NaN, and are left out
         normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = (normals * corners[:, 0]).sum(axis=1)
     outermost = np.array([(points @ n).max() for n in normals])
@@ -161,7 +162,7 @@ def _triangles(geometry: coal.CollisionGeometry) -> Array:
 def _on_triangle(
     triangle: Array, x: float, y: float, z: float, over: float
 ) -> tuple[float, float, float]:
-    """The point of a triangle that is nearest to a point, which is by so much over its plane."""
+    """The point of a triangle that is nearest to a point at a height over its plane."""
     n, foot, least = triangle[3], (0.0, 0.0, 0.0), np.inf
     f_x, f_y, f_z = x - over * n[0], y - over * n[1], z - over * n[2]
     for i in range(3):
@@ -180,7 +181,7 @@ def _on_triangle(
 
 @compiled()
 def _over(triangle: Array, x: float, y: float, z: float) -> float:
-    """[m] by which a point is over the plane of a triangle of `Shapes`."""
+    """[m] signed distance of a point from the plane of a triangle of `Shapes`."""
     a, n = triangle[0], triangle[3]
     return n[0] * (x - a[0]) + n[1] * (y - a[1]) + n[2] * (z - a[2])
 
@@ -201,8 +202,8 @@ def _hull_distance(
 ) -> tuple[float, float, float, float]:
     """Signed distance [m] of a point to a hull, and its gradient there.
 
-    Inside the nearest plane counts. Outside, what is nearer than some point of the hull lies in
-    front of the plane through that point, square to the way from it: few triangles reach there.
+    Inside, the nearest plane counts. Outside, the nearest triangle is in front of the plane through
+    a known point of the hull, perpendicular to the line to that point: only few triangles are.
     """
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
@@ -290,7 +291,7 @@ def nearest_of(
 
 @compiled()
 def is_round(row: Array) -> bool:
-    """Whether a shape of `Shapes` is nearest to something flat at its core's nodes alone."""
+    """Whether the nodes of a shape's core include its nearest point to any flat object."""
     return bool(row[0] == _CAPSULE)
 
 

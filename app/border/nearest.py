@@ -1,8 +1,8 @@
-"""The border on which the acting point is searched: as a surface, or as points as in the paper.
+"""The border for the search of the acting point: as a surface, or as points as in the paper.
 
 The surface is the exact offset of l_m, which the points sample: a point and its nearest point on it
-move together, at a cost that does not depend on the number of points. It is closed: where the arm
-never is, no point is searched, and near there the reachability in the score leads away.
+move together, at a cost that does not depend on the number of points. It is closed: no point is
+searched where the arm never is, and near there the reachability in the score leads away.
 """
 
 import math
@@ -31,7 +31,7 @@ _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
     "spans": types.Array(_f8, 2, "C"),
     "as_points": types.b1,  # whether the points are searched
     "points": types.Array(_f8, 2, "C"),  # (N, 3) [m] of all pairs, each by ascending height
-    "sampled": types.Array(_i8, 1, "C"),  # (pairs + 1,) the first point of each pair, and N
+    "sampled": types.Array(_i8, 1, "C"),  # (pairs + 1,) first index of each pair, and N
     "eps": _f8,  # [m] ε of (3)
 }
 _Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
@@ -50,20 +50,20 @@ def nearest_sample(
 ) -> tuple[Array, Array, bool]:
     """FindSameHeight and FindMinDistancePoint among sampled border points.
 
-    The tangent is perpendicular to the line from p to the point. Where p lies on the border, which
-    is known to within ε, that line has no direction.
+    The tangent is perpendicular to the line from p to the point. If p is on the border, within ε,
+    that line has no direction.
 
     Paper: Algorithm 3, lines 1 to 4.
 
     Args:
-        points: (N, 3) [m] border points of all pairs, of each pair by ascending height.
-        first: The first point of the pair.
-        end: One after its last point.
+        points: (N, 3) [m] border points of all pairs, for each pair by ascending height.
+        first: Index of the first point of the pair.
+        end: Index after its last point.
         p: (3,) [m]
         eps: [m] ε of (3).
 
     Returns:
-        (3,) [m] the point at the height of p, (3,) the tangent there or NaN where it has no
+        (3,) [m] the point at the height of p, (3,) the tangent there, NaN without a
         direction, and whether the height has points.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
@@ -84,7 +84,7 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The border's point nearest to p (3,) [m] at its height, and the unit tangent there.
 
-    Of a border as points; where a height has none, and of a border as a surface, of the exact
+    It belongs to a border as points if its height has some; otherwise to the exact
     offset of l_m. NaN if l_m has no border at all.
     """
     if border.as_points:
@@ -115,7 +115,7 @@ def _nearest_offset(border: Any, p: Array) -> Array:
 
 
 class BorderSearch:
-    """A border, as points where there are any, in the form that compiled functions take."""
+    """A border, as points if there are any, in the form of compiled functions."""
 
     def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
         """The exact offset of l_m, and the sampled border of each pair for the same d_b."""
@@ -134,7 +134,7 @@ class BorderSearch:
 
 @kept_per_model(8)
 def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the clouds' pairs, of the configured kind; made once per model."""
+    """The border of the clouds' pairs, of the configured kind; cached per model."""
     offset = offset_contours(model, config.d_b)
     if config.kind == "surface":
         return BorderSearch(offset)

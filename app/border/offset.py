@@ -1,7 +1,7 @@
 """The exact offset of the mobile robot, {p : distance to l_m = d_b}, as horizontal contours.
 
-It is the border as a continuous surface, and stands in wherever its points have none at a height:
-never an empty slice, never a zero force.
+It is the border as a continuous surface, and replaces sampled points at heights without any:
+a slice is never empty, a force never zero.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from app.strict import Array
 
 RAYS = 360
 _STEP = 0.01  # [m] between heights, and along the arc above the top
-_HIGH_BOTTOM = 0.8  # [-] of d_b: from there on the arc under a bottom needs heights of its own
+_HIGH_BOTTOM = 0.8  # [-] of d_b: bottoms above it need heights for the arc below
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
-_TOUCHING = 2e-6  # [m] by which flush shapes still count as outside of each other
-_ALONE = 1.0  # [m] by which a shape counts as outside of others where there is none
+_TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
+_ALONE = 1.0  # [m] distance that replaces the one to other shapes if there are none
 
-_Level = tuple[float, Array, Array | None]  # height, centre, how far each ray goes
+_Level = tuple[float, Array, Array | None]  # height, centre, length of each ray
 
 
 class OffsetContours(Contours):
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
-    Each shape has a stack of rings around it. The contours are what of the rings lies outside of
-    the other shapes' offsets: one closed curve of a single shape, else maybe several islands, and
+    Each shape has a stack of rings around it. The contours are the parts of the rings outside of
+    the other shapes' offsets: one closed curve for a single shape, otherwise possibly islands and
     holes.
     """
 
@@ -41,24 +41,24 @@ class OffsetContours(Contours):
         traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
-        """Of each shape that is not hidden in the others, the largest in plan first; none if l_m
-        has no offset above the floor."""
+        """Rings of each visible shape, the largest in plan first; empty if l_m has no offset above
+        the floor."""
         super().__init__(_table(self.rings, [shown for *_, shown in traced]))
 
 
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for a buffer distance d_b [m], traced once: each controller asks for them."""
+    """The contours for a buffer distance d_b [m], cached because each controller needs them."""
     return OffsetContours(model, d_b)
 
 
 def _outermost(
     traced: list[tuple[ConvexPart, Rings]], d_b: float
 ) -> list[tuple[ConvexPart, Rings, Array]]:
-    """The shapes that the others do not hide, the largest in plan first, and how far they show."""
+    """The visible shapes, the largest in plan first, with the distances of their vertices."""
     traced = sorted(traced, key=lambda each: -float(np.prod((each[0].upper - each[0].lower)[:2])))
     kept = list(range(len(traced)))
-    for k in reversed(range(len(traced))):  # a shape that hides in the others hides none of them
+    for k in reversed(range(len(traced))):  # a hidden shape hides no other shape
         others = [traced[j][0] for j in kept if j != k]
         if others and (_shown(traced[k][1], others, d_b) <= 0.0).all():
             kept.remove(k)
@@ -69,7 +69,7 @@ def _outermost(
 
 
 def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
-    """(H, RAYS + 1) [m] by how much the vertices lie outside of the other shapes' offsets."""
+    """(H, RAYS + 1) [m] distance of the vertices to the other shapes' offsets, positive outside."""
     H, V, _ = rings.vertices.shape
     points = np.concatenate(
         [rings.vertices, np.broadcast_to(rings.heights[:, None, None], (H, V, 1))], axis=2
@@ -97,7 +97,7 @@ def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
 
 
 class Rings(NamedTuple):
-    """Closed polygons around one convex shape, one a height, each vertex at the distance d_b."""
+    """Closed polygons around one convex shape, one per height; all vertices have d_m = d_b."""
 
     heights: Array
     """(H,) [m], ascending."""
@@ -110,8 +110,8 @@ class Rings(NamedTuple):
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
     """The offset d_b [m] of a convex shape above the floor; without heights if it has none there.
 
-    Rays start from the middle of the shape. Where a slice of the offset does not contain it, as of
-    a slanted shape, each height has the middle of its own slice.
+    Rays start from the centre of the shape. If a slice of the offset does not contain it, as for
+    a slanted shape, each height has the centre of its own slice.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
@@ -133,7 +133,7 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: Array) -> list[_Level] | None:
-        """All heights from the shape's middle; None if a slice does not contain it."""
+        """All heights from the shape's centre; None if a slice does not contain it."""
         found: list[_Level] = []
         ends: Array | None = None
         for z in heights:
@@ -145,7 +145,7 @@ class _Tracer:
         return found if any(ends is not None for _, _, ends in found) else None
 
     def from_slices(self, heights: Array) -> list[_Level]:
-        """Each height from the middle of its own slice."""
+        """Each height from the centre of its own slice."""
         found: list[_Level] = []
         centre = self._middle
         for z in heights:
@@ -162,7 +162,7 @@ class _Tracer:
     def _inside(self, centre: Array, z: float) -> Array | None:
         """(2,) [m] a point inside of the slice at a height, or None if the slice is empty.
 
-        The mean of the far ends that rays from outside find is inside: the slice is convex.
+        The mean of the far ends of rays from outside is inside, because the slice is convex.
         """
         nearest = self._part.nearest(np.array([*centre, z]))[:2]
         for start in (centre, nearest, self._middle):
@@ -177,7 +177,7 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] how far each ray goes; −inf where it misses the offset."""
+        """(RAYS,) [m] length of each ray; −inf if it misses the offset."""
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
@@ -188,7 +188,7 @@ class _Tracer:
 
 
 def _vertex_tangents(edges: Array) -> Array:
-    """Unit tangents at the vertices, as x + iy: between those of the two edges (H, RAYS) there.
+    """Unit tangents at the vertices, as x + iy: means of the two adjacent edges (H, RAYS).
 
     Returns:
         (H, RAYS + 1), the first one repeated.
@@ -202,11 +202,11 @@ def _vertex_tangents(edges: Array) -> Array:
 def _levels(bottom: float, top: float, d_b: float) -> Array:
     """(H,) [m] heights: every 10 mm beside a shape, then every 10 mm of arc over its upper edge.
 
-    From the floor up; a shape high above it has such an arc under its lower edge too.
+    They start at the floor; a shape high above it has such an arc under its lower edge too.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]
-    # At the very end the contour lies on the flat of the offset, where rays graze: stop just short.
+    # At the end the contour is on the flat part of the offset, where rays graze: stop just before.
     arc[-1] -= 1e-3
     beside = np.linspace(low, top, max(2, int(np.ceil((top - low) / _STEP)) + 1))
     under = (low - d_b * np.sin(arc))[::-1] if low > 0.0 else np.empty(0)

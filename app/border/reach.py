@@ -1,8 +1,8 @@
-"""§2.3.2: the reachability map of a body: how many joint positions lead to the poses at each place.
+"""§2.3.2: reachability map of a body: the number of joint positions for the poses at each place.
 
 The density of a pose's inverse kinematics solutions follows from random joint positions by the area
 formula: over the joint positions that lead into a region, the integral of |det J| is the number of
-solutions of all poses in it. So none has to be solved for.
+solutions of all poses in it. No inverse kinematics has to be solved.
 """
 
 from dataclasses import dataclass
@@ -17,39 +17,41 @@ from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.strict import Array
 
-_TRIALS = 4  # [-] configurations in which a chain is asked for its rank
+_TRIALS = 4  # [-] configurations for the rank of a chain
 _SINGULAR = 1e-6  # [m/rad or -] singular value of a lost direction
-_LEAST_JOINTS = 3  # fewer do not fill a volume
-_FREE_TRIALS = 20  # [-] configurations with which a choice of free joints is tried out
+_MIN_JOINTS = 3  # fewer do not fill a volume
+_FREE_TRIALS = 20  # [-] configurations that test a choice of free joints
 _LOST = 1e-9  # determinants below this are zero
 
 
 def reach_bodies(model: RobotModel) -> list[str]:
     """Names of the bodies that at least three joints of the arm move, the outermost first."""
     names = model.body_names[:0:-1]
-    return [name for name in names if len(_moving_joints(model, name)) >= _LEAST_JOINTS]
+    return [name for name in names if len(_moving_joints(model, name)) >= _MIN_JOINTS]
 
 
 class Chain:
-    """A body's joints, the base at the origin, and what of its pose they have to meet.
+    """A body's joints, with the base at the origin, and the coordinates of its pose that they
+    determine.
 
     The body that carries the end-effector has the end-effector's pose; any other has the position
-    of the middle of its first shape and the direction of that shape's z axis, which is a capsule's
-    own. With k joints the pose has six numbers (k ≥ 6), five, the direction without the turn about
-    it (k = 5), or three, the position (k = 3, 4); fewer where the joints lose a direction for good.
+    of the centre of its first shape and the direction of that shape's z axis, which is a capsule's
+    own. With k joints the pose has six numbers (k ≥ 6), five, without the rotation about the
+    direction (k = 5), or three, the position (k = 3, 4); fewer if the joints never move in a
+    direction.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
         """Cut the chain of a body out of the robot.
 
         Raises:
-            ConfigError: Fewer than three joints move the body; lists those that can be asked for.
+            ConfigError: Fewer than three joints move the body; lists the possible ones.
         """
         joints = _moving_joints(model, body)
-        if len(joints) < _LEAST_JOINTS:
+        if len(joints) < _MIN_JOINTS:
             raise ConfigError(
                 f"{body}: only {len(joints)} of the arm's joints move it, a reachability needs "
-                f"{_LEAST_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
+                f"{_MIN_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
             )
         self.body = body
         self.joints = [joint - 2 for joint in joints]
@@ -64,22 +66,22 @@ class Chain:
         self.turns = np.array([kind.startswith("JointModelR") for kind in kinds])
         """(k,) whether a joint is revolute."""
         self.asked = next((n for n in (6, 5) if n <= len(joints) and self._meets(n)), 3)
-        """Numbers of the pose: 6, 5 or 3."""
+        """Number of coordinates of the pose: 6, 5 or 3."""
         self.free = len(joints) - self.asked
-        """How many joints have to be given before the others are determined."""
+        """Number of joints that have to be fixed before the others are determined."""
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
         """T_base_point at joint positions (k,), and its Jacobian (6, k), linear over angular.
 
-        It is in the point's own axes, the last of which is the body's: its first five rows leave
-        the turn about that out, its first three are the position's.
+        It is in the point's own axes, the last of which is the body's: its first five rows exclude
+        the rotation about it, its first three are the position's.
         """
         J = pin.computeJointJacobians(self.pin, self._data, q)
         at = self._data.oMi[len(self.joints)] * self._placement
         return at, at.inverse().action @ J
 
     def longest(self, p_base: Array) -> float:
-        """[m] bound of the distance between the mount and the body's point."""
+        """[m] upper bound of the distance between the mount and the body's point."""
         pin.forwardKinematics(self.pin, self._data, np.zeros(len(self.joints)))
         first = float(np.linalg.norm(self._data.oMi[1].translation - p_base))
         links = [np.linalg.norm(at.translation) for at in self.pin.jointPlacements[2:]]
@@ -90,7 +92,7 @@ class Chain:
 
     @property
     def ranges(self) -> tuple[Array, Array]:
-        """(k,) [rad or m] each, limits within which a joint is at each place once: one turn."""
+        """(k,) [rad or m] each, limits in which a joint reaches each place once: one turn."""
         turned = np.minimum(self.upper, self.lower + 2 * np.pi)
         return self.lower, np.where(self.turns, turned, self.upper)
 
@@ -99,7 +101,7 @@ class Chain:
         return rng.uniform(*self.ranges)
 
     def _meets(self, numbers: int) -> bool:
-        """Whether the chain moves its point in so many directions somewhere."""
+        """Whether the chain moves its point in that number of directions somewhere."""
         rng = np.random.default_rng(0)
         tried = (self.pose_and_jacobian(rng.uniform(-1, 1, self.pin.nq)) for _ in range(_TRIALS))
         ranks = (np.linalg.matrix_rank(J[:numbers], tol=_SINGULAR) for _, J in tried)
@@ -112,7 +114,7 @@ def _moving_joints(model: RobotModel, body: str) -> list[int]:
 
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
-    """Pinocchio's joint that carries a body's point, and where the point's frame stands on it."""
+    """Pinocchio's joint that moves a body's point, and the pose of the point's frame on it."""
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
         return frame.parentJoint, frame.placement
@@ -121,10 +123,10 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Indices of the outermost joints that may be held while the others meet a pose.
+    """Indices of the outermost joints that may be fixed while the others reach a pose.
 
     Raises:
-        DescriptionError: There are none with which they do.
+        DescriptionError: No such joints exist.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(_FREE_TRIALS)]
@@ -137,10 +139,11 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
 
 PEAK = 100.0  # [-] largest mean reachability over a shell around the mount: the paper's C
 FINE_SAMPLES, FINE_SPACING = 200_000, 0.05
-"""[-] joint positions and [m] the lattice of `dbb reach`: seconds, and A to about a hundredth."""
+"""[-] joint positions and [m] lattice of `dbb reach`: takes seconds, with A to about 1 %."""
 
 _ORIENTATIONS = {6: 8 * np.pi**2, 5: 4 * np.pi, 3: 1.0}
-"""[-] volume of the orientations of a pose of so many numbers: all, directions, none."""
+"""[-] volume of the orientations of a pose with that number of coordinates: all, directions,
+none."""
 
 
 @dataclass(frozen=True)
@@ -150,22 +153,22 @@ class ReachMap:
     body: str
     points: Array
     """(N, 3) [m] positions in the base's frame: of the end-effector for the body that carries it,
-    else of the middle of the body's first shape."""
+    otherwise of the centre of the body's first shape."""
     found: Array
     """(N,) [-] mean number of solutions of a pose there, within the joint limits and without
-    self-collision, over random orientations and held joints."""
+    self-collision, over random orientations and fixed joints."""
     samples: int
-    """Joint positions that it was made of."""
+    """Number of joint positions."""
     reach: Array
-    """(N,) [-] the same, scaled so that its mean over the best shell is 100."""
+    """(N,) [-] the density, scaled so that its mean over the best shell is 100."""
     p_base: Array
     """(3,) [m] the arm's mount in the base's frame."""
     spacing_m: float
-    """[m] of the lattice."""
+    """[m] spacing of the lattice."""
     seed: int
-    """Of the joint positions."""
+    """Seed of the joint positions."""
     free_joints: tuple[str, ...]
-    """Joints held at random, as the arm has more than the pose has numbers."""
+    """Joints fixed at random positions, because the arm has more than the pose has coordinates."""
 
     @property
     def rho(self) -> Array:
@@ -178,8 +181,8 @@ def sample_reach_map(
 ) -> ReachMap:
     """The density of solutions of a body's pose over the arm's whole workspace.
 
-    Positions stand on a lattice of some spacing [m] in a ball around the mount that the arm cannot
-    leave. J, of the area formula, is that of the joints that are not held.
+    Positions form a lattice with a spacing [m] in a ball around the mount that contains the whole
+    workspace. J, of the area formula, is that of the joints that are not fixed.
 
     Raises:
         ConfigError: Fewer than three joints move the body.
@@ -221,7 +224,7 @@ def sample_reach_map(
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """A, B, C of (9) for a map, where it is above a share of its peak; see `fit_parabola`.
+    """A, B, C of (9) for a map, above a share of its peak; see `fit_parabola`.
 
     Raises:
         DescriptionError: The map does not rise and fall with the distance from the mount.
@@ -241,7 +244,7 @@ def lattice(radius: float, spacing: float) -> Array:
 
 
 class _SelfClearance:
-    """Whether the bodies up to the chain's own, the mobile robot included, keep apart."""
+    """Whether the bodies up to the chain's own, including the mobile robot, are free of contact."""
 
     def __init__(self, model: RobotModel, chain: Chain) -> None:
         names = model.body_names

@@ -1,6 +1,6 @@
 """Sampling of P_i for all pairs of L_m: random joints first, then a flood, sector by sector.
 
-Either stage is made of jobs for worker processes.
+Both stages consist of jobs for worker processes.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ def sample_clouds(
     processes: int | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Cloud]:
-    """P_i of Algorithm 1 for each pair: closest points on the arm's body, one a voxel.
+    """P_i of Algorithm 1 for each pair: closest points on the arm's body, one per voxel.
 
-    Random sampling alone leaves the base's sides almost empty. From every pose found, the flood
+    Random sampling alone leaves the base's sides almost empty. From every known pose, the flood
     steps to the voxels beside its point. Only the joint limits and the pair's own distance restrict
-    the poses. The same seed gives the same points on any number of processes, all cores if not
-    given. `progress` draws a bar on stderr; `on_progress` is called with the share that is done.
+    the poses. The same seed gives the same points on any number of processes; default: all cores.
+    `progress` draws a bar on stderr; `on_progress` takes the share that is done.
 
     Returns:
         By the name of the pair.
@@ -64,12 +64,12 @@ class _Sampler:
         self._voxels, self._config = context.voxels, context.config
         self._workers, self._on_progress = workers, on_progress
         self._flood = _SEED_JOBS / (_SEED_JOBS + context.config.sectors)
-        """[-] of the work, the share after which the flood begins."""
+        """[-] share of the work after which the flood starts."""
 
     def run(
         self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
     ) -> dict[str, Cloud]:
-        """All stages; rounds after the first, which are short, start at the seams of sectors."""
+        """All stages; the short rounds after the first start at the seams of sectors."""
         found = self._starts(pairs, seeds)
         kept = {pair: start.none() for pair, start in found.items()}
         tell = part_of(self._on_progress, self._flood, 1.0)
@@ -105,12 +105,12 @@ class _Sampler:
     def _sector_jobs(
         self, pair: Pair, seed: np.random.SeedSequence, given: Kept, kept: Kept
     ) -> list[SectorJob]:
-        """One job for each sector into which a pose leads; later on only poses of other sectors."""
+        """One job for each sector with a pose; later rounds use only poses of other sectors."""
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
         free[taken] = False
         sectors = self._voxels.leads_to(given.points, free)
-        if len(taken):  # a sector has done what it could from its own poses
+        if len(taken):  # a sector has already used its own poses
             home = self._voxels.sectors(self._voxels.keys(self._voxels.cells(given.points)))
             sectors[sectors == home[:, None]] = -1
         owner = self._voxels.sectors(taken)
@@ -124,14 +124,14 @@ class _Sampler:
 
 
 class Kept(NamedTuple):
-    """What is known of one pair: poses (N, n_m), their points (N, 3) and distances (N,)."""
+    """Known poses (N, n_m) of one pair, their points (N, 3) and distances (N,)."""
 
     q_m: Array
     points: Array
     distances: Array
 
     def none(self) -> Kept:
-        """The same without any row."""
+        """An empty one of the same shapes."""
         return Kept(*(column[:0] for column in self))
 
     def plus(self, more: Kept) -> Kept:
@@ -140,7 +140,7 @@ class Kept(NamedTuple):
 
 
 class Context:
-    """What the jobs of one process share."""
+    """The data that the jobs of one process share."""
 
     def __init__(self, description: RobotDescription, config: SamplingConfig) -> None:
         self.model = RobotModel(description)
@@ -156,7 +156,7 @@ class Context:
 
 
 class SeedJob(NamedTuple):
-    """Random sampling of the joints; gives the poses in the shell."""
+    """Random sampling of the joints for poses in the shell."""
 
     pair: Pair
     seed: np.random.SeedSequence
@@ -168,16 +168,16 @@ class SectorJob(NamedTuple):
 
     pair: Pair
     seed: np.random.SeedSequence
-    """Of the sector's random numbers."""
+    """Seed of the sector."""
     sector: int
     sources: Array
-    """(N, n_m) float32, poses to start from."""
+    """(N, n_m) float32, starting poses."""
     taken: Array
-    """(M,) numbers of its voxels that are filled already."""
+    """(M,) indices of its filled voxels."""
 
 
 def sample_shell(context: Context, job: SeedJob) -> Kept:
-    """Random poses whose points lie in the shell around l_m."""
+    """Random poses whose points are in the shell around l_m."""
     rng = np.random.default_rng(job.seed)
     q_m = sample_joints(context.model, job.count, rng)
     seen = PairReader(context.model, job.pair).witnesses(q_m)
@@ -190,7 +190,7 @@ def sample_shell(context: Context, job: SeedJob) -> Kept:
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Poses that fill the voxels of a sector; d_m is measured anew at the points as kept."""
+    """Poses that fill the voxels of a sector; d_m is measured again at the rounded points."""
     model, config = context.model, context.config
     wanted = context.voxels.sector_mask(job.sector)
     wanted[job.taken] = False

@@ -1,7 +1,7 @@
 """§2.3, (9) to (11): the score of a point near the base, from base and arm.
 
-Points stand in the base's frame: origin on the floor under the base's centre, x forward. The
-coefficients of (9) are those that fit a reachability map best (§2.3.2), over its means in shells.
+Points are in the base's frame: origin on the floor under the base's centre, x forward. The
+coefficients of (9) are a least-squares fit to a reachability map (§2.3.2), to its means in shells.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.strict import Array
 
-FLOOR = 0.05  # [-] share of C below which the reachability of (9) is bent to stay positive
+FLOOR = 0.05  # [-] share of C below which the reachability of (9) is modified to stay positive
 SHELL = 0.05  # [m] thickness of a shell
 ROUNDING = 1e-6
-"""[-] share of a shell's thickness below which a distance counts as its inner border."""
+"""[-] tolerance of a shell's inner border, relative to its thickness."""
 _FEWEST = 20  # [-] values that a shell needs before its mean can be the peak
 
 
@@ -30,7 +30,7 @@ class ScoreField:
     """The score for one robot and one of its bodies; points are (…, 3) [m]."""
 
     base: BaseKind
-    """What stands in for the determinant of (7), with its sign."""
+    """The base's measure in place of the determinant of (7), with its sign."""
     p_base: Array
     """(3,) [m] of (9), the arm's mount."""
     A: float
@@ -56,23 +56,25 @@ class ScoreField:
         return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7), or what stands in for it; without a sign."""
+        """(…) det(J_c J_cᵀ) of (7), or the base's measure in its place; without a sign."""
         return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
-        """(…) [-] R, how many ways the arm has to reach a point, by the distance from its mount.
+        """(…) [-] R, the density of joint positions that reach a point, by its distance from the
+        mount.
 
         Paper: Eq. (9).
-        Departs from the print: (9) turns negative far from B and would turn the score's sign. Below
-        R_1 = 0.05 C it goes on as R_1² / (2 R_1 − R), with the same value and slope at R_1:
-        positive everywhere, and its gradient never vanishes.
+        Departs from the print: (9) is negative far from B and would change the score's sign. Below
+        R_1 = 0.05 C it continues as R_1² / (2 R_1 − R), with the same value and slope at R_1:
+        positive everywhere, with a gradient that never vanishes.
         """
         return self._fields(p)[..., 0]
 
     def score(self, p: Array) -> Array:
-        """(…) [unit of the base's measure; m⁴/rad⁴ of a differential one] S, the sign with it.
+        """(…) [unit of the base's measure; m⁴/rad⁴ of a differential one] S, with its sign.
 
-        Positive where the base moves the point well; for the paper's base in front of the axis.
+        It is positive where the base moves the point well; for the paper's base in front of the
+        axis.
 
         Paper: Eq. (10).
         Paper: Eq. (11).
@@ -84,7 +86,7 @@ class ScoreField:
         return self._fields(p)[..., 2:]
 
     def coefficients(self) -> Array:
-        """(9,) what `score_at` takes: the base's measure and its unit, p_base, A, B and C."""
+        """(9,) the argument of `score_at`: the base's measure and its unit, p_base, A, B and C."""
         constant, per_square_metre = self.base.measure
         unit = self.base.score_unit
         return np.array(
@@ -108,7 +110,7 @@ Measure = tuple[float, float, float]
 def _field(
     p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, float, float, float, float]:
-    """R, S and ∇S at a point; at the mount itself the distance has no direction: R adds nothing."""
+    """R, S and ∇S at a point; at the mount the gradient of R is undefined and counts as 0."""
     x, y, z = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
     rho, R_1 = math.sqrt(x * x + y * y + z * z), FLOOR * C
     R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)
@@ -147,14 +149,14 @@ class RadialProfile:
     rho_m: Array
     """(K,) [m] middle of each shell."""
     mean: Array
-    """(K,) mean of the values in it, not a number where there is none."""
+    """(K,) mean of the values in each shell, NaN without values."""
     spread: Array
-    """(K,) standard deviation of the values in it."""
+    """(K,) standard deviation of the values in each shell."""
     count: Array
-    """(K,) number of values in it."""
+    """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """The shell with the largest mean; shells of few values do not compete.
+        """The shell with the largest mean, among those with enough values.
 
         Raises:
             ValueError: No shell has enough values.
@@ -165,7 +167,7 @@ class RadialProfile:
         return int(np.argmax(np.where(enough & (self.count > 0), self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """[m] the unbroken run of shells around the peak whose mean is at least a share of its."""
+        """[m] the uninterrupted run of shells around the peak above a share of its mean."""
         first = last = self.peak()
         good = self.mean >= share * self.mean[first]
         while first > 0 and good[first - 1]:
@@ -178,7 +180,7 @@ class RadialProfile:
 
 def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProfile:
     """Means of values (N,) at distances rho (N,) [m] from the mount, over shells [m] thick."""
-    # Positions of a lattice may stand on the border of two shells: rounding must not decide.
+    # Positions of a lattice may be on the border of two shells: rounding must not decide.
     index = np.floor(np.asarray(rho) / shell + ROUNDING).astype(int)
     size = int(index.max(initial=-1)) + 1
     count = np.bincount(index, minlength=size)
@@ -189,7 +191,7 @@ def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProf
 
 
 class ReachFit(NamedTuple):
-    """A, B, C of (9) and how well they describe the map."""
+    """A, B, C of (9) and the quality of the fit."""
 
     A_per_m2: float
     """[1/m²] of (9), the curvature."""
@@ -198,17 +200,17 @@ class ReachFit(NamedTuple):
     C: float
     """[-] of (9), the best reach."""
     r_squared: float
-    """Share of the variance that (9) explains, of the means over shells of ρ, each weighted by its
-    positions."""
+    """Share of the variance of the means over shells of ρ that (9) explains, each mean weighted by
+    its number of positions."""
     rms: float
-    """Root mean square of what is left of those means, in units of the reachability."""
+    """Root mean square of the residuals of those means, in units of the reachability."""
     r_squared_positions: float
-    """The same share for the single positions, whose values scatter by the counting and by
-    direction, which (9) does not know."""
+    """The same share for single positions, which scatter by the counting and by direction, which
+    (9) does not include."""
     rho_min_m: float
-    """[m] the least distance fitted."""
+    """[m] the smallest fitted distance."""
     rho_max_m: float
-    """[m] the largest."""
+    """[m] the largest fitted distance."""
     points: int
     """Positions fitted."""
 
@@ -218,13 +220,12 @@ class ReachFit(NamedTuple):
 
 
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
-    """Ordinary least squares of (9), each value counting the same.
+    """Ordinary least squares of (9) with equal weights.
 
     Paper: Eq. (9).
-    It is fitted where it is meaningful: over the unbroken range of distances around the peak in
-    which the mean is at least a share [-] of the peak's: 0.05, below which
-    `ScoreField.reachability` bends (9), unless another is asked for. The values (N,) [-] at
-    distances rho (N,) [m] from the arm's mount include those of zero.
+    The fit covers the uninterrupted range of distances around the peak with means of at least a
+    share [-] of the peak. The default is 0.05, where `ScoreField.reachability` starts to modify
+    (9). The values (N,) [-] at distances rho (N,) [m] from the arm's mount include those of zero.
 
     Raises:
         ValueError: There are too few values, or they are not concave.

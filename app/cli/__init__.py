@@ -1,4 +1,4 @@
-"""The console command `dbb`: a typed function each subcommand, of which tyro makes its options."""
+"""The console command `dbb`: one typed function for each subcommand; tyro makes its options."""
 
 from app.cli.main import console, main
 

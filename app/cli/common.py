@@ -1,4 +1,4 @@
-"""What the subcommands load and how they print."""
+"""Loading and printing that the subcommands share."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def load_model(robot: str) -> RobotModel:
     """The compiled model of a robot by its name."""
-    # Imported here: it takes longer than to find a mistake in what was asked.
+    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -34,22 +34,22 @@ def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
 
 
 def say(text: str) -> None:
-    """A line on standard error: standard output belongs to the results."""
+    """Print a line on standard error, because standard output is for the results."""
     print(printable(f"… {text}"), file=sys.stderr, flush=True)
 
 
 def show(text: str) -> None:
-    """Print a line; its text may come from a stranger."""
+    """Print a line whose text may come from an untrusted source."""
     print(printable(text))
 
 
 def print_json(result: object) -> None:
-    """One JSON object on standard output."""
+    """Print one JSON object on standard output."""
     sys.stdout.write(as_json(result))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
-    """A command's figures: one JSON object, or the same for people, a line a figure."""
+    """Print a command's figures: as one JSON object, or for people, one figure per line."""
     print_json(result) if json else _print_lines(result)
 
 
@@ -64,14 +64,14 @@ def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
 
 
 def as_json(result: object) -> str:
-    """The text of one JSON object, with a line's end."""
+    """The text of one JSON object with a final line break."""
     return json.dumps(result, indent=2, allow_nan=False) + "\n"
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """A table of plain texts on standard output, as wide whatever the terminal is."""
+    """Print a table of plain texts on standard output, independent of the terminal's width."""
     from rich.console import Console
-    from rich.markup import escape  # else a unit such as [m] is taken for a style
+    from rich.markup import escape  # otherwise a unit such as [m] is read as a style
     from rich.table import Table
 
     table = Table(*map(escape, head), title=escape(title) or None)
@@ -81,7 +81,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
 
 def print_part(part: Part) -> None:
-    """What a part of a report's page says, on standard output."""
+    """Print the text of a part of a report's page on standard output."""
     for text in part.text:
         show(text)
     for grid in part.tables:

@@ -1,4 +1,4 @@
-"""Entry point: subcommands, and errors as one clear line with a status that is not zero."""
+"""Entry point: subcommands, and errors as one line with a nonzero status."""
 
 import ast
 import atexit
@@ -34,15 +34,15 @@ COMMANDS = {
     "Many runs": {"reproduce": "many", "sweep": "many", "study": "many"},
     "Robots": {"robots": "robots", "new-robot": "robots", "check-robot": "robots"},
 }
-"""The commands, by what they are about, and the module in which each stands as a function."""
+"""The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
 def console() -> NoReturn:
-    """Run the command line as a process, which ends as soon as its work has ended.
+    """Run the command line as a process that ends as soon as its work has ended.
 
-    The interpreter would free object by object first, for up to a second in which no signal counts.
+    The interpreter would first free all objects, for up to a second without response to signals.
     """
     status = 0
     try:
@@ -52,15 +52,15 @@ def console() -> NoReturn:
     except BaseException as defect:
         sys.excepthook(type(defect), defect, defect.__traceback__)
         status = 1
-    atexit._run_exitfuncs()  # as multiprocessing's processes do
+    atexit._run_exitfuncs()  # as in multiprocessing's processes
     for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):  # whoever read it has gone
+        with suppress(OSError):  # the reader has closed the pipe
             stream.flush()
     os._exit(status)
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command line; ends the process with status 0 only if it did what was asked."""
+    """Run the command line; the status of the process is 0 only if the command succeeded."""
     open_standard_files()
     find_folders()
     logging.basicConfig(level=logging.INFO, stream=sys.stderr)
@@ -77,13 +77,13 @@ def main(args: list[str] | None = None) -> None:
         print(f"dbb: error: too little memory: {error}", file=sys.stderr)
         sys.exit(2)
     except ImportError as error:
-        if not str(error.path).endswith(".so"):  # a mistake in this program
+        if not str(error.path).endswith(".so"):  # an error of this program
             raise
         print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still held
-        if error.errno == errno.EPIPE:  # whoever read the results has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for buffered output
+        if error.errno == errno.EPIPE:  # the reader has ended, such as `head`
             sys.exit(1)
         where = "" if error.filename is None else f"{error.filename}: "
         print(f"dbb: error: {where}{error.strerror or error}", file=sys.stderr)
@@ -94,7 +94,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 class _Plain(logging.Formatter):
-    """Formats log records, whose text may come from a stranger."""
+    """Formats log records whose text may come from an untrusted source."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The text of a record, safe for a terminal."""
@@ -114,7 +114,7 @@ def _run(words: list[str]) -> None:
 
 
 def _run_command(name: str, *words: str) -> None:
-    """Import the command that is asked for, and what it needs; nothing else is imported."""
+    """Import the named command and its dependencies, but no other command."""
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
@@ -132,7 +132,7 @@ def _run_command(name: str, *words: str) -> None:
 
 
 def overview() -> str:
-    """All commands, one line each, read from their source: to import them all takes long."""
+    """All commands, one line each, read from their source because importing all takes long."""
     lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version", _ABOUT]
     for title, commands in COMMANDS.items():
         lines.append(f"{title}:")

@@ -1,4 +1,4 @@
-"""`dbb reproduce`, `sweep` and `study`: many runs, of the paper, from everywhere, or at random."""
+"""`dbb reproduce`, `sweep` and `study`: the paper's runs, runs from all sides, random runs."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
 _OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
-_MOST_CASES = 10_000_000
+_MAX_CASES = 10_000_000
 
 
 def reproduce(
@@ -29,15 +29,16 @@ def reproduce(
     processes: options.Processes = None,
     json: options.Json = False,
 ) -> None:
-    """Run the paper's experiments, draw its figures, judge its claims.
+    """Run the paper's experiments, draw its figures, check its claims.
 
     Args:
-        figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity for §4.3, or departures;
-            all if none is named.
-        out: Folder for a PNG and CSVs a figure, `metrics.json` and `index.html`.
-        seed: Seed of everything random in the runs.
+        figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity for §4.3, or
+            departures;
+            default: all.
+        out: Folder for one PNG and CSVs per figure, `metrics.json` and `index.html`.
+        seed: Seed of all random numbers of the runs.
     """
-    # Imported here: matplotlib and scipy would make every other command start later.
+    # Imported here: matplotlib and scipy would delay the start of every other command.
     from app.studies.paper import report
 
     names = report.chosen(figures)
@@ -74,11 +75,11 @@ def sweep(
     out: Path = Path("out/sweep"),
     json: options.Json = False,
 ) -> None:
-    """Lead the hand at the base from all around, as a polar map.
+    """Move the end-effector towards the base from all sides, and draw a polar map.
 
-    Each path begins at a clear posture with the arm at the same
-    distance from the base, and leads straight towards the base's centre. Directions without such a
-    posture are listed as unreachable. Paths along the wheel axis begin with the arm's closest point
+    Each path starts in a clear posture with the same distance between arm and base, and leads
+    straight towards the base's centre. Directions without such a posture are listed as unreachable.
+    Paths along the wheel axis start with the arm's closest point
     at x = 0, ±1, ±10 and ±50 mm.
 
     Args:
@@ -95,7 +96,7 @@ def sweep(
     made = SweepPlan(**plan, config=tuned)
     options.check_seed(made.seed)
     side_by_side = options.check_processes(processes)
-    # Imported here: matplotlib and scipy would make every other command start later.
+    # Imported here: matplotlib and scipy would delay the start of every other command.
     from app.robot.description import load_robot
 
     load_robot(made.robot)
@@ -122,7 +123,7 @@ def _print_sweep(result: dict[str, Any], out: Path) -> None:
             if s["runs"]:
                 print(
                     f"  largest final error {1000 * s['ee_error_final_max_m']:.3g} mm, "
-                    f"least clearance {s['min_clearance_m']:.3f} m, "
+                    f"smallest clearance {s['min_clearance_m']:.3f} m, "
                     f"{s['runs_with_contact']} with contact, {s['solver_failures']} solver failures"
                 )
     for row in result["unreachable"]:
@@ -145,24 +146,25 @@ def study(
     out: Path = Path("out/study"),
     json: options.Json = False,
 ) -> None:
-    """Pull the hand at the base by the thousand, at random.
+    """Pull the end-effector towards the base in thousands of random cases.
 
-    From all around, with noise, delay, slip and a wrong model. Weak and strong, soft and stiff,
-    light and heavy hands pull; some let go on the way, and some of those take hold again. Each case
-    is kept as soon as it is done: a study that was ended goes on where it was when it is called
-    again with the same options, and more cases than before are added to it.
+    The pulls come from all sides, with noise, delay, slip and a wrong model. Hands are weak or
+    strong, soft or stiff, light or heavy; some release the end-effector on the way, and some of
+    those take hold again. Each finished case is stored. After an interruption the same command
+    continues the study, and a larger number of cases extends it.
 
     Args:
-        cases: How many.
-        scheduler: Address of a running dask scheduler, whose workers have this project installed;
-            by default processes on this machine.
+        cases: Number of cases.
+        scheduler: Address of a running dask scheduler, whose workers have this project
+            installed;
+            default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
-    check_range("--cases", cases, 1, _MOST_CASES)
+    check_range("--cases", cases, 1, _MAX_CASES)
     chosen = asdict(options.Setup(**setup))
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
     side_by_side = options.check_processes(processes)
-    # Imported here: it takes longer than to find a mistake in what was asked.
+    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
 
     load_robot(parameters.robot)
@@ -181,7 +183,7 @@ def study(
     if json:
         print_json(result)
         return
-    # Imported here: matplotlib is not needed before all cases are done.
+    # Imported here: matplotlib is needed only when all cases are done.
     from app.studies.pulls.report import outcome
 
     for part in outcome(result):
@@ -191,7 +193,7 @@ def study(
 
 @contextmanager
 def _kept(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
-    """A progress bar that says, when it is interrupted, what is kept and how it goes on."""
+    """A progress bar; after an interruption it reports the stored cases and how to continue."""
     kept = 0.0
 
     def count(done: float) -> None:
@@ -204,7 +206,7 @@ def _kept(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
             yield count
     except KeyboardInterrupt:
         print(
-            f"{kept:g} of {cases} cases are kept in {out}; the same command goes on with the rest",
+            f"{kept:g} of {cases} cases are stored in {out}; the same command continues the study",
             file=sys.stderr,
         )
         raise

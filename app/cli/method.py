@@ -1,4 +1,4 @@
-"""`dbb pairs`, `border`, `reach`, `config` and `bench`: what the method makes, takes and costs."""
+"""`dbb pairs`, `border`, `reach`, `config` and `bench`: parts of the method by themselves."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
-_MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
+_MAX_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
 
@@ -37,7 +37,7 @@ def pairs(
         samples: Number of joint positions.
         seed: Seed of the sampling.
     """
-    check_range("--samples", samples, 1, _MOST_SAMPLES)
+    check_range("--samples", samples, 1, _MAX_SAMPLES)
     options.check_seed(seed)
     from app.robot.link_pairs import find_link_pairs
 
@@ -71,12 +71,12 @@ def border(
     Args:
         robot: Name of the robot; `dbb robots` lists them.
         out: Folder for one CSV of the border's points per pair (base frame, metres).
-        seed: Seed of the sampling; another one is another cloud.
+        seed: Seed of the sampling; another seed gives another cloud.
     """
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
     options.make_folder(out)
-    # Imported here: it takes longer than to find a mistake in what was asked.
+    # Imported here, because the import takes longer than finding an error in the options.
     import numpy as np
 
     from app.border.cache import load_border_data
@@ -142,18 +142,19 @@ def reach(
 ) -> None:
     """Count the arm's reachability and fit (9) to it (§2.3.2).
 
-    Positions stand on a lattice around the arm's mount. For the hand, p is the end-effector's
-    origin and the pose is its whole pose; for another body, p is the middle of its first shape and
+    Positions form a lattice around the arm's mount. For the body lEE, p is the end-effector's
+    origin and the pose is its full pose. For another body, p is the centre of its first shape and
     the pose is that point with the direction of its axis. The density of a pose's solutions within
     the joint limits and without self-collision follows from random joint positions: by the area
-    formula it is |det J| over what leads there. R is scaled so that its mean over the best shell of
-    ρ = ‖p − p_base‖ is 100; (9) is fitted where that mean is at least 5. The paper leaves the
-    end-effector's frame, the scale and the range of the fit open; A depends on them.
+    formula it is the sum of |det J| over the joint positions that lead there. R is scaled so that
+    its mean over the best shell of ρ = ‖p − p_base‖ is 100; (9) is fitted where that mean is at
+    least 5. The paper leaves the end-effector's frame, the scale and the range of the fit open; A
+    depends on them.
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-        body: lEE, l3 or another body that at least three joints move; all for each of those.
-        seed: Seed of the joint positions; another one is another map.
+        body: lEE, l3 or another body that at least three joints move; `all` for each of those.
+        seed: Seed of the joint positions; another seed gives another map.
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
     """
     from app.border.reach import (
@@ -224,13 +225,13 @@ def config(
     robot: str = "husky_panda",
     json: options.Json = False,
 ) -> None:
-    """Print all parameters as a file that --config takes.
+    """Print all parameters, as a file for --config.
 
-    Each with its unit, range and meaning.
+    Each has its unit, range and meaning.
 
     Args:
-        out: File to write instead of printing; one that exists is not written over.
-        robot: Whose defaults stand where no file says otherwise; `dbb robots` lists them.
+        out: File to write instead of printing; an existing file is not overwritten.
+        robot: Robot whose defaults apply without a file; `dbb robots` lists them.
     """
     tuned = options.configured(robot, config)
     if out is not None:
@@ -256,14 +257,14 @@ def bench(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Time the control step along recorded hand paths, stage by stage.
+    """Time the control step along recorded paths of the end-effector, stage by stage.
 
-    Times depend on the machine and on what else it does; ratios within one run count.
+    Durations depend on the machine and its other work; compare only ratios within one run.
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-        no_border: Leave out the sampling of a border from nothing, which takes half a minute.
-        seed: Of the plant and of the synthetic borders.
+        no_border: Leave out the sampling of a new border, which takes half a minute.
+        seed: Seed of the plant and of the synthetic borders.
     """
     options.check_seed(seed)
     try:

@@ -15,10 +15,10 @@ from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
-from app.strict import MOST_SEEDS, check_range
+from app.strict import MAX_SEEDS, check_range
 from app.system import begun_folder, is_no_file, own_path, usable_cores
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # given or not
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # present or absent
 Json = Annotated[
     Flag,
     tyro.conf.arg(name="json", help="Print one JSON object, nothing else.", help_behavior_hint=""),
@@ -26,21 +26,21 @@ Json = Annotated[
 ConfigOption = Annotated[
     Path | None,
     tyro.conf.arg(
-        help="File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in "
-        "it is at the robot's default, and other options come before it.",
+        help="TOML file of parameters, as written by `dbb config` or the dashboard; parameters "
+        "that are not in it have the robot's defaults, and other options override it.",
         help_behavior_hint="",
     ),
 ]
 Processes = Annotated[
     int | None,
     tyro.conf.arg(
-        help="How many to do side by side.",
-        help_behavior_hint="(default: 2, or as many as there are cores)",
+        help="Number of parallel processes.",
+        help_behavior_hint="(default: 2, or 1 on a single core)",
     ),
 ]
 
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
-"""Of an option whose default is None, as its help says."""
+"""Option whose default is None and whose help states the effective default."""
 
 FORMERLY = {
     "--delay": "--base-delay",
@@ -49,14 +49,14 @@ FORMERLY = {
     "--strength": "--hand-f-max",
     "--replay-case": "--case",
 }
-"""Former spellings of options, which go on working."""
+"""Former names of options, which still work."""
 _REPEATED = {"--allow-host"}
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
-"""Options that set one parameter, by its path."""
+"""Options that set one parameter each, by its path."""
 
-_MOST_PROCESSES = 64
-_USUAL_PROCESSES = 2  # more are possible, but each needs 0.5 GB
+_MAX_PROCESSES = 64
+_USUAL_PROCESSES = 2  # each more needs 0.5 GB
 
 
 @dataclass(frozen=True)
@@ -66,23 +66,23 @@ class Setup:
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists them."""
     controller: str = "dbb"
-    """dbb, hqp (the controller that the paper prints; a slower step), one it is compared
-    with (repulsive, barrier), or none: the stack without avoidance."""
+    """dbb, hqp (the paper's controller as printed; slower), a compared method
+    (repulsive, barrier), or none: the same controller without avoidance."""
     physics: str = field(default_factory=default_plant)
     """planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo), mujoco-contact
     (MuJoCo, base on its own wheels) or kinematic (a stand-in without physics)."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
-        """Refuse names that do not exist, before anything is loaded."""
+        """Refuse names that do not exist before anything is loaded."""
         check_name("controller", self.controller, CONTROLLERS)
         object.__setattr__(self, "physics", chosen_plant(self.physics))
         check_seed(self.seed)
 
 
 def parameter_options(paths: Mapping[str, str]) -> Any:
-    """What `Annotated[Given, …]` needs for options that set a parameter each, by their names."""
+    """The content of `Annotated[Given, …]` for options that set one parameter each, by name."""
     found = {}
     for name, path in paths.items():
         about = tunable(path)
@@ -105,15 +105,15 @@ def configured(
     given: Given | None = None,
     paths: Mapping[str, str] = PARAMETERS,
 ) -> Config:
-    """The robot's defaults, then the parameters of the file of `--config`, then of the options.
+    """The robot's defaults, overridden by the file of `--config`, then by the options.
 
     Raises:
-        ConfigError: It cannot be read, names what is no parameter, or something is out of range.
-        DbbError: There is no such robot, or its description does not hold.
+        ConfigError: The file cannot be read, has an unknown parameter, or a value out of range.
+        DbbError: The robot does not exist, or its description is invalid.
     """
     asked = partial(_configured, file, given or {}, paths)
     asked(Config())
-    # Imported here: it takes longer than to find a mistake in what was asked.
+    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
 
     return asked(load_robot(robot).config)
@@ -128,10 +128,10 @@ def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:
-    """Names by which browsers may reach a server, from the file of `--config`.
+    """Names under which browsers may reach a server, from the file of `--config`.
 
     Raises:
-        ConfigError: It cannot be read.
+        ConfigError: The file cannot be read.
     """
     try:
         return () if file is None else read_config(file).hosts
@@ -140,11 +140,11 @@ def hosts_of(file: Path | None) -> tuple[str, ...]:
 
 
 def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:
-    """A configuration with the parameters of some options.
+    """A configuration with the parameters of the options that were set.
 
     Raises:
-        ConfigError: Names the option that is out of its range, and the range.
-        UnknownNameError: A word that is none of the choices.
+        ConfigError: A value is out of range; names the option and the range.
+        UnknownNameError: A word is not one of the choices.
     """
     for name, value in given.items():
         about = tunable(paths[name])
@@ -157,30 +157,30 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a seed that no generator takes.
+    """Refuse a seed that not every generator accepts.
 
     Raises:
-        ConfigError: Says what is possible.
+        ConfigError: Names the valid range.
     """
-    check_range("--seed", seed, 0, MOST_SEEDS)
+    check_range("--seed", seed, 0, MAX_SEEDS)
 
 
 def check_processes(processes: int | None) -> int:
-    """How many processes to use: those asked for, else two, or as many as there are cores.
+    """The requested number of processes, or the default: two, or one on a single core.
 
     Raises:
-        ConfigError: Says what is possible.
+        ConfigError: Names the valid range.
     """
     if processes is not None:
-        check_range("--processes", processes, 1, _MOST_PROCESSES)
+        check_range("--processes", processes, 1, _MAX_PROCESSES)
     return processes or min(_USUAL_PROCESSES, usable_cores())
 
 
 def check_once(words: list[str]) -> None:
-    """Refuse an option that is given twice, of which only the last would count.
+    """Refuse an option that appears twice, because only the last would count.
 
     Raises:
-        ConfigError: Says how it is spelt.
+        ConfigError: Shows the correct form.
     """
     given: dict[str, list[list[str]]] = {}
     values: list[str] = []
@@ -195,13 +195,13 @@ def check_once(words: list[str]) -> None:
         if len(each) > 1:
             together = " ".join([name, *(value for values in each for value in values)])
             raise ConfigError(
-                f"{name} is given {len(each)} times; give it once, with several values where it "
+                f"{name} is given {len(each)} times; give it once, with several values if it "
                 f"takes them: {together}"
             )
 
 
 def together(words: Iterable[str]) -> list[str]:
-    """The words with all values of an option of `_REPEATED` behind one of it."""
+    """The words, with all values of each option of `_REPEATED` behind one occurrence of it."""
     rest: list[str] = []
     found: dict[str, list[str]] = {}
     into = rest
@@ -217,10 +217,10 @@ def together(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Refuse a file of the wrong ending or in a folder that cannot be written, before the work.
+    """Refuse, before the work, a file with a wrong ending or in a folder that is not writable.
 
     Raises:
-        OutputError: Names the option, and the endings or why the folder cannot be written.
+        OutputError: Names the option, and the valid endings or the problem of the folder.
     """
     if path is None:
         return
@@ -232,10 +232,10 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:
-    """Make the folder of an option and try to write there, before the work and not after it.
+    """Make the folder of an option and test that it is writable, before the work.
 
     Raises:
-        OutputError: It cannot be made or written to.
+        OutputError: The folder cannot be made or written to.
     """
     if out is None:
         return
@@ -251,6 +251,6 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
 
 
 def in_present_words(words: Iterable[str]) -> list[str]:
-    """Options as they are spelt now."""
+    """Options with former names replaced by present ones."""
     parted = (word.partition("=") for word in words)
     return ["".join((FORMERLY.get(name, name), sign, value)) for name, sign, value in parted]

@@ -16,12 +16,12 @@ import tyro
 from app.cli import options
 from app.cli.common import load_robot_and_border, print_json
 from app.cli.records import Given, from_record
-from app.cli.wanted import filmed, is_case, trace_of, wanted
+from app.cli.run_spec import filmed, is_case, spec_named, trace_of
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
 from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.strict import check_range
 from app.system import write_whole
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from app.simulation.trace.snapshot import Snapshot
 
-_MOST_PICTURES = 12
+_MAX_PICTURES = 12
 Place = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
 
@@ -44,18 +44,18 @@ def screenshot(
     config: options.ConfigOption = None,
     json: options.Json = False,
 ) -> None:
-    """Draw a scenario at some times, in a browser that nobody sees.
+    """Draw instants of a scenario, in a browser without a display.
 
     Args:
-        scenario: As for `dbb run`, or the file of a case, JSON.
-        at: [s] into the scenario; several (--at 0 3 6) make a strip, side by side with their times.
+        scenario: A scenario of `dbb run`, or the JSON file of a case.
+        at: [s] into the scenario; several (--at 0 3 6) make a strip of pictures with their times.
         out: The picture, PNG.
     """
     is_case(scenario)
     look = Look(**picture)
-    check_range("--at", len(at), 1, _MOST_PICTURES, "times")
+    check_range("--at", len(at), 1, _MAX_PICTURES, "times")
     options.check_file("--out", out, (".png",))
-    asked = wanted(scenario, setup, config)
+    asked = spec_named(scenario, setup, config)
     whole = _draw(asked, at, look)
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
@@ -76,14 +76,14 @@ def screenshot(
     print_json(told) if json else print(out)
 
 
-def _draw(asked: Planned, at: tuple[float, ...], look: Look) -> Image.Image:
-    # Imported here: viser and scipy would make every other command start later.
+def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
+    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.screenshot import strip, take_pictures
 
     for t in at:
         check_range("--at", t, 0.0, asked.scenario.duration, "s")
-    with chromium() as browser:  # first of all: without one the rest is in vain
+    with chromium() as browser:  # first, because everything else needs one
         model, data = load_robot_and_border(asked.robot)
         snapshots = filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
@@ -92,20 +92,20 @@ def _draw(asked: Planned, at: tuple[float, ...], look: Look) -> Image.Image:
 
 @dataclass(frozen=True)
 class Filming:
-    """How a film goes."""
+    """Options of a film."""
 
     rate: float = 25.0
     """[1/s] pictures."""
     speed: float = 1.0
-    """[-] of the film, 1 is as fast as it would be."""
+    """[-] playback speed; 1 is real time."""
     orbit: float = 0.0
-    """[deg/s] by which the camera turns around the robot."""
+    """[deg/s] rotation of the camera around the robot."""
     span: tuple[float, float] | None = None
-    """[s] of the scenario; all of it if not given."""
+    """[s] part of the scenario; default: all of it."""
     side_by_side: bool = False
-    """The controllers of --beside at the left, each in a picture of its own, not as ghosts."""
+    """Draw each controller of --beside in its own picture at the left, not as a ghost."""
     codec: str = ""
-    """h264 or h265 of .mp4, vp9 or vp8 of .webm; the first of them if none is given."""
+    """h264 or h265 for .mp4, vp9 or vp8 for .webm; default: the first of them."""
 
     def __post_init__(self) -> None:
         check_range("--rate", self.rate, 1.0, 60.0, "1/s")
@@ -129,13 +129,13 @@ def film(
     """Film a scenario without a display, picture by picture.
 
     Args:
-        scenario: As for `dbb run`, or the file of a case, JSON.
+        scenario: A scenario of `dbb run`, or the JSON file of a case.
         out: The film: .mp4, .webm, .webp (animated) or .gif.
-        beside: Other controllers, whose robots are seen as ghosts.
-        start: [m] where the hand starts, in the world, as in `dbb run`.
-        move: [m] how far the hand is led, in the world, as in `dbb run`.
+        beside: Other controllers, whose robots appear as ghosts.
+        start: [m] start of the end-effector, in the world, as in `dbb run`.
+        move: [m] displacement of the end-effector, in the world, as in `dbb run`.
     """
-    # Imported here: viser and scipy would make every other command start later.
+    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.offscreen import CODECS
 
     is_case(scenario)
@@ -148,7 +148,7 @@ def film(
         raise ConfigError("--side-by-side needs --beside CONTROLLER")
     codec = how.codec or next(iter(codecs))
     check_name(f"--codec of {out.suffix}", codec, codecs)
-    asked = wanted(scenario, setup, config)
+    asked = spec_named(scenario, setup, config)
     asked = asked._replace(scenario=asked.scenario.changed(start=start, move=move))
     told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     told |= _film(asked, beside, how, codec, look, out)
@@ -156,7 +156,7 @@ def film(
 
 
 def _film(
-    asked: Planned, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
+    asked: RunSpec, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import (
@@ -169,10 +169,10 @@ def _film(
     duration = asked.scenario.duration
     begin, end = how.span or (0.0, duration)
     check_range("--span", end, 0.0, duration, "s")
-    check_range("--span: the begin", begin, 0.0, end, "s")
+    check_range("--span: the start", begin, 0.0, end, "s")
     step = how.speed / how.rate
     times = [begin + k * step for k in range(1 + int((end - begin) / step + 1e-9))]
-    with chromium() as browser:  # first of all: without one the rest is in vain
+    with chromium() as browser:  # first, because everything else needs one
         model, data = load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
         found = [filmed(run, model, data, times) for run in runs]
@@ -211,15 +211,15 @@ def replay(
     looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
-    """Make one HTML file of a log that plays the run in any browser.
+    """Make one HTML file of a log that replays the run in any browser.
 
-    It needs no network.
+    The file needs no network.
 
     Args:
-        log: File that `dbb run --log` or `--out` wrote, or that of a case, JSON.
+        log: File of `dbb run --log` or `--out`, or the JSON file of a case.
         out: The HTML file.
     """
-    # Imported here: viser and pyarrow would make every other command start later.
+    # Imported here: viser and pyarrow would delay the start of every other command.
     from app.dashboard.export.offscreen import replay_html
 
     look = Look(**looks)
@@ -246,13 +246,13 @@ def report(
     out: Path = Path("out/report.html"),
     json: options.Json = False,
 ) -> None:
-    """Make one HTML file of a log: figures and key numbers.
+    """Make one HTML file of a log, with figures and key numbers.
 
     Args:
-        log: File that `dbb run --log` or `--out` wrote, or that of a case, JSON.
+        log: File of `dbb run --log` or `--out`, or the JSON file of a case.
         out: The HTML file.
     """
-    # Imported here: matplotlib and pyarrow would make every other command start later.
+    # Imported here: matplotlib and pyarrow would delay the start of every other command.
     from app.studies.run_report import key_numbers, run_report
 
     options.check_file("--out", out, (".html",))

@@ -1,4 +1,4 @@
-"""Options made from records: each field is an option, its docstring the help, its default shown."""
+"""Options made from records: a field is an option, its docstring the help, with its default."""
 
 import ast
 import inspect
@@ -13,7 +13,7 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-Given = dict[str, Any]  # what was given of a record's fields, by their names
+Given = dict[str, Any]  # values of a record's fields that the user set, by name
 
 _METAVARS = {
     "allow_host": "NAME",
@@ -46,14 +46,14 @@ def from_record(
     names: Mapping[str, str] | None = None,
     positional: str = "",
 ) -> Any:
-    """What `Annotated[Given, …]` needs for a command to have a record's fields as its options.
+    """The content of `Annotated[Given, …]` that makes a record's fields the options of a command.
 
     Args:
         record: A dataclass or pydantic record, or an instance whose values are the defaults.
-        only: Fields to take; all if None.
+        only: Fields to include; None for all.
         leave: Fields to leave out.
-        names: Options that are called otherwise than their field.
-        positional: The field that is given without its name.
+        names: Names of options that differ from the name of their field.
+        positional: The field whose value has no option name.
     """
     found = {
         name: each
@@ -66,7 +66,7 @@ def from_record(
 def from_fields(
     found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
 ) -> Any:
-    """The same for some fields; only what is given is in the dictionary."""
+    """As `from_record`, for some fields; the dictionary has only the options that were set."""
     kinds = {
         name: _option(name, each, (names or {}).get(name, name), positional == name)
         for name, each in found.items()
@@ -91,7 +91,7 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
 
 
 def _text(default: Any) -> str:
-    """A default as it would be typed."""
+    """A default as a user would type it."""
     if isinstance(default, tuple):
         return " ".join(map(_text, default))
     if isinstance(default, bool):
@@ -123,7 +123,7 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
 
 
 def _docs(cls: type) -> Iterator[tuple[str, str]]:
-    """The docstrings below the fields of a dataclass."""
+    """The docstrings of the fields of a dataclass."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -134,6 +134,6 @@ def _docs(cls: type) -> Iterator[tuple[str, str]]:
 
 
 def _given(kind: Any) -> Any:
-    """The type of what is given where a record may also have None."""
+    """The type of a set option if the record's field may also be None."""
     rest = [each for each in get_args(kind) if each is not NoneType]
     return rest[0] if len(rest) == 1 and NoneType in get_args(kind) else kind

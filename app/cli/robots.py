@@ -1,4 +1,4 @@
-"""`dbb robots`, `new-robot`, `check-robot`: those there are, one more, whether it holds."""
+"""`dbb robots`, `new-robot`, `check-robot`: list the robots, make a new one, check one."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 
 
 def robots(json: Json = False) -> None:
-    """List the described robots, and what is wrong with a broken one."""
-    # Imported here: it needs the readers of descriptions.
+    """List the described robots, and the error of each invalid description."""
+    # Imported here, because it needs the readers of descriptions.
     from app.robot.assets import absent_folders, robot_names
     from app.robot.description import load_robot
 
@@ -77,22 +77,22 @@ def check_robot(
     quick: Flag = False,
     json: Json = False,
 ) -> None:
-    """Check that a robot's description holds what it promises.
+    """Check that a robot's description agrees with the robot.
 
-    Both libraries, limits, bodies over meshes, pairs, border, a guiding run; warnings are shown.
-    Ends with status 0 only if no check fails.
+    Compares the libraries, and checks limits, bodies over meshes, pairs, border and a guiding run;
+    prints warnings. The status is 0 only if no check fails.
 
     Args:
         name: Name of the robot; `dbb robots` lists them.
-        runs: Guide the hand towards the base too, which takes longest.
-        quick: With the coarse border of `dbb new-robot --quick`.
+        runs: Guide the end-effector towards the base too, which takes longest.
+        quick: Use the coarse border of `dbb new-robot --quick`.
     """
     from app.border.config import QUICK
     from app.robot.description import load_robot
 
     config = options.configured(name, None, parameters, _OF_CHECK)
     description = load_robot(name).model_copy(update={"config": config})
-    # Imported here: it needs scipy, trimesh and the engines.
+    # Imported here, because it needs scipy, trimesh and the engines.
     from app.onboarding import check
 
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
@@ -119,22 +119,22 @@ def new_robot(
 
     Finds the wheels, groups the arm's links into bodies, fits convex shapes to them, samples the
     pairs, chooses a ready pose, counts the reachability, and writes each number with its source.
-    Nothing is written unless all of it is.
+    Writes either all files or none.
 
     Args:
-        quick: Sample a coarse border, in seconds; the first `serve` refines it meanwhile, another
-            command samples the whole one first, which takes minutes.
+        quick: Sample a coarse border in seconds. The first `serve` refines it in the
+            background; every other command first samples the full border, which takes minutes.
     """
     asked = Request(**request)
     check_request(asked)
-    # Imported here: it would make every other command start later.
+    # Imported here: the import would delay the start of every other command.
     from app.onboarding.read.source import locate
 
     for source in filter(None, (asked.urdf, asked.arm_urdf)):
-        locate(source)  # what is not there is told at once, before any process begins
+        locate(source)  # reports missing files before a process starts
     begin = perf_counter()
     with helpers() as workers, ExitStack() as step:
-        # Imported here: matplotlib, scipy and trimesh would make every other command start later.
+        # Imported here: matplotlib, scipy and trimesh would delay the start of every other command.
         from app.border.config import QUICK
         from app.onboarding.new_robot import finish
 
@@ -188,7 +188,7 @@ def _print_made(made: dict[str, Any]) -> None:
     if robot_folder(name).resolve() != Path(folder).resolve():
         own = f"$DBB_ROBOTS{os.pathsep}{Path(folder).resolve().parent}"
         show(f"  export DBB_ROBOTS={own}   so that dbb finds it")
-    show(f"  open {folder}/report.html, and look whether the bodies hold the links")
+    show(f"  open {folder}/report.html, and check that the bodies enclose the links")
     show(f"  dbb check-robot {name}")
     show(f"  dbb serve --robot {name}")
 

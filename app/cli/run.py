@@ -11,9 +11,9 @@ import tyro
 from app.cli import options
 from app.cli.common import as_json, load_robot_and_border, print_json, say
 from app.cli.records import Given, from_record
-from app.cli.wanted import check_no_others, of_case, planned, read, result_of
+from app.cli.run_spec import check_no_others, read, result_of, spec_of_case, spec_with
 from app.errors import ConfigError, check_name
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 from app.system import write_whole
@@ -28,15 +28,15 @@ _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
 
 @dataclass(frozen=True)
 class Files:
-    """Where the results of a run go."""
+    """Output files of a run."""
 
     out: Path | None = None
     """Folder for `log.csv` and `metrics.json`."""
     log: Path | None = None
-    """File ending in .csv or .parquet for 50 rows a second with all that the dashboard draws, which
-    `dbb report` and `dbb replay` take; or in .mcap for Foxglove, Rerun and other viewers."""
+    """File ending in .csv or .parquet for 50 rows per second with all displayed quantities, for
+    `dbb report` and `dbb replay`; or in .mcap for Foxglove, Rerun and other viewers."""
     ros: options.Flag = False
-    """Write messages of ROS 2 (CDR) into the .mcap file, as `ros2 bag play` takes them."""
+    """Write ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
 
     def __post_init__(self) -> None:
         options.make_folder(self.out)
@@ -52,7 +52,7 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """The scenario of a command line, the command that runs it, and the other words."""
+    """The scenario of a command line, the command that runs it, and the remaining words."""
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
@@ -72,7 +72,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
 
 
 def _field(word: str) -> str:
-    """The field that an option sets; other words are none."""
+    """The field that an option sets; empty for other words."""
     option = word.partition("=")[0]
     return option[2:].replace("-", "_") if option.startswith("--") else ""
 
@@ -85,7 +85,7 @@ def run(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Run a scenario, or a case of a study again; print its figures."""
+    """Run a scenario, or repeat a case of a study; print its figures."""
     del setup, parameters, files, config, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
@@ -95,7 +95,7 @@ _LIST = "\n".join(
     [
         "Scenarios, each with its own options (dbb run SCENARIO --help):",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
-        f"  {'--case':16} a case again: of the page, or of a study (dbb run --case FILE)",
+        f"  {'--case':16} repeat a case of the page or of a study (dbb run --case FILE)",
     ]
 )
 run.__doc__ = f"{run.__doc__}\n\n{_LIST}\n\nThe options of all scenarios:"
@@ -115,11 +115,11 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
     ) -> None:
         chosen = options.Setup(**setup)
         tuned = options.configured(chosen.robot, config, parameters)
-        # Imported here: it takes longer than to find a mistake in what was asked.
+        # Imported here, because the import takes longer than finding an error in the options.
         from app.robot.description import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name, **scenario_options)
-        figures = _run(planned(chosen, own, tuned), Files(**files), json=json)
+        figures = _run(spec_with(chosen, own, tuned), Files(**files), json=json)
         _end(figures, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
@@ -134,23 +134,23 @@ def run_case(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Run a case again: its start, pulls, robot, disturbances and seed, so its figures.
+    """Repeat a case with its start, pulls, robot, disturbances and seed, and thus its figures.
 
     Args:
-        case: File of a case: the page's, or one of `failures` of a study.
+        case: File of a case: one of the page, or one of `failures` of a study.
     """
     played = read(case)
-    again = of_case(played, setup)
+    again = spec_of_case(played, setup)
     again = again._replace(config=options.changed(again.config, parameters))
     figures = _run(again, Files(**files), json=json)
     if not setup and not parameters:
         for change in played.changes(figures):
-            say(f"not as it was: {change}")
+            say(f"changed since the case was written: {change}")
     _end(figures, fail_on_contact=fail_on_contact)
 
 
-def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
-    # Imported here: it takes longer than to find a mistake in what was asked.
+def _run(asked: RunSpec, files: Files, *, json: bool) -> dict[str, Any]:
+    # Imported here, because the import takes longer than finding an error in the options.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict
     from app.simulation.trace.words import missing, number_text

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from app.cli import options
 from app.cli.common import load_model, say
 from app.cli.records import Given, from_record
-from app.cli.wanted import check_no_others, read
+from app.cli.run_spec import check_no_others, read
 from app.config import Config
 from app.config_file import checked_host
 from app.simulation.scenarios.leading import check_point
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Serving:
-    """Where the dashboard is served, and what it shows at first."""
+    """Address of the dashboard, and the robot's first state."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; the default is this machine only."""
+    """Address to listen on; the default accepts only this machine."""
     port: int = 8080
-    """Port to listen at; 0 takes a free one."""
+    """Port to listen on; 0 selects a free one."""
     allow_host: tuple[str, ...] = ()
-    """Further names by which browsers reach the server, as through a proxy; may be repeated, or
-    stand in the file of --config: [server] allow_host = ["NAME"]."""
+    """Further names under which browsers reach the server, for example through a proxy; may be
+    repeated, or be in the file of --config: [server] allow_host = ["NAME"]."""
     start: Point | None = None
-    """[m] where the hand starts, in the world; by default in front of the base."""
+    """[m] start of the end-effector, in the world; default: in front of the base."""
     case: Path | None = None
-    """File of a case, the page's or one of `failures` of a study: the robot, its start and its
-    disturbances are the case's, and a button plays the pull."""
+    """File of a case, of the page or of `failures` of a study: the robot, its start and its
+    disturbances are those of the case, and a button plays the pull."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be served, before anything is loaded."""
+        """Refuse invalid options before anything is loaded."""
         object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))
         if self.start is not None:
             check_point("--start", self.start)
@@ -58,7 +58,7 @@ def serve(
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
 ) -> None:
-    """Serve the dashboard: drag the hand, and the base gives way."""
+    """Serve the dashboard: drag the end-effector, and the base moves away."""
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
     case = None
@@ -73,19 +73,19 @@ def serve(
         if case
         else options.configured(chosen.robot, config, parameters)
     )
-    # Imported here: it takes longer than to find a mistake in what was asked.
+    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.assets import check_robot_name
 
     check_robot_name(chosen.robot)
     from app.simulation.loop.process_loop import loop_child
 
-    # The simulation's process imports as much as this one: both at once.
+    # The simulation's process imports as much as this one: run both imports in parallel.
     with loop_child() as child:
         _serve(_First(chosen, tuned, asked, case, child))
 
 
 class _First(NamedTuple):
-    """What the dashboard shows at first, and the process for its simulation."""
+    """The first robot of the dashboard, and the process for its simulation."""
 
     setup: options.Setup
     config: Config
@@ -108,7 +108,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """The simulation of a robot; without a start of the arm, at that of a new robot's."""
+        """Start the simulation of a robot; the default start of the arm is that of a new robot."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -130,7 +130,7 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    # Imported here: viser and scipy would make every other command start later.
+    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, is_loopback, serve_dashboard
 
@@ -159,7 +159,7 @@ def _serve(first: _First) -> None:
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         if not is_loopback(asked.host):
             say(
-                f"{asked.host} can be reached from other machines: everybody there "
+                f"{asked.host} can be reached from other machines: everyone there "
                 "can watch and command the simulation; there is no password"
             )
         server.run_forever()
@@ -168,7 +168,7 @@ def _serve(first: _First) -> None:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border; a coarse one is refined by another process, for the next start."""
+    """The robot's border; another process refines a coarse one for the next start."""
     from app.border.cache import kept_border_data, load_border_data
     from app.border.config import QUICK
     from app.dashboard.job import Job, sample_border

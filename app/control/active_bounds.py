@@ -1,4 +1,4 @@
-"""Which of the robot's limits a control step met, by names that a person understands."""
+"""The active limits of a control step, by readable names."""
 
 from typing import Literal, NamedTuple
 
@@ -24,22 +24,22 @@ BoundKind = Literal[
 ]
 
 TOLERANCE = 1e-5
-"""[N m, rad/s² or m/s²] how near to a bound is at it: the accuracy that the QPs are held to."""
+"""[N m, rad/s² or m/s²] tolerance of an active bound: the accuracy of the QPs."""
 
 
 class Bound(NamedTuple):
-    """A limit that was met."""
+    """An active limit."""
 
     where: str
     """Name of a joint, "base", or a pair as in `lm-lEE`."""
     kind: BoundKind
-    """What is limited."""
+    """The limited quantity."""
     upper: bool
     """Whether it is the upper of the two bounds."""
 
 
 def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bound]:
-    """The limits that the controller met in a step, those of the arm first."""
+    """The active limits of a step, those of the arm first."""
     n_m = model.n_m
     low, high = met(w)
     joints = model.description.arm.joints
@@ -62,7 +62,9 @@ def active_bounds(model: RobotModel, w: ControlStep, config: Config) -> list[Bou
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
-    """Whether the base's velocity command (n_b,) [m/s or rad/s] is as large as it may be."""
+    """The components of the base's velocity command (n_b,) [m/s or rad/s] that are at their
+    limit.
+    """
     base = model.description.base
     largest = largest_command(base, config.admittance)
     return [
@@ -75,7 +77,7 @@ def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list
 def met(w: ControlStep) -> tuple[Array, Array]:
     """(m,) whether q̈ is at the lower, and (m,) at the upper limit of each row of the arm's QP.
 
-    A soft row at its limit is beyond it by up to its share of the tasks' demand.
+    An active soft row exceeds its limit by up to its share of the tasks' demand.
     """
     m = int(w.n_limits)
     reached = w.C[:m] @ w.qdd
@@ -86,7 +88,7 @@ def met(w: ControlStep) -> tuple[Array, Array]:
 def _joint_kind(
     model: RobotModel, w: ControlStep, config: Config, joint: int, upper: bool
 ) -> BoundKind:
-    """Which bound of a joint's acceleration is the tighter one, that of position or velocity."""
+    """The tighter bound of a joint's acceleration: that of position or of velocity."""
     at, rates = int(upper), config.limit
     position = position_bounds(w.q_m, w.qd_m, model.q_limits, rates.position_rate)[at, joint]
     velocity = velocity_bounds(w.qd_m, model.qd_limits, rates.velocity_rate)[at, joint]
@@ -95,7 +97,7 @@ def _joint_kind(
 
 def _base_bounds(model: RobotModel, w: ControlStep) -> list[Bound]:
     asked, most = w.a_base_cmd, model.base_acceleration_max
-    missing = w.a_base_des - asked  # may be missing so that the end-effector is held, too
+    missing = w.a_base_des - asked  # the hold of the end-effector may cause it too
     at_limit = np.sign(missing) * asked > most - TOLERANCE
     return [
         Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))

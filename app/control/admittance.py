@@ -24,15 +24,16 @@ def next_command(
     a_max: Array,
     v_max: Array,
 ) -> Array:
-    """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a q̈_b, solved exactly.
+    """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a q̈_b, solved
+    exactly.
 
     The input is the commanded acceleration times the virtual mass, not the base's part of u, which
     is not zero at q̈_b = 0 and would let the base drift. It is the mean over the period, so that
-    nothing that the 1 kHz controller commands is lost between two commands.
+    no command of the 1 kHz controller is lost between two commands.
 
     Args:
-        acceleration: (n_b,) [m/s² or rad/s²] mean of the commanded one.
-        command: (n_b,) [m/s or rad/s] the last command.
+        acceleration: (n_b,) [m/s² or rad/s²] mean of the commanded acceleration.
+        command: (n_b,) [m/s or rad/s] the previous command.
         period: [s]
         mass: (n_b,) [kg or kg m²] diagonal of M_a.
         damping: (n_b,) [N s/m or N m s] diagonal of D_a.
@@ -50,9 +51,10 @@ def next_command(
 
 
 def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
-    """The command (n_b,) nearest to one that the base can have; its direction stays.
+    """The feasible command nearest to (n_b,), with the same direction.
 
-    A base whose axes depend on each other may get more of one than its limit: then all are scaled.
+    If the axes of a base depend on each other, one of them may exceed its limit: then all are
+    scaled.
     """
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))

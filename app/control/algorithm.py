@@ -2,7 +2,7 @@
 
 Comments name the line of the paper's Algorithm 2; a number in brackets is an equation. `w` is the
 table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
-only this file says from where to where. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain
+only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain
 Python.
 
 Two problems are solved, one after the other, because the base follows its commands late:
@@ -15,12 +15,12 @@ where a guided base simply comes to rest. Its rows of T_sca blend with that, (29
 
     a_des = β_m ẍ_m + (1 − β_m) a_free
 
-and the commanded acceleration is the one nearest to a_des, in the metric of the base's inertia,
+The commanded acceleration is the one nearest to a_des, in the metric of the base's inertia,
 that does not drag the end-effector along where the arm cannot compensate. While tracking it is then
-changed as little as the arm needs to stay within its own limits.
+changed by the minimum that the arm needs to stay within its own limits.
 
 **The arm** minimises the tasks with the rows of T_sca as springs against them, (29), subject to its
-limits, for the acceleration that the base really has. From q̈ follow the torques, (26).
+limits, for the measured acceleration of the base. The torques follow from q̈, (26).
 
 The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
 `app.control.hqp` solves.
@@ -93,10 +93,10 @@ from app.robot.state import (
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
-BUFFER_RATE = 0.1  # [m/s] at which the buffer distance in force approaches the configured one
+BUFFER_RATE = 0.1  # [m/s] rate of the buffer distance in force towards the configured one
 
 DRIVE_MODEL, BASE_MEASURED, BASE_AS_COMMANDED = range(3)
-"""Where the base's acceleration in the arm's problem comes from: the model of its drive, the
+"""Source of the base's acceleration in the arm's problem: the model of its drive, the
 caller, or the command itself."""
 
 _READING = types.Array(types.f8, 1, "A")
@@ -215,7 +215,7 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
 def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
     """The base's problem: a_free, the blend a_des of (29), and the commanded acceleration.
 
-    It ends early where a QP is left open.
+    It ends early if a QP is left open.
     """
     n_b, found = robot.n_b, True
     valid, tracking = w.valid[()] != 0.0, w.tracking[()] != 0.0
@@ -250,7 +250,7 @@ def command_base(robot: Any, gains: Any, slow: Any, w: Any) -> None:
 
 @compiled()
 def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
-    """The arm's problem; it ends early where its QP is left open."""
+    """The arm's problem; it ends early if its QP is left open."""
     w.solved[()] = 0.0
     if w.valid[()] == 0.0:
         return
@@ -264,7 +264,7 @@ def accelerate_arm(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
-    """Line 2, after pinocchio's part: dynamics, the end-effector, and how all distances move."""
+    """Line 2 after pinocchio's part: dynamics, end-effector, motion of all distances."""
     M, h, g = reduced_dynamics(w.M_pin, w.h_pin, w.g_pin, robot.T_J_m)
     put_rows(w.M, M)
     put(w.h, h)
@@ -349,14 +349,14 @@ def put_objective(w: Any, H_low: Array, c_low: Array, H: Array, c: Array) -> Non
 
 @compiled()
 def put_qp(w: Any, H: Array, c: Array) -> None:
-    """Store the objective of the QP to be solved next."""
+    """Store the objective of the next QP."""
     put_rows(w.qp_H, H)
     put(w.qp_c, c)
 
 
 @compiled()
 def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
-    """T_ee with the gains given: b (6,) and λ of `end_effector_task`."""
+    """T_ee with the given gains: b (6,) and λ of `end_effector_task`."""
     return end_effector_task(
         w.e_ee,
         w.v_ref - w.v_ee,
@@ -408,17 +408,17 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
 def write_limits(
     robot: Any, gains: Any, w: Any, barrier: bool, link_buffers: bool, for_arm: bool
 ) -> int:
-    """Write the limits into w.C, w.l, w.u and w.slack_weight, and count them.
+    """Write the limits into w.C, w.l, w.u and w.slack_weight, and return their number.
 
     Args:
         robot: `ROBOT`.
-        gains: `GAINS`, whose rates say how fast limits may be approached.
+        gains: `GAINS`, including the approach rates of the limits.
         w: `STEP`.
-        barrier: Whether distances have a barrier: those of L_m, and of all pairs in a method whose
-            base keeps the barrier too.
+        barrier: Whether distances have a barrier: those of L_m, and those of all pairs in a method
+            whose base satisfies the barrier too.
         link_buffers: Whether links of the arm have their buffer as a barrier too.
         for_arm: For the arm's QP: within the torques of this step, with external forces, and no
-            joint demands more than its own torque can achieve. Else any torque may act.
+            joint demands more than its own torque can achieve. Otherwise torques are unlimited.
     """
     n_m = len(w.q_m)
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
@@ -461,7 +461,7 @@ def write_limits(
 
 @compiled()
 def measure_base(robot: Any, w: Any, base_source: int) -> None:
-    """The acceleration that the base really has, unless the caller has measured it."""
+    """The measured acceleration of the base, from the caller or from the model of its drive."""
     if base_source == DRIVE_MODEL:
         for i in range(robot.n_b):
             v = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i])
@@ -473,12 +473,12 @@ def measure_base(robot: Any, w: Any, base_source: int) -> None:
 
 @compiled()
 def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """The QP of a_free: base and arm together, without the base's rows; counts its limits.
+    """Set up the QP of a_free: base and arm together, without the base's rows; returns its limits.
 
-    The rows between links are in it with slow gains.
+    It includes the rows between links with slow gains.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
-    if w.tracking[()] != 0.0:  # a remaining error damps nothing here: the base drives there
+    if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
         b_ee, _ = tracking_task(slow, w)
         velocity = slow.ee_damping * w.qd
         H, c = add_tracking(w.H_low, w.c_low, w.J_ee, b_ee, 0.0, velocity, slow.ee_weight)
@@ -518,14 +518,14 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """The QP that makes room for the arm; counts its limits.
+    """Set up the QP that makes room for the arm; returns the number of its limits.
 
-    Its solution is the least change of the commanded acceleration with which the arm holds T_ee
-    within its limits. The cost is that of base and arm without limits, T_ee far costlier, and the
-    base's rows in proportion to their activation. The limits are all that the arm has above T_ee:
-    joints, distances, and the buffers of its own links. They are approached as slowly as the base
-    answers, so the base looks ahead as far as it needs: a wrist that nears its limit turns the base
-    in time.
+    Its solution is the smallest change of the commanded acceleration with which the arm fulfils
+    T_ee within its limits. The cost is that of base and arm without limits, with a far higher
+    weight of T_ee, and with the base's rows in proportion to their activation. The limits are all
+    constraints of the arm above T_ee: joints, distances, and the buffers of its own links. Their
+    approach rates match the base's slow response, so the base reacts early: a wrist that nears its
+    limit turns the base in time.
     """
     b_ee, lm_damping = tracking_task(slow, w)
     velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
@@ -540,7 +540,7 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
-    """The QP of the arm, for the acceleration that the base really has; counts its limits."""
+    """Set up the QP of the arm, for the measured acceleration of the base; returns its limits."""
     n_b = robot.n_b
     rows = slice(n_b, len(w.B))
     H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], w.B[rows], gains.slack_weight, n_b)
@@ -551,14 +551,14 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
 
 @compiled()
 def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
-    """Solve the QP that was set up, within the first m limits.
+    """Solve the prepared QP within the first m limits.
 
-    QP 0 has no fixed entries, QP 1 finds the least change of its fixed entries, QP 2 leaves them.
-    Where the active sets fail for the first time, the QP is left open, in `w.qp_open`: the caller
-    lets ProxQP solve it and calls `algorithm_2` again, which then takes that solution.
+    QP 0 has no fixed entries, QP 1 finds the smallest change of its fixed entries, QP 2 does not
+    change them. If the active sets fail for the first time, the QP is left open, in `w.qp_open`:
+    the caller lets ProxQP solve it and calls `algorithm_2` again, which then uses that solution.
 
     Returns:
-        (n,) the solution, and whether there is one.
+        (n,) the solution, and whether it exists.
     """
     limits = w.C[:m], w.l[:m], w.u[:m], w.slack_weight[:m]
     fixed = w.qp_fixed[: 0 if which == 0 else len(w.qp_fixed)]
@@ -597,7 +597,7 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def put_commands(robot: Any, gains: Any, w: Any) -> None:
-    """Torques and base velocity of q̈, or the fallback command where q̈ has not been solved for."""
+    """Torques and base velocity from q̈, or the fallback command without a solution."""
     if w.solved[()] != 0.0:
         u = times(w.M[robot.n_b :], w.qdd) + w.h[robot.n_b :]  # (26)
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
@@ -609,14 +609,14 @@ def put_commands(robot: Any, gains: Any, w: Any) -> None:
         put(w.a_base_cmd, -gains.base_damping * moving)
         fill(w.qdd, math.nan)
     put(w.u_cmd, clip(u, w.u_min, w.u_max))
-    if not math.isnan(w.q_posture[0]):  # else the torques belong to no measured pose
+    if not math.isnan(w.q_posture[0]):  # without a measured pose the torques are not stored
         put(w.u_a, w.u_cmd)
     update_command(robot, gains, w)
 
 
 @compiled()
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Line 15 as printed: leave q̈ to Python in `w.qp_open`, and take it when called again."""
+    """Line 15 as printed: leave q̈ to Python in `w.qp_open`, and use it in the second call."""
     if w.valid[()] != 0.0 and w.qp_tried[3] == 0.0:
         w.qp_open[()] = 4.0
         return
@@ -638,4 +638,4 @@ run_algorithm_2 = compiled(
         None,
     )
 )(algorithm_2)
-"""`algorithm_2`, compiled; it stands last because a compiler needs all of its parts."""
+"""`algorithm_2`, compiled; it is last because the compiler needs all of its parts."""

@@ -1,32 +1,33 @@
-"""How large d_b must be, so that the base is out of the way before an approaching hand is there.
+"""The d_b that is required for the base to move away before an approaching end-effector arrives.
 
-A hand comes towards the base along -n at a constant speed v, whatever the base does. How near does
-it get? Three things hold the base back:
+An end-effector approaches the base along -n at a constant speed v, independent of the base. The
+bound of its distance depends on three properties:
 
-- Dead time t_0 = period + delay + τ. What the controller asks is averaged over a command's period
-  and reaches the drive later by the delay; the drive's lag of first order delays by another τ.
-- The law asks the more the deeper the hand is. At the distance d it accelerates the base along -n,
-  in each of its channels k (v and ω of a differential one), by
+- Dead time t_0 = period + delay + τ. The controller's commands are averaged over a command's period
+  and reach the drive later by the delay; the first-order lag of the drive delays by another τ.
+- The law commands more with a deeper end-effector. At the distance d it accelerates the base along
+  -n, in each of its channels k (v and ω of a differential one). This acceleration is
   a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
-  hand's place (x, y) and m_k = m, I. The force comes from the acting point, which stands aside by
-  α_min while the hand is d_b - d inside the border: u lies between the normal and the tangent with
-  tan = α_min / (d_b - d), on the worse side.
-- The admittance law makes a speed of it: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with a_k
-  within the base's acceleration limit and w_k within its largest speed.
+  end-effector's place (x, y) and m_k = m or I for a linear or an angular channel. The force starts
+  at the acting point, which is offset sideways by α_min while the end-effector is d_b - d inside
+  the border: u is between the normal and the tangent with tan = α_min / (d_b - d), on the worse
+  side.
+- The admittance law turns it into a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
+  a_k within the base's acceleration limit and w_k within its largest speed.
 
-Once the hand is at some d_*, the law asks for at least a_k(d_*) as long as the hand is nearer. So
+Once the end-effector is at some d_*, the law commands at least a_k(d_*) while it is nearer. Thus
 after t_0 each channel reaches its share v_k of v in t_k = -T_k ln(1 - v_k/(a_k T_k)), and until
-then the hand has gained on the base no more than
+then the end-effector has approached the base by no more than
 
     x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
 
-(without damping v_k²/(2 a_k)). The least distance is therefore no smaller than the largest
-d_* - x(d_*). That grows with d_b, and the need is the smallest d_b at which it is the reserve.
-Where the speeds a_k T_k together stay below v at every d_*, no d_b suffices.
+(without damping v_k²/(2 a_k)). The smallest distance is therefore at least the largest
+d_* - x(d_*). That grows with d_b, and the required d_b is the smallest one at which it is the
+reserve. If the sum of the speeds a_k T_k stays below v at every d_*, no d_b suffices.
 
-Two things are taken as simpler than they are. The place does not move along the base, and the lever
-of ω at the flank is never below 0.25 m: near the wheel axis the tangential part of the force first
-drives the base along its own flank, until there is a lever.
+The bound has two simplifications. The place does not move along the base, and the lever
+of ω at the side is at least 0.25 m: near the wheel axis the tangential part of the force first
+drives the base along its own side, until it has a lever.
 """
 
 import math
@@ -40,16 +41,16 @@ from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind, Channel
 from app.strict import Array
 
-RESERVE = 0.02  # [m] that shall be left between arm and base
-_LEVER = 0.25  # [m] that ω has at least at the flank
-_LONGEST = 100.0  # [s] time constant that stands for no damping
-_DEPTHS = np.linspace(0.04, 1.0, 25)  # [-] where d_* is tried, as a share of d_b from the border on
-_SIZES = np.geomspace(0.05, 2.0, 25)  # [m] d_b tried
+RESERVE = 0.02  # [m] required distance between arm and base
+_LEVER = 0.25  # [m] smallest lever of ω at the side
+_LONGEST = 100.0  # [s] time constant that represents no damping
+_DEPTHS = np.linspace(0.04, 1.0, 25)  # [-] sampled d_*, as a share of d_b from the border on
+_SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 
 @compiled()
 def _gain(v: float, a: float, T: float) -> float:
-    """[m] by how much a point of speed v gets ahead of one that starts with a and reaches a T."""
+    """[m] by which a point of speed v gains on one that starts with a and reaches a T."""
     final = max(a * T, 1e-12)
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
@@ -69,11 +70,11 @@ def _least_distance(
 
     Args:
         d_b: (k,) [m]
-        channels: (c, 6) J · n and J · t, with the horizontal part of n and t at right angles to it
-            no longer, m_k [kg], a_k and w_k at most, along n, and T_k [s].
-        v: [m/s] of the approach.
+        channels: (c, 6) J · n and J · t, with the horizontal part of n and the perpendicular t of
+            the same length, m_k [kg], upper bounds of a_k and w_k along n, and T_k [s].
+        v: [m/s] approach speed.
         late: [s] t_0.
-        kept: [-] of a speed that does not slip.
+        kept: [-] share of a speed that is not lost to slip.
         f_max: [N]
         alpha_min: [m]
         d_full: [m] distance of full activation.
@@ -101,7 +102,7 @@ def _least_distance(
             total = against = 0.0
             for k in range(count):
                 total += max(w_worse[k], 0.0)
-                against += max(-w_worse[k], 0.0)  # a channel that goes the wrong way
+                against += max(-w_worse[k], 0.0)  # a channel that moves in the wrong direction
             if total > v + against:
                 gained = v * late
                 for k in range(count):
@@ -112,10 +113,10 @@ def _least_distance(
 
 
 class Approach(NamedTuple):
-    """How the arm comes towards the base."""
+    """Approach of the arm to the base."""
 
     v: float
-    """[m/s] speed of the arm's closest point over the ground, along -n."""
+    """[m/s] speed of the arm's closest point relative to the floor, along -n."""
     n: Array
     """(3,) unit normal of the pair from the base to the arm, in the base's frame."""
     p_b: Array
@@ -125,12 +126,12 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the arm stays away from the base by the reserve.
 
-    See the module for what is assumed. The delay and the slip are those of the configuration; its
-    own d_b has no part in it.
+    The module lists the assumptions. The delay and the slip are those of the configuration; its
+    own d_b has no influence.
 
     Returns:
-        At least d_full, from which on β has room to rise; infinite if the base cannot retreat as
-        fast, or not with a d_b of less than 2 m.
+        At least d_full, so that β can rise; infinite if the base cannot retreat as
+        fast, or only with a d_b above 2 m.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:
@@ -146,10 +147,9 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 
 
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(k,) [m] how near the arm comes at most, by the module's bound, for d_b (k,) [m] above
-    d_full.
+    """(k,) [m] lower bound of the arm's distance, for d_b (k,) [m] above d_full.
 
-    It is minus infinity where the base does not reach the speed at all.
+    It is minus infinity if the base does not reach the speed at all.
     """
     lead, force = dead_time(base, config), config.force
     ways = [
@@ -174,7 +174,7 @@ def dead_time(base: BaseKind, config: Config) -> float:
 
 
 def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(c, 6) of one of the base's ways to give way, as `_least_distance` takes them."""
+    """(c, 6) data of one of the base's motions away from the arm, for `_least_distance`."""
     admittance, n, p = config.admittance, approach.n, approach.p_b
     lever = n[1] * p[0] - n[0] * p[1]
     lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
@@ -192,7 +192,7 @@ def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config
 
 
 def _resisting(channel: Channel, linear: float, angular: float) -> float:
-    """What resists a channel, from what resists a linear and an angular motion."""
+    """Inertia or damping of a channel, from the linear and the angular one."""
     x, y, turn = channel.twist
     return (x * x + y * y) * linear + turn * turn * angular
 

@@ -1,4 +1,4 @@
-"""Watches how fast the arm comes towards the base, and whether d_b is enough for that."""
+"""Monitors the approach speed of the arm to the base, and the d_b that it requires."""
 
 import math
 from collections import deque
@@ -12,43 +12,44 @@ from app.robot.link_pairs import ClosestPoints
 from app.robot.state import RobotState
 
 _SAMPLE = 10  # control steps between two readings of the speed
-_EVERY = 50  # control steps between two looks, each at the mean of the readings since
-_REMEMBERED = 3.0  # [s] for which an approach counts as recent
-_SLOW = 0.005  # [m/s] below which nothing approaches
-_FARTHEST = parameter("border.d_b").high  # [m] nothing beyond the largest d_b is an approach yet
+_EVERY = 50  # control steps between two evaluations of the mean reading
+_REMEMBERED = 3.0  # [s] during which an approach is recent
+_SLOW = 0.005  # [m/s] smallest approach speed
+_FARTHEST = parameter("border.d_b").high  # [m] farther points are no approach
 
 
 class BufferReading(NamedTuple):
-    """Whether d_b is enough."""
+    """Whether d_b is sufficient."""
 
     approach_speed: float
-    """[m/s] the largest speed towards the base in the last 3 s."""
+    """[m/s] largest speed towards the base in the last 3 s."""
     needed: float
-    """[m] the largest d_b that any approach in the last 3 s would have needed; infinite if there
-    was one faster than the base retreats; 0 without any."""
+    """[m] largest d_b required by an approach in the last 3 s; infinite if an approach was faster
+    than the base retreats; 0 without an approach."""
     approach_speed_max: float
-    """[m/s] the largest since the reset."""
+    """[m/s] largest speed since the reset."""
     needed_max: float
-    """[m] the largest since the reset."""
+    """[m] largest required d_b since the reset."""
     too_small: bool
-    """Whether `needed` is more than d_b is now, for a controller whose base gives way."""
+    """Whether `needed` exceeds the present d_b, for a controller whose base avoids."""
     too_small_ever: bool
-    """Whether `needed_max` is, for such a controller."""
+    """Whether `needed_max` exceeds it, for such a controller."""
 
 
 class BufferWatch:
-    """Takes the pairs of L_m step by step; says how large d_b should have been.
+    """Evaluates the pairs of L_m step by step, and computes the required d_b.
 
-    The speed is that of the arm's closest point over the ground along -n. While the base is at rest
-    that is the arm's own; while it retreats it still is how fast the hand is led. An approach
-    counts while the distance shrinks, once it is as near as the border that it needs, or inside of
-    the present one: a hand that is still farther away may yet slow down. From above it is the arm
-    that resists, and no d_b helps the base: there nothing counts.
+    The speed is that of the arm's closest point relative to the floor along -n. With the base at
+    rest this is the arm's own speed; with a retreating base it is still the speed of the
+    end-effector. An approach counts while the distance shrinks, once the arm is within the border
+    that it requires, or inside of the present one: an end-effector that is still farther away may
+    slow down. From above the arm resists by itself, and no d_b helps the base: such approaches do
+    not count.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        """Parameters; may be replaced at any time."""
+        """The parameters; may be replaced at any time."""
         self.reset()
 
     def reset(self) -> None:
@@ -56,15 +57,15 @@ class BufferWatch:
         self._steps = 0
         self._recent: deque[tuple[int, float, float]] = deque()
         self._speeds: dict[str, deque[tuple[float, float]]] = {}
-        self._speed = self._needed = 0.0  # the largest of the recent ones
+        self._speed = self._needed = 0.0  # largest recent values
         self._speed_max = self._needed_max = 0.0
 
     def update(
         self, state: RobotState, control: ControlStep, dt: float, *, gives_way: bool
     ) -> BufferReading:
-        """Take one control step of dt [s] at the robot's state.
+        """Evaluate one control step of dt [s] at the robot's state.
 
-        `gives_way` says whether the controller lets the base give way.
+        `gives_way` says whether the controller moves the base away.
         """
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0
@@ -87,7 +88,7 @@ class BufferWatch:
         return self._reading
 
     def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
-        """Read the speed of a pair; when a look is due, judge the mean: a tremor is no approach."""
+        """Record the speed of a pair; if due, evaluate the mean: a tremor is no approach."""
         speeds = self._speeds.setdefault(pair.pair.name, deque(maxlen=_EVERY // _SAMPLE))
         if pair.d > _FARTHEST or float(pair.n[2]) ** 2 > 0.5:
             speeds.clear()
@@ -111,11 +112,11 @@ class BufferWatch:
 
 
 def approach_of(state: RobotState, pair: ClosestPoints) -> tuple[Approach, float]:
-    """How the arm's closest point of a pair of L_m comes towards the base.
+    """The approach of the arm's closest point of a pair of L_m to the base.
 
     Returns:
-        The approach over the ground, and [m/s] how fast the distance shrinks, which is the arm's
-        motion alone.
+        The approach relative to the floor, and [m/s] the rate at which the distance shrinks, by the
+        arm's motion alone.
     """
     J = state.point_jacobian(state.model.body_joints[pair.pair.b], pair.p_b)
     along, n_b = -(pair.n @ J), state.model.n_b  # (n,)
@@ -124,14 +125,14 @@ def approach_of(state: RobotState, pair: ClosestPoints) -> tuple[Approach, float
 
 
 def needed_text(needed: float) -> str:
-    """A need for people, rounded up to whole centimetres."""
+    """A required d_b in readable form, rounded up to whole centimetres."""
     if math.isinf(needed):
         return "no d_b suffices"
     return f"d_b of {math.ceil(needed * 100 - 1e-9) / 100:.2f} m needed"
 
 
 def buffer_warning(reading: BufferReading, config: Config) -> str | None:
-    """What to say after a run in which d_b was too small, or None."""
+    """The warning after a run with a too small d_b, or None."""
     if not reading.too_small_ever:
         return None
     text = (

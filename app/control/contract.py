@@ -1,4 +1,4 @@
-"""The contract of a control step with a robot's own loop: order, units, period, references."""
+"""The contract of a control step with a user's own loop: order, units, period, references."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from app.parameters import Parameter
 from app.robot.model import RobotModel
 from app.strict import Array
 
-SHORTEST, LONGEST = 1e-4, 0.02  # [s] of the control periods that are possible
-_ROUNDING = 1e-4  # [-] of a rotation matrix in single precision
-_FASTEST = 0.6  # [-] largest gain [1/s] times the control period
+SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
+_ROUNDING = 1e-4  # [-] tolerance of a rotation matrix in single precision
+_FASTEST = 0.6  # [-] largest product of gain [1/s] and control period
 
 
 def checked_period(dt: float) -> float:
     """The control period [s].
 
     Raises:
-        ConfigError: It is none.
+        ConfigError: The value is not a valid period.
     """
     if not (isinstance(dt, int | float) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be within {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
@@ -33,10 +33,10 @@ def checked_period(dt: float) -> float:
 
 
 def check_gains(config: Config, dt: float) -> None:
-    """Refuse gains that a control period of dt [s] cannot follow.
+    """Refuse gains that are too large for a control period of dt [s].
 
     Raises:
-        ConfigError: Names the gain, the value that the period allows, and the period that it needs.
+        ConfigError: Names the gain, its bound for this period, and the period that it requires.
     """
     for section in sections():
         for each in section.tunables:
@@ -53,7 +53,7 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """The error of positions (n_m,) that the arm cannot have; names the worst joint."""
+    """The error for positions (n_m,) that are impossible for the arm; names the worst joint."""
     half = 0.5 * (model.q_upper - model.q_lower)
     i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
     return MeasurementError(
@@ -66,18 +66,18 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 class JointOrder:
     """Positions and velocities of the arm from joint states in a driver's own order.
 
-    As `sensor_msgs/JointState` has them: any order, with further joints, with or without
-    velocities. The names are looked up once; a step only picks the entries::
+    As in `sensor_msgs/JointState`, joints have any order, with further joints, with or without
+    velocities. The names are resolved once; a step only picks the entries::
 
         order = loop.joint_order(message.name)
         Measurement(base_pose, base_velocity, *order(message.position, message.velocity))
     """
 
     def __init__(self, model: RobotModel, names: Sequence[str]) -> None:
-        """Look the arm's joints up.
+        """Resolve the names of the arm's joints.
 
         Raises:
-            MeasurementError: Names the joints that are missing, or named twice.
+            MeasurementError: Names missing or duplicate joints.
         """
         wanted, names = model.description.arm.joints, list(names)
         for fault, count in (("does not name", 0), ("names more than once", 2)):
@@ -92,10 +92,11 @@ class JointOrder:
     def __call__(
         self, position: Sequence[float] | Array, velocity: Sequence[float] | Array = ()
     ) -> tuple[Array, Array]:
-        """(n_m,) positions and velocities in the arm's own order; velocities NaN if there are none.
+        """(n_m,) positions and velocities in the arm's own order; velocities are NaN without
+        readings.
 
         Raises:
-            MeasurementError: There are not as many values as names.
+            MeasurementError: The number of values differs from the number of names.
         """
         q, qd = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
         for field, values in (("position", q), ("velocity", qd)):
@@ -124,11 +125,11 @@ _usable = direct(is_motion)
 
 
 def checked_reference(reference: Reference) -> Reference:
-    """The same with arrays of floats.
+    """The reference with arrays of floats.
 
     Raises:
-        MeasurementError: It is no reference, or has another shape or an entry that is not finite;
-            the message names the field.
+        MeasurementError: It is not a reference, or has a wrong shape or an entry that is not
+            finite; the message names the field.
     """
     if not isinstance(reference, Reference):
         raise MeasurementError(

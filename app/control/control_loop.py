@@ -1,4 +1,4 @@
-"""All of the control at 1 kHz in one object: what a robot's own loop and the simulation call."""
+"""The whole control at 1 kHz in one object, for a robot's own loop and for the simulation."""
 
 import logging
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 
 class Command(NamedTuple):
-    """What one control step commands."""
+    """The commands of one control step."""
 
     u_a: Array
     """(n_m,) [N m or N] torques of the arm, with gravity and Coriolis terms."""
@@ -34,9 +34,9 @@ class Command(NamedTuple):
 
     @property
     def gravity(self) -> Array:
-        """(n_m,) [N m or N] the share of gravity in `u_a`.
+        """(n_m,) [N m or N] the gravity terms in `u_a`.
 
-        Subtract it for a driver that adds gravity itself, as those of UR and Franka do.
+        Subtract them for a driver that adds gravity itself, such as those of UR and Franka.
         """
         return self.step.g[self.step.n_b :].copy()
 
@@ -47,12 +47,12 @@ class Command(NamedTuple):
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Names of all that is wrong with the readings of this step; `FAULTS` explains them."""
+        """Names of all faults of the readings of this step; `FAULTS` explains them."""
         return tuple(name for name, is_on in zip(FAULTS, self.step.faults, strict=True) if is_on)
 
 
 class ControlLoop:
-    """The controller with the base's drive and admittance law, for a loop of one's own at 1/dt."""
+    """The controller with the base's drive and admittance law, for a user's own loop at 1/dt."""
 
     def __init__(
         self,
@@ -64,19 +64,19 @@ class ControlLoop:
         dt: float = 0.001,
         interpolate: bool = True,
     ) -> None:
-        """Prepare.
+        """Prepare the control.
 
         Args:
             model: The robot.
-            data: Its link pairs and border; by default from the cache, or sampled now.
-            config: Parameters; by default those of the robot.
+            data: Its link pairs and border; default: from the cache, or sampled now.
+            config: Parameters; default: those of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
-            interpolate: Whether references that leap are interpolated, as `References` does.
+            interpolate: Whether references that leap are interpolated, as in `References`.
 
         Raises:
-            UnknownNameError: No controller has that name.
-            ConfigError: A senseless period, or one too long for a gain.
+            UnknownNameError: The controller does not exist.
+            ConfigError: The period is invalid, or too long for a gain.
             DescriptionError: The mobile robot is too large for its border to be stored.
         """
         config = config or model.description.config
@@ -89,18 +89,18 @@ class ControlLoop:
         self._references = References(dt) if interpolate else None
 
     def joint_order(self, names: Sequence[str]) -> JointOrder:
-        """Sorts joint states of a driver that names the joints in its own order, and others too.
+        """Sort the joint states of a driver that has its own order of joints, and further joints.
 
         Raises:
-            MeasurementError: Names the joints that are missing, or named twice.
+            MeasurementError: Names missing or duplicate joints.
         """
         return JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
-        """Start again from here: the next reading is where the robot is, at rest.
+        """Start again: the next reading is the robot's present state, at rest.
 
-        To be called after a protective stop, or after somebody has moved the arm. The commands,
-        the posture and the estimate are forgotten.
+        Call it after a protective stop, or after a person has moved the arm. Commands,
+        posture and estimate are forgotten.
         """
         self.controller.reset()
         self.reported.clear()
@@ -122,7 +122,7 @@ class ControlLoop:
             reference: Desired motion of the end-effector, or None while a person guides it.
 
         Raises:
-            MeasurementError: A reading or the reference has another number of entries, or the
+            MeasurementError: A reading or the reference has a wrong number of entries, or the
                 first reading is that of another pose or unit.
         """
         if reference is None:
@@ -138,7 +138,7 @@ class ControlLoop:
         return command
 
     def _reference(self, sent: Reference) -> Reference:
-        """The reference of this step: interpolated, unless that is switched off."""
+        """The reference of this step: interpolated, unless that is disabled."""
         if self._references is None:
             return sent
         self._references.dt = self.controller.dt

@@ -1,6 +1,6 @@
-"""The controller: measurement in, one control step out. Knows no simulator and no screen.
+"""The controller: measurement in, one control step out, without simulator or display.
 
-Between the two compiled parts of a step stand the calls into pinocchio, for kinematics, dynamics
+Between the two compiled parts of a step are the calls of pinocchio, for kinematics, dynamics
 and distances.
 """
 
@@ -46,14 +46,14 @@ from app.strict import Array
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_HIERARCHY = 3  # place of its solution in `qp_x`
-_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading")  # NaN until they are known
+_HIERARCHY = 3  # index of its solution in `qp_x`
+_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading")  # NaN until known
 
 
 class Controller:
-    """Reactive self-collision avoidance: Algorithm 2, with everything that a step needs.
+    """Reactive self-collision avoidance: Algorithm 2, with all its data.
 
-    With a reference the end-effector tracks it; without one the arm is guided by hand: gravity
+    With a reference the end-effector tracks it; without one a person guides the arm: gravity
     compensation, joint damping and the avoidance task.
     """
 
@@ -72,8 +72,8 @@ class Controller:
         parameters.
 
         Raises:
-            UnknownNameError: No controller has that name.
-            ConfigError: A senseless period, or one too long for a gain.
+            UnknownNameError: The controller does not exist.
+            ConfigError: The period is invalid, or too long for a gain.
         """
         self._model, self._data, self._config = model, data, config
         self._dt = checked_period(dt)
@@ -86,7 +86,7 @@ class Controller:
         views, sizes = pinocchio_views(self.state.data), _sizes(model, data, smooth)
         self.last = ControlStep(sizes, views, data.pairs.all, smooth.rows)
         """The table of quantities of the last step."""
-        self.last.pinocchio = self.state.data  # whose memory the views are of
+        self.last.pinocchio = self.state.data  # owns the memory of the views
         self.state.share(self.last)
         self.use(name)
         self._own_drive = _overrides(self._base, "drive_acceleration")
@@ -97,7 +97,7 @@ class Controller:
         """Use another of the compared methods from the next step on.
 
         Raises:
-            UnknownNameError: No controller has that name.
+            UnknownNameError: The controller does not exist.
         """
         check_name("controller", name, CONTROLLERS)
         self.name = name
@@ -107,8 +107,8 @@ class Controller:
         """Use other parameters from the next step on.
 
         A new d_b or ε selects another border from the same samples; the buffer distance in force
-        approaches the new one at `algorithm.BUFFER_RATE`, because a jump would throw an arm that is
-        inside the buffer.
+        approaches the new one at `algorithm.BUFFER_RATE`, because a jump would accelerate an arm
+        inside the buffer abruptly.
 
         Raises:
             ConfigError: The control period is too long for a gain.
@@ -135,13 +135,13 @@ class Controller:
 
     @property
     def dt(self) -> float:
-        """[s] the control period: as stated, or as measured where the readings contradict that."""
+        """[s] the control period: as stated, or as measured if the readings contradict it."""
         return self._dt
 
     def reset(self) -> None:
-        """Start again from here: the next reading is where the robot is, at rest.
+        """Start again: the next reading is the robot's present state, at rest.
 
-        Forgets posture, torques, estimate, commands and the counts of failures.
+        It forgets posture, torques, estimate, commands and the counts of failures.
         """
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0
@@ -158,21 +158,21 @@ class Controller:
         *,
         base_acceleration: Array | None = None,
     ) -> ControlStep:
-        """One pass of Algorithm 2 with a base that does what is commanded, or what is measured.
+        """One pass of Algorithm 2 with the commanded or the measured acceleration of the base.
 
         Args:
             measurement: The sensors' readings.
             reference: Desired motion of the end-effector, or None while a person guides it.
-            base_acceleration: (n_b,) [m/s² or rad/s²] that the base really has now.
+            base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base.
 
         Returns:
             The quantities of this step, overwritten by the next one. There is always a command:
-            where the readings are not finite or a QP has no solution, the fallback command is
-            gravity compensation with damping at the last valid state, before the first at the arm's
-            ready posture, and a base that brakes.
+            if the readings are not finite or a QP has no solution, the fallback command is
+            gravity compensation with damping at the last valid state (before the first one, at the
+            arm's ready posture), and a base that brakes.
 
         Raises:
-            MeasurementError: A reading has another number of entries, or the first one is that of
+            MeasurementError: A reading has a wrong number of entries, or the first one is that of
                 another pose or unit.
         """
         if base_acceleration is None:
@@ -181,7 +181,7 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
-        """The same with the base's acceleration from the model of its drive, and the last command.
+        """`step` with the base's acceleration from the model of its drive and the last command.
 
         `step.v_cmd` is the velocity command.
         """
@@ -194,7 +194,7 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def score_field(self, pair: str) -> ScoreField:
-        """The score by which a pair of L_m chooses its acting points, by the pair's name."""
+        """The score for the acting points of a pair of L_m, by the pair's name."""
         body = next(each.b for each in self._data.pairs.mobile if each.name == pair)
         return ScoreField.of(self._model, body)
 
@@ -259,5 +259,5 @@ def _sizes(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Mapping
 
 
 def _overrides(base: BaseKind, method: str) -> bool:
-    """Whether a kind of base has a method of its own."""
+    """Whether a kind of base overrides a method."""
     return getattr(type(base), method) is not getattr(BaseKind, method)

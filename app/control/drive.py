@@ -1,7 +1,7 @@
-"""The base's drive: how the base follows a velocity command.
+"""The base's drive: its response to a velocity command.
 
-The same model stands in every plant and in the controller, which may assume no more of the drive
-than `expected_acceleration` says.
+Every plant and the controller use the same model; the controller assumes no more about the drive
+than `expected_acceleration`.
 """
 
 from collections.abc import Sequence
@@ -13,14 +13,14 @@ from app.strict import Array
 
 
 class Drive:
-    """The drive of a base of some kind, which says how it follows commands.
+    """The drive of a base; its kind defines the response to commands.
 
     A differential one has a first-order response to the commanded (v, ω), with limits of velocity
     and acceleration.
     """
 
     def __init__(self, base: BaseKind, dt: float) -> None:
-        """A drive at rest; `dt` [s] is between two steps."""
+        """A drive at rest; `dt` [s] is the period of `step`."""
         self._base, self._follow = base, base.follower(dt)
         self._at_rest = base.drive_at_rest()
         self.reset()
@@ -28,9 +28,9 @@ class Drive:
     def reset(self) -> None:
         """Stand still."""
         self.velocity = [0.0] * self._base.n_b
-        """[m/s or rad/s] the n_b velocities that the base is set to now, along its axes."""
+        """[m/s or rad/s] the n_b present velocities of the drive, along the base's axes."""
         self.state = self._at_rest
-        """(n_d,) what the drive has besides, such as a steering angle [rad]."""
+        """(n_d,) further states of the drive, such as a steering angle [rad]."""
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
         """(n_b,) the velocity after one period of a command (n_b,), clamped to the limits."""
@@ -41,10 +41,11 @@ class Drive:
     def expected_acceleration(
         self, v_cmd: Sequence[float] | Array, v: Sequence[float] | Array, state: Array | None = None
     ) -> Array:
-        """(n_b,) [m/s² or rad/s²] what the drive does now with a command at a measured velocity.
+        """(n_b,) [m/s² or rad/s²] present response of the drive to a command at a measured
+        velocity.
 
-        Both are (n_b,). Without its measured state (n_d,), or with an empty one, it counts as at
-        rest.
+        Both are (n_b,). Without a measured state (n_d,), or with an empty one, the drive counts as
+        at rest.
         """
         known = self._at_rest if state is None or not len(state) else state
         return self._base.drive_acceleration(v, known, v_cmd)

@@ -1,18 +1,19 @@
-"""Where the arm is, how it moves and which external forces act, from noisy readings.
+"""Position, motion and external acceleration of the arm, estimated from noisy readings.
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the rest is a random walk. The noise
-of the readings is learnt from them: the third differences of the unpredicted motion are noise of
-the positions, with 20 times its variance. A velocity is trusted as far as it agrees with the
-difference of the last two positions, but it is never free of their noise, because drives compute it
-from the same positions. Readings without noise are thus followed at once, noisy ones do not shake
-the arm, and velocities that are late, wrongly scaled or missing have no effect.
+of the readings is estimated from them: the third differences of the unpredicted motion are noise of
+the positions, with 20 times its variance. The weight of a velocity depends on its agreement with
+the difference of the last two positions. Its noise is never assumed to be below theirs, because
+drives compute it from the same positions. Thus the filter follows readings without noise at once,
+noisy ones do not shake the arm, and velocities that are late, wrongly scaled or missing have no
+effect.
 
-The estimate belongs to the newest reading, however many periods ago that was; `advance` predicts
-the state of now from it, by the accelerations that torques and base have made since.
+The estimate belongs to the newest reading, which may be several periods old; `advance` predicts
+the present state from it, by the accelerations of torques and base since then.
 
-Tasks do not see the external acceleration: a guided end-effector stays free. Limits do, so that
-joint speeds and distances are kept while a person pulls.
+Tasks do not use the external acceleration: a guided end-effector stays free. Limits do, so that
+joint speeds and distances respect their limits while a person pulls.
 """
 
 import math
@@ -24,13 +25,13 @@ from app.compiled import compiled
 from app.control.qp import backward, forward, times
 from app.strict import Array
 
-_FEWEST = 8  # samples of the noise with which the filter begins
-_FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved while nobody looked
+_FEWEST = 8  # samples of the noise before the filter starts
+_FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
 
 @compiled()
 def _jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
-    """Whether the arm cannot have moved from x (3, n_m) to q (n_m,) within some periods dt [s]."""
+    """Whether the motion from x (3, n_m) to q (n_m,) is impossible within the periods dt [s]."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
         if way > (_FARTHEST + steps - 1) * dt * qd_max[i]:
@@ -42,7 +43,7 @@ def _jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
 def predicted_joint_acceleration(
     M: Array, h: Array, L_aa: Array, u_a: Array, qdd_b: Array
 ) -> Array:
-    """M_aa⁻¹ (u_a − h_a − M_ab q̈_b) (n_m,): of the joints without external forces."""
+    """M_aa⁻¹ (u_a − h_a − M_ab q̈_b) (n_m,): joint accelerations without external forces."""
     n_b = len(qdd_b)
     return backward(L_aa, forward(L_aa, u_a - h[n_b:] - times(M[n_b:, :n_b], qdd_b)))
 
@@ -62,18 +63,18 @@ def estimate_arm(
 ) -> bool:
     """Update the estimate (x, P) by one reading of positions and velocities.
 
-    After a gap, and where the arm cannot have moved to the reading, the filter begins anew at it.
+    After a gap, or if the arm cannot have moved to the reading, the filter restarts there.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
         P: (n_m, 3, 3) covariances; updated.
-        variances: (2, n_m) of the noise of positions and velocities; updated.
-        last: (3, n_m) as of `_learn`; updated.
+        variances: (2, n_m) noise of positions and velocities; updated.
+        last: (3, n_m) as in `_learn`; updated.
         samples: () number of samples of the noise; updated.
         known: (k, n_m) accelerations by `predicted_joint_acceleration` in each of the k periods
             since the last reading; no rows after a gap.
         q: (n_m,) [rad or m] positions.
-        qd: (n_m,) [rad/s or m/s] velocities; NaN where there is no reading.
+        qd: (n_m,) [rad/s or m/s] velocities; NaN without a reading.
         qd_max: (n_m,) joint speed limits.
         gains: `GAINS`.
 
@@ -119,20 +120,20 @@ def advance(x: Array, known: Array, dt: float) -> None:
 def _learn(
     variances: Array, last: Array, known: Array, q: Array, qd: Array, share: float, dt: float
 ) -> None:
-    """Count one more reading in.
+    """Include one more reading in the noise estimate.
 
     The mean velocity since the last reading and the known accelerations imply the velocities at
     both readings. The two that neighbouring intervals imply for one reading differ by the
     unexplained second difference of the positions.
 
     Args:
-        variances: (2, n_m) of the positions' and of the velocities' noise; are updated.
-        last: (3, n_m) velocity at the last reading that the positions imply, the last position,
-            and the last unexplained second difference, or not a number; are updated.
+        variances: (2, n_m) noise of positions and velocities; updated.
+        last: (3, n_m) velocity at the last reading by the positions, the last position,
+            and the last unexplained second difference, or NaN; updated.
         known: (k, n_m) accelerations in the periods since the last reading.
         q: (n_m,) positions.
-        qd: (n_m,) velocities, or not a number.
-        share: [-] of the new samples of the variances.
+        qd: (n_m,) velocities, or NaN.
+        share: [-] weight of the new samples of the variances.
         dt: [s]
     """
     steps = len(known)
@@ -153,12 +154,12 @@ def _learn(
 
 @compiled()
 def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
-    """(2, n_m) variances of positions and velocities, not below what agrees by construction.
+    """(2, n_m) variances of positions and velocities, with lower bounds.
 
     Args:
-        variances: (2, n_m) as learnt.
-        least: Standard deviation of the positions' noise at least.
-        ratio: [1/s] of the velocities' noise to it at least: drives make them of the same ones.
+        variances: (2, n_m) estimated ones.
+        least: Lower bound of the positions' standard deviation.
+        ratio: [1/s] lower bound of the velocities' relative to it: drives use the same positions.
         dt: [s]
     """
     found = np.empty_like(variances)
@@ -197,16 +198,16 @@ def _follow(
 ) -> None:
     """Predict each joint since the last reading, and correct it by its position and its velocity.
 
-    The velocity is that of the way since the last position, as drives and simulators have it.
+    The velocity is the mean since the last position, as in drives and simulators.
 
     Args:
-        x: (3, n_m) position, velocity and acceleration by others; is updated.
-        P: (n_m, 3, 3) covariances; are updated.
-        known: (k, n_m) accelerations besides, in each period.
+        x: (3, n_m) position, velocity and external acceleration; updated.
+        P: (n_m, 3, 3) covariances; updated.
+        known: (k, n_m) predicted accelerations, in each period.
         q: (n_m,) positions.
-        qd: (n_m,) velocities; those that are not a number correct nothing.
-        variances: (2, n_m) of the positions' and of the velocities' noise.
-        change: Of the acceleration by others, in a second.
+        qd: (n_m,) velocities; NaN has no effect.
+        variances: (2, n_m) noise of positions and velocities.
+        change: Process noise of the external acceleration, in one second.
         dt: [s]
     """
     advance(x, known, dt)

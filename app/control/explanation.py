@@ -1,6 +1,6 @@
-"""Why the robot moved as it did, as plain numbers: made from what a control step has kept.
+"""Explanation of the robot's motion in plain numbers, from the quantities of a control step.
 
-Vectors are in the base's frame: "forward" and "left" mean the same wherever it stands.
+Vectors are in the base's frame: "forward" and "left" are relative to the base.
 """
 
 import math
@@ -29,13 +29,13 @@ class ForceSplit(NamedTuple):
     f: Planar
     """[N] f_m,i of (14), the sum of the next two."""
     away: Planar
-    """[N] its part along -n: it moves the base away from the arm."""
+    """[N] its component along -n, which moves the base away from the arm."""
     turn: Planar
-    """[N] its part across: what the step (12), (13) towards a better score adds."""
+    """[N] its component across, from the step (12), (13) towards a better score."""
     away_acceleration: ByAxis
-    """[m/s² or rad/s²] of (16) by `away` alone, times β_m."""
+    """[m/s² or rad/s²] acceleration (16) by `away` alone, times β_m."""
     turn_acceleration: ByAxis
-    """The same by `turn`."""
+    """[m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m."""
     determinant: float
     """[m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act."""
     reachability: float
@@ -43,46 +43,46 @@ class ForceSplit(NamedTuple):
     score: float
     """[m⁴/rad⁴] S of (10) at p_act."""
     score_near: float
-    """[m⁴/rad⁴] S at p_n, where the force would act without the step."""
+    """[m⁴/rad⁴] S at p_n, the place of the force without the step."""
 
 
 class NearPair(NamedTuple):
-    """One link pair that is inside a buffer, or held by its barrier."""
+    """One link pair inside a buffer, or at the bound of its barrier."""
 
     a: str
-    """Body nearer to the base, as in `lm`."""
+    """Name of the body nearer to the base, as in `lm`."""
     b: str
-    """Body farther out, as in `lEE`."""
+    """Name of the other body, as in `lEE`."""
     mobile: bool
     """Whether it belongs to L_m."""
     d: float
-    """[m] signed distance, as the controller has it."""
+    """[m] signed distance of the controller."""
     beta: float
     """[-] activation parameter."""
     n: tuple[float, float, float]
     """Unit normal from `a` to `b`, in the base's frame."""
     above: float
-    """[-] what of the force falls away as the pair meets from above, where no motion of the base
-    helps; 0 to 1."""
+    """[-] share of the force that vanishes because the pair meets from above, where no motion of
+    the base helps; 0 to 1."""
     arm_beta: float
-    """[-] activation of the arm's own rows against the base, 0 if there are none."""
+    """[-] activation of the arm's own rows against the base, 0 without rows."""
     held: bool
     """Whether the method's hard inequality for the pair is at its bound."""
     force: ForceSplit | None
-    """Of an active pair of L_m whose controller moves the base, else None."""
+    """The force of an active pair of L_m if the controller moves the base, otherwise None."""
 
 
 class Level(NamedTuple):
-    """The slack of one task: what it asked for less what it got."""
+    """The slack of one task: its demand minus its result."""
 
     name: LevelName
     """"base": the base's rows of T_sca; "arm": the arm's rows against the base; "links": rows
-    between links; "hand": the end-effector's task; "posture": the lightest, or "free" where a
-    person leads the arm: what it would do by itself."""
+    between links; "hand": the end-effector's task; "posture": the lowest task, or "free" during
+    guiding: the motion without avoidance."""
     linear: float | None
-    """[m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇."""
+    """[m/s²] norm of the slack, or its linear part; None if there is none. For "base" v̇."""
     angular: float | None
-    """[rad/s²] norm of the angular part, or of the joints'; None if there is none."""
+    """[rad/s²] norm of the angular part, or that of the joints; None if there is none."""
 
 
 class Explanation(NamedTuple):
@@ -90,9 +90,9 @@ class Explanation(NamedTuple):
 
     controller: str
     mode: Controlled
-    """Whether the arm is led by hand or follows a reference."""
+    """Whether a person guides the arm or it follows a reference."""
     solved: bool
-    """False if a QP had no solution and the safe command was given."""
+    """False for the fallback command, because a QP had no solution."""
     chain: tuple[str, ...]
     """Names of all bodies, the mobile robot first, then outwards."""
     near: tuple[NearPair, ...]
@@ -100,19 +100,19 @@ class Explanation(NamedTuple):
     nearest: tuple[str, str, float]
     """Body names and distance [m] of the nearest pair of L_m, near or not."""
     axes: tuple[Axis, ...]
-    """The base's axes, along which its accelerations are."""
+    """The base's axes, which define the components of its accelerations."""
     base_avoidance: ByAxis
     """[m/s² or rad/s²] of (16), times β_m; 0 without the base's rows."""
     base_asked: ByAxis
-    """The same that the step asks of the base."""
+    """(n_b,) commanded base acceleration."""
     base_given: ByAxis
-    """The same that the base has."""
+    """(n_b,) measured base acceleration."""
     levels: tuple[Level, ...]
-    """What each level of the hierarchy gave up, highest priority first."""
+    """Slack of each task, highest priority first."""
     bounds: tuple[Bound, ...]
-    """What limited the step."""
+    """The active limits of the step."""
     base_kind: str = "differential"
-    """Which kind of base it is, whose measure stands in the score."""
+    """Kind of the base, which defines the measure in the score."""
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
@@ -121,8 +121,8 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The pair that counts most, or None: the deepest of those one of which is inside the
-        other, else the most active one of L_m, else between links.
+        """The most important pair, or None: the deepest one in penetration, otherwise the most
+        active one of L_m, otherwise the most active one between links.
         """
         inside = (pair for pair in self.near if pair.d < 0.0)
         return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
@@ -133,7 +133,7 @@ def explain(
 ) -> Explanation:
     """Explain the controller's last step.
 
-    `base_command` (n_b,) [m/s or rad/s] is the admittance law's in force.
+    `base_command` (n_b,) [m/s or rad/s] is the command of the admittance law in force.
     """
     model, solved = controller.state.model, bool(w.solved)
     bounds = active_bounds(model, w, config) if solved else []
@@ -161,7 +161,7 @@ def explain(
 
 
 def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
-    """The slack of each task of a step, what weighs most first: w_sca* and w_2 of (29)."""
+    """The slack of each task of a step, the highest weight first: w_sca* and w_2 of (29)."""
     levels, n_b = [], base.n_b
     if w.B[0] > 0.0:
         levels.append(Level("base", *linear_and_angular(base, w.a_base_des - w.a_base_cmd)))
@@ -178,15 +178,15 @@ def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
 
 
 def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
-    """(n_m,) [rad/s² or m/s²] the arm's q̈ less the one that an objective alone would choose.
+    """(n_m,) [rad/s² or m/s²] the arm's q̈ minus the optimum of an objective alone.
 
-    The base's q̈, the first n_b, is taken as it is.
+    The base's q̈, the first n_b entries, is fixed.
     """
     return qdd[n_b:] + np.linalg.solve(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd[:n_b])
 
 
 def row_slacks(w: ControlStep) -> Array:
-    """(n_s,) the demand of each row of T_sca, in the blend of (29), less its result; 0 if β = 0."""
+    """(n_s,) demand of each row of T_sca, in the blend of (29), minus its result; 0 if β = 0."""
     without = w.qdd.copy()
     without[w.n_b :] -= objective_slack(w.H, w.c, w.qdd, w.n_b)
     blend = w.B * w.b_sca + (1.0 - w.B) * (w.J_sca @ without)
@@ -194,7 +194,7 @@ def row_slacks(w: ControlStep) -> Array:
 
 
 def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
-    """Norms of what an axis-by-axis vector (n_b,) has along the base's linear and angular axes."""
+    """Norms of a vector (n_b,) along the base's linear and its angular axes."""
     angular = np.array([axis.angular for axis in base.axes])
     return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
 
@@ -204,9 +204,9 @@ def _norm(vector: Array) -> float:
 
 
 def split(f: Array, n: Array) -> tuple[Array, Array]:
-    """A horizontal force f (3,) [N] along -n and across it: two horizontal ones whose sum is f.
+    """A horizontal force f (3,) [N] along -n and across it: two horizontal forces with the sum f.
 
-    Where the unit normal n (3,) from the base to the arm is vertical, all of f is across.
+    If the unit normal n (3,) from the base to the arm is vertical, all of f is across.
     """
     along = np.array([n[0], n[1], 0.0])
     length = float(np.linalg.norm(along))
@@ -218,7 +218,7 @@ def split(f: Array, n: Array) -> tuple[Array, Array]:
 
 
 def _near_pair(controller: Controller, w: ControlStep, i: int, *, held: bool) -> NearPair | None:
-    """The i-th pair, or None if nothing acts on it."""
+    """The i-th pair, or None if it has no effect."""
     mobile, beta, n = i < w.n_mob, float(w.beta[i]), w.normal[i]
     pushed = mobile and bool((w.B[w.n_b + len(w.pairs) - w.n_mob :] > 0.0).any())
     arm_beta = beta if pushed else 0.0

@@ -1,15 +1,15 @@
-"""The controller that the paper prints (§3.4): strict levels, (26), and their transition, (29).
+"""The paper's controller as printed (§3.4): strict levels, (26), and their transition, (29).
 
-The compared method `hqp`. The cascade below reads like the paper and takes only those corrections
+This is the compared method `hqp`. The cascade below follows the paper, with only those corrections
 without which it does not work:
 
-- The reference of (29) stands on the right, with J̇_sca q̇: only so does B = 0 give (26).
-- (26) leaves q̈ open where T_2 has fewer rows than the robot has axes. A lowest level closes it:
-  posture and damping, heavy on the wheels. An arm that a person guides has no T_2 (§4.2.2): its
+- The reference of (29) is on the right, with J̇_sca q̇: only then does B = 0 give (26).
+- (26) leaves q̈ open if T_2 has fewer rows than the robot has axes. A lowest level completes it:
+  posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
   lowest levels are a base at rest, then gravity compensation with joint damping.
-- A level is a row for each pair within its buffer; a row at β = 0 is not there.
+- A level has a row for each pair within its buffer; rows with β = 0 are left out.
 
-u is no unknown here: (26) defines it as M q̈ + C q̇ + g, and restricts q̈ by nothing.
+u is not an unknown here: (26) defines it as M q̈ + C q̇ + g, without a constraint on q̈.
 """
 
 from typing import NamedTuple
@@ -21,8 +21,8 @@ from app.config import TaskConfig
 from app.control.quantities import ControlStep
 from app.strict import Array
 
-_EPS = 1e-10  # accuracy that ProxQP aims at
-_ENOUGH = 1e-6  # accuracy with which its answer counts
+_EPS = 1e-10  # desired accuracy of ProxQP
+_ENOUGH = 1e-6  # required accuracy of its solution
 
 
 class Task(NamedTuple):
@@ -39,7 +39,7 @@ class NoSolutionError(ArithmeticError):
 
 
 def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
-    """q̈ (n,) of a control step whose tasks are stacked, or NaN where ProxQP finds none."""
+    """q̈ (n,) of a control step with stacked tasks, or NaN if ProxQP finds no solution."""
     below = tasks_below(w, gains)
     active = w.B > 0.0
     T_sca = Task(w.J_sca[active], w.b_sca[active])
@@ -51,7 +51,7 @@ def solved_by_hierarchy(w: ControlStep, gains: TaskConfig) -> Array:
 
 
 def tasks_below(w: ControlStep, gains: TaskConfig) -> list[Task]:
-    """T_2 and the level below it; guided by hand there is no T_2."""
+    """T_2 and the level below it; during guiding there is no T_2."""
     if w.tracking:
         return [end_effector(w, gains), posture(w)]
     return [base_at_rest(w, gains), gravity_compensation(w)]
@@ -67,7 +67,7 @@ def end_effector(w: ControlStep, gains: TaskConfig) -> Task:
 
 
 def posture(w: ControlStep) -> Task:
-    """Posture and damping, heavy on the wheels: the objective `w.H_low`, which is diagonal."""
+    """Posture and damping, with a large weight on the wheels: the diagonal objective `w.H_low`."""
     root = np.sqrt(np.diag(w.H_low))
     return Task(np.diag(root), -w.c_low / root)
 
@@ -95,7 +95,7 @@ def inserted(T_sca: Task, B: Array, below: list[Task], qdd_2: Array) -> Array:
 
 
 def cascade(levels: list[Task]) -> Array:
-    """q̈ (n,): min ‖w‖ level by level, each without a change of the slacks above it.
+    """q̈ (n,): min ‖w‖ level by level, without changing the slacks of higher levels.
 
     Paper: Eq. (26), (29), the latter with T_sca on top.
     """
@@ -108,10 +108,10 @@ def cascade(levels: list[Task]) -> Array:
 
 
 def least_slack(level: Task, above: Array, qdd: Array) -> Array:
-    """Min ‖J q̈ − b‖ subject to `above` q̈ (k,) as at the q̈ given.
+    """Min ‖J q̈ − b‖ with the same `above` q̈ (k,) as for the given q̈.
 
     Raises:
-        NoSolutionError: ProxQP has found none.
+        NoSolutionError: ProxQP finds no solution.
     """
     J, b = level
     qp = proxqp.dense.QP(len(qdd), len(above), 0)

@@ -1,4 +1,4 @@
-"""What the law takes besides measurements: the robot's constants and the gains, as structs."""
+"""Inputs of the law besides measurements: the robot's constants and the gains, as structs."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
     "barrier": {"barrier": True, "base_in_barrier": True},
     "none": {},
 }
-"""What each of the compared controllers puts above the tasks, or among the limits."""
+"""The terms that each compared controller adds to the tasks or to the limits."""
 
 
 @compiled(ROBOT.made_from)
@@ -165,7 +165,7 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
 
 
 def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
-    """`GAINS` of a configuration for a controller of `METHODS`; `dt` [s] is the control period."""
+    """`GAINS` of a configuration for a controller in `METHODS`; `dt` [s] is the control period."""
     c, method = config, METHODS[name]
     gain, drag = response(base, c.admittance)
     values = _Gains(
@@ -221,7 +221,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
 
 
 def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:
-    """The same with arrays as the struct has them, and numbers of its types."""
+    """The values with contiguous arrays and numbers of the struct's types."""
     kinds = {types.f8: float, types.i8: int, types.b1: bool}
     return values._replace(
         **{

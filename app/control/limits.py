@@ -1,8 +1,8 @@
 """The robot's limits as rows l ≤ C q̈ ≤ u: torques, joint positions and speeds, distances.
 
 Torques are hard. Joint limits and distances are soft, so that they never contradict each other.
-External forces move the arm as well; joint limits and distances hold for the acceleration that
-the arm will have, with the estimated external part in it.
+External forces move the arm as well; joint limits and distances constrain the total acceleration
+of the arm, including the estimated external part.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 def position_bounds(q: Array, qd: Array, limits: Array, rate: float) -> Array:
     """(2, n_m) λ² (q_limit − q) − 2 λ q̇, bounds on q̈_m from the lower and upper position limits.
 
-    A joint at the distance e from its limit may accelerate towards it by λ² e − 2 λ q̇ at most, and
-    so reaches the limit without overshoot.
+    A joint at the distance e from its limit may accelerate towards it by at most λ² e − 2 λ q̇, and
+    thus reaches the limit without overshoot.
     """
     return rate**2 * (limits - q) - 2 * rate * qd
 
@@ -50,12 +50,12 @@ def velocity_bounds(qd: Array, limits: Array, rate: float) -> Array:
 
 @compiled()
 def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: float) -> float:
-    """The lower bound [m/s²] on J q̈ with which h = d − d_min does not become negative.
+    """The lower bound [m/s²] on J q̈ that keeps h = d − d_min from becoming negative.
 
-    ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never comes nearer than d_min; one
-    that begins nearer, even in penetration, separates at the rate λ and no faster than `max_speed`,
-    because h counts down to −max_speed/λ only. It is the second-order form of the barriers
-    ḣ + λ h ≥ 0 that libraries at velocity level use.
+    ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that starts with ḣ + λ h ≥ 0 never comes nearer than d_min. A pair
+    that starts nearer, even in penetration, separates at the rate λ, at most at `max_speed`,
+    because h is limited to −max_speed/λ. It is the second-order form of the barriers
+    ḣ + λ h ≥ 0 of libraries at velocity level.
 
     Args:
         Jdqd: [m/s²] acceleration of the distance at q̈ = 0.
@@ -95,13 +95,13 @@ def torque_reachable_bounds(
     qdd_b: Array,
     qdd_ext: Array,
 ) -> Array:
-    """Bounds (2, n_m) on q̈_m, relaxed to what each joint's own torque can achieve.
+    """Bounds (2, n_m) on q̈_m, relaxed to the range of each joint's own torque.
 
     No joint demands more than its own torque achieves in this step with the other torques in the
     middle of their ranges. If one joint demanded more, the other torques would saturate in
-    alternation and destabilise an arm whose torque limits are exceeded. A joint also gains no speed
-    faster than it can stop gaining: at the rate r of its torque q̈_i changes by (M⁻¹)_ii r, so that
-    it may be √(2 (M⁻¹)_ii r v) with v left to the velocity limit.
+    alternation and destabilise an arm whose torque limits are exceeded. The gain of a joint's speed
+    is bounded too: at the rate r of its torque q̈_i changes by (M⁻¹)_ii r, so that it may be √(2
+    (M⁻¹)_ii r v) with the distance v to the velocity limit.
 
     Args:
         M: (n, n) inertia matrix.
@@ -110,8 +110,8 @@ def torque_reachable_bounds(
         u_min: (n_m,) smallest torques of this step.
         u_max: (n_m,) largest torques.
         torque_rate: [N m/s] r.
-        bounds: (2, n_m) on q̈_m.
-        room: (2, n_m) of q̇_m to its lower and upper limit.
+        bounds: (2, n_m) bounds on q̈_m.
+        room: (2, n_m) distance of q̇_m to its lower and upper limit.
         qdd_b: (n_b,) acceleration of the base's coordinates.
         qdd_ext: (n_m,) external acceleration of the joints.
     """
@@ -135,7 +135,7 @@ def torque_reachable_bounds(
 def torque_rows(
     M: Array, h: Array, u_min: Array, u_max: Array, C: Array, l: Array, u: Array
 ) -> None:
-    """Write M_a q̈ + h_a within the torques into the first n_m rows of C (m, n), l and u (m,)."""
+    """Write the torque limits of M_a q̈ + h_a into the first n_m rows of C (m, n), l and u (m,)."""
     n_m = len(u_min)
     n_b = len(h) - n_m
     for i in range(n_m):
@@ -177,16 +177,16 @@ def distance_rows(
 
 @compiled()
 def force_bound(d: float, J: Array, d_dot: float, M: Array, g: Array, tau_max: Array) -> float:
-    """[N] the largest push on the arm's closest point towards the other body that the arm can bear.
+    """[N] bound of a push on the arm's closest point towards the other body.
 
-    A force F against the normal demands the torque g_i + J_i F of each joint, with J_i how the
-    joint moves the distance. No torque is at its limit up to
+    A force F against the normal requires the torque g_i + J_i F of each joint, with the distance's
+    Jacobian J_i. No torque exceeds its limit up to
 
         F = min_i (τ_i − g_i sgn J_i) / |J_i|,
 
-    less v²/(2 d) / (J M⁻¹ Jᵀ) for a pair that approaches at the speed v, which it needs to stop
-    within d. Beyond it the arm holds for a moment by its inertia, and joints may exceed their speed
-    limits. It is 0 where the arm cannot stop in time even without a push, and at contact.
+    minus v²/(2 d) / (J M⁻¹ Jᵀ) for a pair that approaches at the speed v, which is required to stop
+    within d. Beyond it the arm resists for a moment by its inertia, and joints may exceed their
+    speed limits. It is 0 at contact, and if the arm cannot stop in time even without a push.
 
     Args:
         d: [m] distance of the pair.

@@ -1,6 +1,6 @@
 """A strictly convex QP with soft limits, by the dual active-set method of Goldfarb and Idnani.
 
-On matrices of ten rows LAPACK's calls cost more than the sums.
+For matrices of ten rows the overhead of LAPACK exceeds the computation.
 """
 
 import math
@@ -10,13 +10,13 @@ import numpy as np
 from app.compiled import compiled
 from app.strict import Array
 
-_EPS = 1e-12  # of a bound, by which it may be missed
-_MISSED = 1e-10  # by which limits may be
+_EPS = 1e-12  # tolerance relative to a bound
+_MISSED = 1e-10  # tolerance of the limits
 
 
 @compiled()
 def cholesky(H: Array) -> Array:
-    """L, lower triangular, with H = L Lᵀ; not a number if H is not positive definite."""
+    """L, lower triangular, with H = L Lᵀ; NaN if H is not positive definite."""
     L = np.zeros(H.shape)
     for j in range(len(H)):
         for i in range(j, len(H)):
@@ -54,7 +54,7 @@ def inverse_diagonal(L: Array) -> Array:
     """The diagonal (n,) of H⁻¹ with H = L Lᵀ."""
     n = len(L)
     found, x = np.zeros(n), np.empty(n)
-    for i in range(n):  # the column L⁻¹ e_i begins at its i-th entry
+    for i in range(n):  # the column L⁻¹ e_i starts at its i-th entry
         for j in range(i, n):
             value = 1.0 if j == i else 0.0
             for l in range(i, j):
@@ -72,7 +72,7 @@ def _minimum(L: Array, c: Array) -> Array:
 
 @compiled()
 def times(A: Array, x: Array) -> Array:
-    """A x, its sums in a fixed order: those of BLAS depend on where the memory lies."""
+    """A x, with sums in a fixed order, because those of BLAS depend on memory addresses."""
     found = np.zeros(len(A))
     for i in range(len(A)):
         for j in range(len(x)):
@@ -82,14 +82,14 @@ def times(A: Array, x: Array) -> Array:
 
 @compiled()
 def _holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
-    """Whether l ≤ C x ≤ u within a tolerance; never for what is not a number."""
+    """Whether l ≤ C x ≤ u within a tolerance; false for NaN."""
     reached = times(C, x)
     return bool((np.maximum(l - reached, reached - u) <= tolerance).all())
 
 
 @compiled()
 def _within(K: Array, active: Array, r: Array) -> Array:
-    """The y of K y = r over some of its rows and columns."""
+    """The solution y of K y = r over the active rows and columns."""
     size = len(active)
     W = np.empty((size, size))
     for i in range(size):
@@ -103,10 +103,10 @@ def _within(K: Array, active: Array, r: Array) -> Array:
 def _activate_row(
     p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
 ) -> tuple[int, bool]:
-    """Bring row p to its bound, changing y and the rows that are kept there.
+    """Bring row p to its bound, by changing y and the set of active rows.
 
     Returns:
-        How many rows are kept, and whether it came there; else the hard rows contradict each other.
+        Number of active rows, and success; otherwise the hard rows are infeasible.
     """
     m = len(y)
     while True:
@@ -114,7 +114,7 @@ def _activate_row(
         if size > 0:
             turn[active] = -side * _within(K, active, K[active, p])
         turn[p] = side
-        rise = side * (K[p] * turn).sum()  # towards the bound, for each unit of y_p
+        rise = side * (K[p] * turn).sum()  # towards the bound, per unit of y_p
         step = miss / rise if rise > _EPS * K[p, p] else np.inf
         blocking = -1
         for k in range(size):
@@ -135,10 +135,10 @@ def _activate_row(
 
 @compiled()
 def compliances(slack_weight: Array, length: Array) -> Array:
-    """(m,) those of rows of length one: of all that are soft, each as for the stiffest.
+    """(m,) compliances of rows of unit length; all soft rows have that of the stiffest.
 
-    A slack s then costs s² times the same for all of them. If each cost what its own row weighs, a
-    light wrist would be thrown about to brake a heavy shoulder.
+    Thus a slack s costs s² times the same factor for all of them. If the cost depended on the row,
+    a light wrist would accelerate strongly to brake a heavy shoulder.
 
     Args:
         slack_weight: (m,) [-] ε.
@@ -159,13 +159,13 @@ def compliances(slack_weight: Array, length: Array) -> Array:
 def _nearest_within(
     x: Array, L: Array, C: Array, l: Array, u: Array, slack_weight: Array
 ) -> tuple[Array, bool]:
-    """The least within limits, by the dual active-set method of Goldfarb and Idnani (1983).
+    """The constrained optimum, by the dual active-set method of Goldfarb and Idnani (1983).
 
-    It is x itself where that keeps them. With a_i = L⁻¹ C_iᵀ, each of length one, and
-    z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its multipliers y solve l ≤ K y ≤ u with
-    K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one and 0 between. One row after
-    the other, the most missed first, is brought to its bound, while those that are there stay,
-    until one of their multipliers is 0 and it is let go.
+    It is x itself if that satisfies the limits. With a_i = L⁻¹ C_iᵀ of length one, and
+    z = Lᵀ (q̈ - x), the solution is z = Σ y_i a_i. Its multipliers y solve l ≤ K y ≤ u with
+    K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one and 0 between. The most
+    violated row is brought to its bound while the active rows stay there, until one of their
+    multipliers is 0 and this row becomes inactive; then the next row follows.
 
     Args:
         x: (n,) the free optimum.
@@ -176,7 +176,7 @@ def _nearest_within(
         slack_weight: (m,) [-] ε of `compliances`.
 
     Returns:
-        (n,) the least, and whether there is one.
+        (n,) the optimum, and whether it exists.
     """
     if _holds(C, l, u, x, _MISSED):
         return x, True
@@ -207,7 +207,7 @@ def _nearest_within(
         if not reached_it:
             break
     z = (a.T * y).sum(axis=1)
-    # Beside a soft row's multiplier, as large as 1/ε, a hard one's is lost in rounding; z is not.
+    # A soft row's multiplier, of order 1/ε, hides a hard row's in rounding, but not z.
     hard = kept[:size][slack_weight[kept[:size]] == 0.0]
     bound = np.where(y > 0.0, below, above)
     z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
@@ -221,11 +221,11 @@ def solve_qp(
 ) -> tuple[Array, bool]:
     """Min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
 
-    Where no limit is met the solution is known in closed form. Else, with H = L Lᵀ and
-    z = Lᵀ (x − x*) from the free optimum x*, it is the z nearest to 0 within the limits. A soft
-    limit has a slack that costs 1/(ε c), with c the least C_j H⁻¹ C_jᵀ of the soft ones: it yields
-    by at most ε of what the tasks alone would violate it by, and no soft limits, nor two that
-    contradict each other, leave the problem without a solution.
+    If no limit is active, the solution is a closed form. Otherwise, with H = L Lᵀ and
+    z = Lᵀ (x − x*) from the free optimum x*, it is the feasible z nearest to 0. A soft
+    limit has a slack that costs 1/(ε c), with c the smallest C_j H⁻¹ C_jᵀ of the soft ones. The
+    slack is at most ε times the violation of the unconstrained solution. Soft limits, even
+    conflicting ones, never make the problem infeasible.
 
     Args:
         H: (n, n) symmetric positive definite.
@@ -250,9 +250,9 @@ def solve_qp(
 def solve_qp_step(
     H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
 ) -> tuple[Array, bool]:
-    """The x within the limits nearest to the optimum with fixed entries and without limits.
+    """The feasible x nearest to the optimum with fixed entries and without limits.
 
-    Nearest in the metric H; the first entries may change, too.
+    Nearest is in the metric H; the first entries may change, too.
 
     Returns:
         (n,) the solution, and whether the active sets found it.

@@ -1,8 +1,8 @@
-"""The table of quantities: everything that one control step computes, each declared once.
+"""The table of quantities: each quantity of a control step is declared once.
 
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
 them; logs, the explanation, studies and tests read them under the same names. Values that the next
-step needs stay in the same memory: their meaning begins with "memory".
+step needs stay in the same memory: their meaning starts with "memory".
 
 Frames: `world` has its floor at z = 0; `base` is fixed to the base's centre on the floor, x ahead;
 `axes` are the base's velocity axes ν, v and ω of a differential base; `joints` are the arm's.
@@ -29,13 +29,13 @@ class Quantity(NamedTuple):
     """One quantity of a control step."""
 
     name: str
-    """In code, and in everything generated from the table."""
+    """Name in the code, and in everything generated from the table."""
     symbol: str
-    """In the paper or the field."""
+    """Symbol in the paper or the field."""
     shape: str
-    """Its dimensions, separated by blanks; empty for a number. See `DIMENSIONS`."""
+    """Dimensions, separated by blanks; empty for a number. See `DIMENSIONS`."""
     unit: str
-    """SI units; of a vector with several kinds of entries all of them."""
+    """SI units; for a vector with several kinds of entries all of them."""
     frame: str
     """Frame or axes of the components; empty if it has none."""
     source: str
@@ -89,8 +89,8 @@ lag | | | 1 | | readings | memory: periods by which the readings are late
 ratio | | | 1 | | readings | memory: way of a joint by the integral of its velocities
 agreed | | | 1 | | readings | memory: intervals in a row that agree on another ratio
 stride | | | 1 | | readings | memory: periods between the two newest readings
-no_velocity | | | 1 | | readings | memory: 1 while velocities do not belong to the positions
-rested | | | 1 | | readings | memory: readings of a robot at rest that were the same
+no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
+rested | | | 1 | | readings | memory: equal readings of a robot at rest
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
 pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
@@ -115,7 +115,7 @@ x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
     memory: Kalman state, the same at the newest reading
 P_est | P | n_m 3 3 | | joints | estimate | memory: its covariance
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
-    memory: learnt noise variance of positions and velocities
+    memory: estimated noise variance of positions and velocities
 q_last |  | 3 n_m | rad | joints | estimate |
     memory: last velocity by positions, position, and unexplained second difference
 samples | | | 1 | | estimate | memory: samples of the noise
@@ -171,11 +171,13 @@ a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without t
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
 a_base_cmd |  | n_b | m/s², rad/s² | axes | algorithm.py |
     commanded base acceleration, input of the admittance law
-a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py | base acceleration that the drive now has
+a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py |
+    measured base acceleration, by the drive's model or the caller
 qdd | q̈ | n | rad/s², m/s² | joints | (29) |
     solution of the arm's QP; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
-u_a | u | n_m | N m, N | joints | (26) | memory: the same once a posture is measured; NaN before
+u_a | u | n_m | N m, N | joints | (26) |
+    memory: commanded arm torque after the first measured posture; NaN before
 solved | | | 1 | | | 1 if the command solves the QP, 0 for the fallback command
 failures | | | 1 | | | memory: steps with the fallback command
 given_up | | | 1 | | | memory: steps in which the base's QP had no solution
@@ -185,13 +187,13 @@ command_due | | | 1 | | §4.1 | 1 if the velocity command is new
 v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command before it
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: velocity command in force
 # A QP that ProxQP has to solve
-qp_open | | | 1 | | | 1 to 4: the problem that is left to Python; 0 none
-qp_x | | 4 n | | joints | | solutions of these by ProxQP; NaN: none
+qp_open | | | 1 | | | 1 to 4: the problem for Python to solve; 0 none
+qp_x | | 4 n | | joints | | solutions of these problems by ProxQP; NaN: none
 qp_tried | | 4 | 1 | | | 1 where ProxQP was tried
 qp_H | | n n | | joints | | Hessian of the open QP
 qp_c | | n | | joints | | its linear term
 qp_fixed | | n_b | | joints | | its fixed first entries
-qp_rows | | | 1 | | | rows of its limits, which stand in C, l, u, slack_weight
+qp_rows | | | 1 | | | rows of its limits in C, l, u, slack_weight
 """
 """Of each quantity: name | symbol | shape | unit | frame | source | meaning."""
 
@@ -212,7 +214,7 @@ PINOCCHIO = {
     "J_pin": types.Array(types.f8, 2, "F"),
     "oMi": types.Array(types.f8, 3, "C"),
 }
-"""Views of pinocchio's results: M, C q̇ + g, g, the Jacobian J, and of each joint (n_j, 4, 3) the
+"""Views of pinocchio's results: M, C q̇ + g, g, the Jacobian J, and for each joint (n_j, 4, 3) the
 columns of its rotation and its origin [m], in the world."""
 
 _Values: Any = NamedTuple(  # type: ignore[misc]
@@ -250,11 +252,11 @@ class ControlStep:
             sizes: The dimensions of `DIMENSIONS`.
             pinocchio: The views of `PINOCCHIO`.
             pairs: The link pairs, those of L_m first.
-            rows: Of each pair: its row among the distances, and those of its convex parts.
+            rows: For each pair: its row among the distances, and those of its convex parts.
         """
         self.pairs, self.rows = tuple(pairs), rows
         self.pinocchio: object = None
-        """The owner of the memory that the views show; it lives as long as they."""
+        """The owner of the views' memory; it lives as long as they."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
         shapes = [
             [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
@@ -268,11 +270,11 @@ class ControlStep:
         self.struct = _make(_Values(**{name: getattr(self, name) for name in _Values._fields}))
         """The same memory for compiled functions."""
 
-    def __getattr__(self, name: str) -> Array:  # for those who check types, and for a clear error
+    def __getattr__(self, name: str) -> Array:  # for type checkers, and for a clear error
         raise AttributeError(f"a control step has no quantity {name!r}")
 
     def closest(self, i: int) -> ClosestPoints:
-        """The closest points of the i-th pair, in the world; copies, safe to keep."""
+        """The closest points of the i-th pair, in the world, as copies."""
         return with_parts(*[self._closest(self.pairs[i], row) for row in self.rows[i]])
 
     def _closest(self, pair: Pair, row: int) -> ClosestPoints:
@@ -281,11 +283,11 @@ class ControlStep:
 
     @property
     def base_avoidance(self) -> Array:
-        """(n_b,) [m/s² or rad/s²] β_m ẍ_m as the method inserts it, 0 if it does not."""
+        """(n_b,) [m/s² or rad/s²] β_m ẍ_m of the method, 0 if it has no such term."""
         return self.B[: self.n_b] * self.xdd_m
 
     def copy(self) -> Self:
-        """The same values in memory of their own, which no step overwrites."""
+        """The same values in separate memory, which no step overwrites."""
         copied = type(self).__new__(type(self))
         copied.__dict__.update(
             {

@@ -1,12 +1,12 @@
-"""References as a planner sends them: in steps, at 10 or 30 Hz with jitter.
+"""Interpolation of a planner's references, which arrive in steps, at 10 or 30 Hz with jitter.
 
-A reference whose pose leaps, in comparison with its own velocity, is a sample. At each sample the
-end-effector begins a polynomial of fifth degree, from its present reference position, velocity and
-acceleration to the sample and the velocity of the way since the last one, within two mean intervals
-of samples: a steady motion stays steady, and jitter is bridged. Where no further sample comes it
+A reference whose pose leaps, in comparison with its own velocity, is a sample. At each sample a
+polynomial of fifth degree starts from the present reference position, velocity and acceleration.
+It ends at the sample, with the mean velocity since the previous one, after two mean intervals
+of samples: a steady motion stays steady, and jitter has no effect. Without a further sample it
 comes to rest at the last one. A sample that is farther away than the correction speed allows, such
 as the first one after a stall, is approached at that speed. The first reference, and references
-without leaps, pass as sent: the law itself limits the correction speed towards them.
+without leaps, pass unchanged: the law itself limits the correction speed towards them.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from app.compiled import compiled, direct
 from app.control.tasks import Reference, pose_error
 from app.strict import Array
 
-_LEAP = 10.0  # [m/s² and rad/s²] of a reference in one period, from which it is a sample
-_RATE = 0.3  # [-] share of the newest interval in the mean time between samples
-_LONGEST = 0.25  # [s] between samples of one motion
-_LATE = 1.75  # [-] mean intervals, after which there is no further sample
-_PEAK = 1.875  # [-] largest over mean speed of the polynomial from rest to rest
+_LEAP = 10.0  # [m/s² and rad/s²] acceleration in one period above which a reference is a sample
+_RATE = 0.3  # [-] weight of the newest interval in the mean time between samples
+_LONGEST = 0.25  # [s] longest time between samples of one motion
+_LATE = 1.75  # [-] mean intervals after which no further sample is expected
+_PEAK = 1.875  # [-] ratio of largest to mean speed of the polynomial from rest to rest
 _POWERS = np.arange(6)
 
 
@@ -53,7 +53,7 @@ _way_between = direct(way_between)
 
 
 class References:
-    """The reference of each control step, from those that a planner sends."""
+    """The reference of each control step, from a planner's references."""
 
     def __init__(self, dt: float) -> None:
         """No reference; `dt` [s] is the control period."""
@@ -62,7 +62,7 @@ class References:
 
     def reset(self) -> None:
         """Start again: the next reference is the first one."""
-        self._raw: Reference | None = None  # the last one that was sent
+        self._raw: Reference | None = None  # the previous one that was sent
         self._way: Array | None = None  # (6, 6) coefficients of the polynomial, while it is in use
         self._since, self._interval = 0.0, 0.0
 
@@ -95,14 +95,14 @@ class References:
         return self._now(sent, speed)
 
     def _begin(self, at: Reference) -> None:
-        """Begin a polynomial at a reference."""
+        """Start a polynomial at a reference."""
         self._origin = at.pose.copy()
         self._way = np.zeros((6, 6))
         self._way[1], self._way[2] = at.velocity, at.acceleration / 2.0
         self._t, self._end, self._moves_on = 0.0, np.inf, False
 
     def _aim(self, sent: Reference, velocity: Array, speed: float) -> None:
-        """Go on from the present reference to a sample, to arrive there at a velocity (6,)."""
+        """Continue from the present reference to a sample, with the final velocity (6,)."""
         state = self._state(self._t)
         self._origin = _moved(self._origin, state[0])
         goal, _ = _way(self._origin, sent.pose, sent.velocity, self.dt)
@@ -116,7 +116,7 @@ class References:
         self._t, self._end = 0.0, duration
 
     def _state(self, t: float) -> Array:
-        """(3, 6) way from the origin, velocity and acceleration of the polynomial."""
+        """(3, 6) displacement from the origin, velocity and acceleration of the polynomial."""
         if self._way is None:
             return np.zeros((3, 6))
         p = t**_POWERS
@@ -125,7 +125,7 @@ class References:
         return np.array([p @ self._way, v @ self._way[1:], a @ self._way[2:]])
 
     def _now(self, sent: Reference, speed: float) -> Reference:
-        """The reference along the polynomial, which comes to rest where no further sample comes."""
+        """The reference on the polynomial, which comes to rest without a further sample."""
         self._t += self.dt
         if self._moves_on and self._since > _LATE * self._interval:
             self._aim(sent, np.zeros(6), speed)

@@ -1,4 +1,4 @@
-"""The last resort for a QP on which the active sets do not settle: ProxQP.
+"""The last resort for a QP whose active-set search does not converge: ProxQP.
 
 It is rare, and takes a millisecond.
 """
@@ -11,8 +11,8 @@ from proxsuite import proxqp
 from app.control.qp import compliances
 from app.strict import Array
 
-_EPS = 1e-10  # by which ProxQP may violate limits
-_ENOUGH = 1e-6  # accuracy of ProxQP
+_EPS = 1e-10  # desired accuracy of ProxQP
+_ENOUGH = 1e-6  # required accuracy of ProxQP
 
 
 class OpenQP(NamedTuple):
@@ -35,7 +35,7 @@ class OpenQP(NamedTuple):
 
 
 def solved_by_proxqp(qp: OpenQP) -> Array:
-    """The solution (n,) of a QP, or NaN if it has none or its data are not finite."""
+    """The solution (n,) of a QP, or NaN if it is infeasible or its data are not finite."""
     k, x = len(qp.fixed), _without_limits(qp)
     moved = qp.C[:, :k] @ qp.fixed
     C, l, u = qp.C[:, k:], qp.l - moved, qp.u - moved
@@ -53,9 +53,9 @@ def solved_by_proxqp(qp: OpenQP) -> Array:
 
 
 def changed_by_proxqp(qp: OpenQP) -> Array:
-    """The x (n,) nearest to the optimum with fixed entries and without limits that is within them.
+    """The feasible x (n,) nearest to the optimum with fixed entries and without limits.
 
-    Nearest in the metric H; the fixed entries may change. NaN as in `solved_by_proxqp`.
+    Nearest is in the metric H; the fixed entries may change. NaN as in `solved_by_proxqp`.
     """
     free = np.concatenate([qp.fixed, _without_limits(qp)])
     return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))
@@ -71,7 +71,7 @@ def _without_limits(qp: OpenQP) -> Array:
 
 
 def _nearest_to_zero(A: Array, l: Array, u: Array) -> Array:
-    """The z of least norm with l ≤ A z ≤ u, or NaN."""
+    """The z of smallest norm with l ≤ A z ≤ u, or NaN."""
     far = max(l.max(), -u.min())  # in units of the farthest bound from 0
     m, n = A.shape
     qp = proxqp.dense.QP(n, 0, m)

@@ -1,6 +1,7 @@
 """The tasks below self-collision avoidance: end-effector, posture, guided arm, base at rest.
 
-Each is an objective ½ q̈ᵀ H q̈ + cᵀ q̈ over the reduced accelerations q̈ (n,), the base's n_b first.
+Each is an objective ½ q̈ᵀ H q̈ + cᵀ q̈ over the reduced accelerations q̈ (n,), the base's n_b
+first.
 """
 
 import math
@@ -20,9 +21,9 @@ class Reference(NamedTuple):
     pose: pin.SE3
     """T_world_ee."""
     velocity: Array
-    """(6,) linear [m/s] over angular [rad/s]."""
+    """(6,) velocity, linear [m/s] over angular [rad/s]."""
     acceleration: Array
-    """(6,) linear [m/s²] over angular [rad/s²]."""
+    """(6,) acceleration, linear [m/s²] over angular [rad/s²]."""
 
 
 @compiled()
@@ -68,8 +69,8 @@ def end_effector_task(
 ) -> tuple[Array, float]:
     """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
-    The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times a speed: however far
-    away the target is, the end-effector approaches it no faster than that.
+    The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times a speed, so this is
+    the upper bound of the approach speed of a distant target.
 
     Paper: Eq. (26), its task T_2.
 
@@ -82,7 +83,7 @@ def end_effector_task(
         max_speed: [m/s] and [rad/s] upper bound of the correction speed.
 
     Returns:
-        (6,) the right-hand side of J_ee q̈ = b; and λ [m²], the square of the error that is left.
+        (6,) the right-hand side of J_ee q̈ = b; and λ [m²], the square of the bounded error.
     """
     b, rest = np.empty(6), 0.0
     for part in range(0, 6, 3):
@@ -104,8 +105,8 @@ def add_tracking(
 ) -> tuple[Array, Array]:
     """T_ee above the posture (H, c): ½ w ‖J_ee q̈ − b‖² beside it, with a large weight w [-].
 
-    A strict level would demand unbounded accelerations where a limit or another task makes it
-    nearly dependent; the weighted task yields there, and is off by 1/w of the posture's pull.
+    A strict level would demand unbounded accelerations if a limit or another task makes it
+    nearly dependent; the weighted task yields there, with an error of 1/w of the posture's demand.
     A remaining error damps the posture, λ ‖q̈ + k_v q̇‖² in the metric H with λ the square of the
     error (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
 
@@ -151,23 +152,24 @@ def posture_objective(
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
-    """The arm towards a posture, the base to rest, with the base's acceleration far costlier.
+    """The arm towards a posture, the base to rest, with a far higher cost of the base's
+    acceleration.
 
-    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. A joint at the
-    share s of the way from the middle of its range to a limit is pulled back in proportion to s⁵:
-    hardly near the middle, and strongly at a limit, so that no wrist ends in a corner while the
-    tasks above leave another solution.
+    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. At the
+    fraction s from the middle of its range to a limit, a joint has a restoring acceleration
+    proportional to s⁵: small near the middle, and large at a limit, so that no wrist ends in a
+    corner while the tasks above leave another solution.
 
     Args:
         qd: (n,) q̇.
         q_m: (n_m,) joint positions.
         q_posture: (n_m,) the posture.
         q_limits: (2, n_m) lower and upper joint limits.
-        stiffness: [1/s²] towards the posture.
-        damping: [1/s] of the joints.
+        stiffness: [1/s²] stiffness towards the posture.
+        damping: [1/s] damping of the joints.
         joint_centering: [1/s²] pull at a joint limit towards the middle.
         base_weight: [-] cost of the base's acceleration.
-        base_damping: [1/s] of the base.
+        base_damping: [1/s] damping of the base.
     """
     n, n_m = len(qd), len(q_m)
     n_b = n - n_m
@@ -204,7 +206,7 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 
 @compiled()
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
-    """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0): a guided arm applies only what avoidance demands.
+    """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0): a guided arm applies only the torques of avoidance.
 
     u_0 (n_m,) [N m or N] is the torque without avoidance. In q̈_a the Hessian is M_aa: with the
     base's acceleration fixed and no rows the solution is u_a = u_0, with rows u_a = u_0 + J_rᵀ λ.
@@ -220,7 +222,7 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
 def add_base_rest_task(
     H: Array, c: Array, L_aa: Array, qd: Array, weight: float, damping: float, n_b: int
 ) -> tuple[Array, Array]:
-    """The guided objective over base and arm: the base comes to rest at the cost of its weight."""
+    """The guided objective over base and arm: the base comes to rest, with its own weight."""
     n = len(c)
     H, c = H.copy(), c.copy()
     share = np.empty((n - n_b, n_b + 1))
@@ -241,11 +243,12 @@ def add_base_rest_task(
 
 @compiled()
 def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array:
-    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's share of the force of pairs with the base.
+    """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's reaction to the force of pairs with the
+    base.
 
-    Our extension: the force (14) acts on the base alone, so an arm that nobody holds would stay in
-    the buffer and drive the base on. `d` (k,) [m] and `J` (k, n) are of the pairs of L_m, f [N] is
-    the force at contact.
+    Our extension: the force (14) acts on the base alone, so a released arm would stay in the buffer
+    and drive the base on. `d` (k,) [m] and `J` (k, n) belong to the pairs of L_m, f [N] is the
+    force at contact.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):

@@ -2,7 +2,7 @@
 
 The printed hierarchy of strict levels jumps where levels become dependent. Here the tasks below
 are one strictly convex objective, and each row of T_sca is a spring against its solution: the
-result is continuous in its data, whatever rows enter or leave.
+result is continuous in its data when rows enter or leave.
 """
 
 import numpy as np
@@ -18,14 +18,14 @@ def insert_rows(
 ) -> tuple[Array, Array]:
     """The tasks below (H, c) with rows of T_sca above them, each in proportion to its activation.
 
-    Row i joins as a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇, with a compliance of
-    (1 − β_i)/β_i times that of the tasks below, J_i H⁻¹ J_iᵀ. Alone it then yields
+    Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇, with a compliance of
+    (1 − β_i)/β_i times that of the tasks below, J_i H⁻¹ J_iᵀ. Alone it yields
 
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
-    the blend of (29). With others: at β_i = 0 it has no effect, whatever the others do, and at
-    β_i = 1 it holds up to `least`. The printed blend of all rows with the one solution without any
-    of them jumps where a row enters beside another one. The cost is linear in the rows.
+    the blend of (29). With other rows, it has no effect at β_i = 0, and at
+    β_i = 1 it is satisfied up to `least`. The printed blend of all rows with the one solution
+    without them jumps when a row enters beside another one. The cost is linear in the rows.
 
     Paper: Eq. (29).
 
@@ -35,8 +35,8 @@ def insert_rows(
         J: (k, n) rows.
         b: (k,) right-hand sides.
         beta: (k,) [-] activations.
-        least: [-] share of a row's compliance that is left at β = 1.
-        fixed: First entries of q̈ that are fixed, which have no part in J_i H⁻¹ J_iᵀ.
+        least: [-] remaining share of a row's compliance at β = 1.
+        fixed: Number of fixed first entries of q̈, which do not contribute to J_i H⁻¹ J_iᵀ.
 
     Returns:
         (n, n) H + Σ w_i J_iᵀ J_i and (n,) c − Σ w_i b_i J_iᵀ, with
@@ -78,15 +78,15 @@ def blend_base(free: Array, xdd_m: Array, beta_m: float) -> Array:
 
 @compiled()
 def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
-    """R (3, n_b): how the base's axes move the end-effector where the arm cannot compensate.
+    """R (3, n_b): end-effector motion by the base's axes that the arm cannot compensate.
 
     The method moves the base and leaves the end-effector to the arm. An arm that lacks a joint for
-    that, or is at full stretch, does not hold the end-effector in place: the base drags it along,
-    the distance stays the same, and the base would drive on. Our extension:
-    R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the
-    end-effector's linear Jacobian, Q the largest joint speeds and v a speed. Along a direction in
-    which the joints move the end-effector at v, half of the base's motion is left, along one of
-    twice that speed a seventeenth.
+    that, or is at full stretch, cannot compensate the base's motion: the base drags the
+    end-effector along, the distance stays the same, and the base would drive on. Our extension: R =
+    (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b, with J and J_b the arm's and the base's part of the end-effector's
+    linear Jacobian, Q the largest joint speeds and v a speed. Along a direction in which the joints
+    move the end-effector at v, half of the base's motion remains; at twice that speed, one
+    seventeenth.
 
     Args:
         J_ee: (6, n) end-effector Jacobian.
@@ -118,12 +118,12 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
 def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag: Array) -> Array:
     """The base acceleration nearest to the desired one that does not drag the end-effector along.
 
-    The minimum of (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖²: as if a mass hung on the
+    The minimum of (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖²: like a mass on the
     end-effector where the arm does not compensate. Where it does, D = 0 and a = a_des.
 
     Args:
         desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) a_hold, with which the end-effector does what its own task demands.
+        hold: (n_b,) a_hold: the end-effector then fulfils its own task.
         inertia: (n_b,) [kg or kg m²] diagonal of I, the base's.
         mass: [kg] m.
         drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.

@@ -1,7 +1,7 @@
-"""Reading of data that others made, within a budget of time and memory.
+"""Reading of untrusted data within a budget of time and memory.
 
 Small data is read in this process. Larger data is read in a child process, which the system ends
-when it exceeds its budget. So no file can exhaust the memory of a server or block its threads.
+if it exceeds its budget. Thus no file can exhaust the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from app.system import limited
 Read = TypeVar("Read")
 
 SMALL = 16 * 2**10
-"""[bytes] up to which data is read in this process: more than most configurations."""
+"""[bytes] largest data that is read in this process: more than most configurations."""
 _AT_ONCE = threading.BoundedSemaphore(2)  # [-] child processes that read
 _never = threading.Event()
-_limited = threading.Event()  # set in such a child, which reads everything itself
+_limited = threading.Event()  # set in a reading child, which starts no other
 
 
 class BudgetError(ValueError):
-    """Data took more than its budget to read."""
+    """Reading exceeded its budget."""
 
 
 class Budget(NamedTuple):
-    """Time and memory for reading some data, without those that the reader itself needs."""
+    """Time and memory for reading some data, in addition to those of the reader itself."""
 
     seconds: float
-    """[s] of a core."""
+    """[s] of processor time."""
     memory: int
     """[bytes]"""
 
     @classmethod
     def of(cls, size: int) -> Budget:
-        """That of data of a size [bytes]: no honest file needs more."""
+        """The budget for data of a size [bytes]: no valid file needs more."""
         return cls(2.0 + size / 1e6, 300 * 10**6 + 50 * size)
 
     def __str__(self) -> str:
@@ -48,11 +48,11 @@ class Budget(NamedTuple):
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     """The result of `read(*args)`, which reads data of a size [bytes].
 
-    `read` is a function of a module; it, its arguments and its result survive pickling.
+    `read` is a function of a module; it, its arguments and its result must be picklable.
 
     Raises:
-        BudgetError: That takes more than the budget.
-        Exception: What `read` raised.
+        BudgetError: Reading exceeds the budget.
+        Exception: Any exception of `read`.
     """
     if size <= SMALL or _limited.is_set():
         return read(*args)
@@ -68,7 +68,7 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
 def _limited_read(
     _: object, budget: Budget, read: Callable[..., object], args: tuple[object, ...]
 ) -> bytes:
-    """The result, pickled within the budget, because pickling costs time and memory too."""
+    """The result, pickled within the budget because pickling costs time and memory too."""
     _limited.set()
     with limited(*budget):
         result = read(*args)

@@ -1,10 +1,10 @@
-"""A guard beside a process: it kills the process if that does not end within a patience.
+"""A guard process that kills another process if it does not end in time.
 
 A library that hangs and holds Python's lock cannot stop the guard, because the guard is a separate
-process: `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file
-that says when the process has to end: by its end, or by a byte, which is passed on to standard
-output. LIVES is a pipe that is open as long as the process lives. A number of a process below 0 is
-that of its group.
+process: `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file that announces
+the end of the process, by its end or by a byte; the guard copies the byte to standard output.
+LIVES is a pipe that is open as long as the process lives. A negative PID is
+the number of a process group. PATIENCE is in seconds.
 """
 
 import os
@@ -18,10 +18,11 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int]:
-    """A guard of this process, or of its group, meanwhile.
+    """Run a guard of this process, or of its group, during the `with`.
 
     Yields:
-        The number of a file with the bytes that it passes on; `heard` if no process can start.
+        The number of a file with the bytes that the guard copies; `heard` if no process can
+        start.
     """
     passed = os.dup(heard)  # its own standard input takes the number 0
     lives, alive = os.pipe()
@@ -44,12 +45,12 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     finally:
         os.close(alive)
         if guard is not None:
-            guard.kill()  # it may be stopped
+            guard.kill()  # the guard may be suspended
             guard.wait()
 
 
 def main(heard: int, lives: int, pid: int, patience: float) -> None:
-    """Wait for either, and then for the end of the process."""
+    """Wait for the announcement or the end, and then for the end of the process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends with the process
     while True:

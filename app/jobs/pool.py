@@ -20,30 +20,30 @@ from app.jobs.progress import OnProgress
 from app.system import usable_cores
 
 Result = TypeVar("Result")
-_TRIES = 3  # [-] of a job whose process ends
+_TRIES = 3  # [-] attempts at a job whose process ends
 _log = logging.getLogger(__name__)
 
 
 class Workers(AbstractContextManager["Workers"]):
-    """Runs `function(context, job)` for many jobs, with a context that each process makes once.
+    """Runs `function(context, job)` for many jobs; each process makes its context once.
 
-    Processes begin, and make it, when a `with` is entered: what is done before the first job does
-    not wait for them. Results come in the order of the jobs, so they do not depend on the number of
-    processes.
+    The processes start and make their contexts when the `with` begins, in parallel with the work
+    before the first job. Results come in the order of the jobs, so they do not depend on the number
+    of processes.
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
-        """Prepare so many processes, one a usable core if not given; one means within this process.
+        """Prepare the processes; default: one for each usable core; 1 means within this process.
 
-        `make_context` makes what the jobs share; it must be picklable.
+        `make_context` makes the data that all jobs share; it must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
-        self._threads = ThreadPoolExecutor(self._processes)  # one waits for each process
+        self._threads = ThreadPoolExecutor(self._processes)  # one thread waits for each process
         self._children: list[Child] = []
         self._idle: SimpleQueue[Child] = SimpleQueue()
-        self._lock = Lock()  # of the list of processes
-        self._own: Any = None  # the context within this process, once it is needed
+        self._lock = Lock()  # protects the list of processes
+        self._own: Any = None  # the context within this process, made on first use
 
     def __enter__(self) -> Self:
         try:
@@ -51,7 +51,7 @@ class Workers(AbstractContextManager["Workers"]):
                 self._children.append(Child(_work, self._make_context))
                 self._idle.put(self._children[-1])
         except OSError:
-            _log.warning("worker processes cannot run here; going on in one process")
+            _log.warning("worker processes cannot run here; continuing in one process")
             self._processes = 1
             self._end()
         return self
@@ -71,19 +71,19 @@ class Workers(AbstractContextManager["Workers"]):
         tells: bool = False,
         lost: Callable[[Any], Result] | None = None,
     ) -> Iterator[Result]:
-        """The results of all jobs, in their order, each as soon as it is there.
+        """The results of all jobs, in order, each as soon as it is available.
 
-        A process that ends is replaced, and its job begun again, `_TRIES` times in all; then the
-        result is what `lost` makes of the job.
+        If a process ends, another one replaces it and repeats the job, up to `_TRIES` attempts;
+        then `lost` makes the result of the job.
 
-        Processes begin at once, so that other work can be done before the results are taken; within
-        this one a job is done when its result is. `on_progress` is called, where they are taken,
-        with the mean of the shares of the jobs that are done, 0 to 1, which never falls. A function
-        that `tells` takes a third argument, to be called with the share of its job; of any other's
-        only the end counts.
+        Processes start at once, so other work can run before the results are read; within this
+        process a job runs when its result is read. The reader's thread calls `on_progress` with the
+        mean share of all jobs that is done, 0 to 1, which never decreases. A function that `tells`
+        takes a third argument and calls it with the share of its own job; for other functions only
+        the end of a job counts.
 
         Raises:
-            LoopError: A job has ended its process each time, and there is no `lost`.
+            LoopError: Each attempt at a job has ended its process, and there is no `lost`.
         """
         shares = _Shares(len(jobs), on_progress)
         tasks = [_Task(function, job, tells, lost) for job in jobs]
@@ -115,7 +115,7 @@ class Workers(AbstractContextManager["Workers"]):
             yield result
 
     def _ask(self, task: _Task, tell: OnProgress) -> Any:
-        """Have an idle process do a job; there is one for each thread that waits here."""
+        """Run a job in an idle process; there is one for each thread that waits here."""
         child = self._idle.get()
         try:
             for _ in range(_TRIES):
@@ -128,7 +128,7 @@ class Workers(AbstractContextManager["Workers"]):
             self._idle.put(child)
 
     def _replaced(self, gone: Child) -> Child:
-        """Another process in the place of one that has ended, unless all are to end."""
+        """Another process in place of one that has ended, unless all are to end."""
         with self._lock:
             if gone not in self._children:
                 return gone
@@ -145,27 +145,27 @@ class Workers(AbstractContextManager["Workers"]):
 
 
 ALONE = Workers(tuple, 1)
-"""Does the jobs of others within this process."""
+"""Runs jobs within this process."""
 
 
 class _Shares:
-    """How much of each job is done, as whoever does them tells it to the thread that waits."""
+    """The share of each job that is done, sent by its worker to the waiting thread."""
 
     def __init__(self, jobs: int, on_progress: OnProgress) -> None:
         self._of, self._on_progress = [0.0] * jobs, on_progress
         self._sent: SimpleQueue[tuple[int, float]] = SimpleQueue()
 
     def send(self, number: int, share: float) -> None:
-        """Tell the share of a job; any thread may."""
+        """Send the share of a job, from any thread."""
         self._sent.put((number, share))
 
     def wait_for(self, number: int) -> None:
-        """Take what is sent until a job is done."""
+        """Process the messages until a job is done."""
         while self._of[number] < 1.0:
             self.take(*self._sent.get())
 
     def take(self, number: int, share: float) -> None:
-        """Take the share of a job, which may have begun again, and pass on that of all of them."""
+        """Store the share of a job, which may have restarted, and report the mean of all jobs."""
         self._of[number] = max(self._of[number], min(share, 1.0))
         self._on_progress(sum(self._of) / len(self._of))
 
@@ -183,7 +183,7 @@ class _Task(NamedTuple):
         return self.function(context, self.job, *([tell] if self.tells else []))
 
     def given_up(self) -> Any:
-        """The result of a job that was given up."""
+        """The result of a job after the last attempt."""
         if self.lost is None:
             raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
         return self.lost(self.job)
@@ -200,7 +200,7 @@ def _answer(child: Child, task: _Task, tell: OnProgress) -> Outcome | None:
 
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
-    """What each process does, until its parent wants no more."""
+    """Main function of a worker process, until its parent closes the connection."""
     context = make_context()
     with suppress(EOFError):
         while True:

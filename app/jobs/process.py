@@ -1,7 +1,7 @@
-"""Child processes: how each one starts, reports progress, is cancelled, and ends with its parent.
+"""Child processes: start, progress, cancellation, and the end with the parent.
 
-A child is an interpreter of its own, not a fork, which would copy locks that another thread holds.
-It knows its parent by a pipe that nobody writes to: when that is closed, the parent has ended.
+A child is a separate interpreter, not a fork, which would copy locks that another thread holds.
+It detects the end of its parent by a pipe without a writer: when it closes, the parent has ended.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from app.system import (
     end_when_closed,
     interrupt_blocked,
     lead_group,
-    step_back,
+    lower_priority,
     wake_without_parent,
 )
 
 Report = Callable[[str, float], None]
-"""Takes the present activity, and the share of the work done, 0 to 1; below 0 if unknown."""
+"""Takes the present activity and the share of the work done, 0 to 1, or negative if unknown."""
 
-_CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
-_PATIENCE = 2.5  # [s] for a process to leave by its `finally`s before it is killed
+_CANCEL_EVERY = 0.1  # [s] between two checks for cancellation
+_PATIENCE = 2.5  # [s] for the `finally`s of a process before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
-"""What the interpreter of a child does: until it has its parent's path, it imports nothing."""
+"""Code of a child's interpreter: it imports nothing before it has its parent's path."""
 _running: set[Child] = set()
-"""Processes of `run_in_process`, whose threads this process does not wait for when it exits."""
+"""Processes of `run_in_process`; this process does not wait for their threads when it exits."""
 
 
-class Cancelled(DbbError):  # noqa: N818 - a person's wish, not an error
+class Cancelled(DbbError):  # noqa: N818 - a person's choice, not an error
     """A person has cancelled the work."""
 
 
@@ -52,22 +52,22 @@ class EndedError(LoopError):
 
 
 class Child(AbstractContextManager["Child"]):
-    """A process that does `work(receiver, sender, *args)`, and ends when its parent has ended.
+    """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
-    `work` is a function of a module, and it and its arguments must survive pickling. Nothing is
-    imported from the working directory, nor is the parent's main module. Ctrl-C, which reaches a
-    whole group of processes, is left to the parent.
+    `work` is a function of a module; it and its arguments must be picklable. The child imports
+    neither from the working directory nor the parent's main module. It ignores Ctrl-C, which
+    reaches a whole group of processes, and leaves it to the parent.
     """
 
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Begin it; if it leads a group, all processes that it starts end with it."""
+        """Start the process; if it leads a group, all processes that it starts end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
-        """Takes what the process receives."""
+        """Connection to the process."""
         self.receiver, theirs_out = _pipe()
-        """Gives what the process sends."""
+        """Connection from the process."""
         alive, self._alive = _pipe()
         self._leads_group = leads_group
         given = theirs_in.fileno(), theirs_out.fileno()
@@ -79,33 +79,33 @@ class Child(AbstractContextManager["Child"]):
                 stdin=alive.fileno(),
                 pass_fds=given,
             )
-        with suppress(BrokenPipeError):  # it has ended, as who waits for it will see
+        with suppress(BrokenPipeError):  # it has ended; the waiting thread detects that
             self.sender.send_bytes(task)
 
     def __exit__(self, *_: object) -> None:
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """Its status, below 0 by a signal, if it ends within a patience [s]; else None."""
+        """Its status, negative for a signal, if it ends within a patience [s]; otherwise None."""
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End it, and its group if it leads one: by way of every `finally`, or at once."""
+        """End it, and its group if it leads one: through every `finally`, or at once."""
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
                     end_group(self._process.pid, at_once=hard)
-                self._process.kill() if hard else self._process.terminate()  # it may not lead yet
+                self._process.kill() if hard else self._process.terminate()  # no group yet
                 self.ended(_PATIENCE)
         if self._leads_group:
-            end_group(self._process.pid, at_once=True)  # what it may have left behind
+            end_group(self._process.pid, at_once=True)  # its remaining children
 
 
 class Outcome(NamedTuple):
-    """What work in another process came to."""
+    """Result or exception of work in another process."""
 
     result: Any
     error: BaseException | None = None
@@ -113,14 +113,14 @@ class Outcome(NamedTuple):
 
     @classmethod
     def of(cls, work: Callable[..., Any], *args: Any) -> Outcome:
-        """Do the work."""
+        """Run the work."""
         try:
             return cls(work(*args))
         except Exception as error:  # raised again in the process that waits
             return cls(None, portable(error), traceback.format_exc())
 
     def value(self) -> Any:
-        """The result; or what the work raised is raised, its traceback the cause."""
+        """The result; raises the exception of the work, with its traceback as the cause."""
         if self.error is not None:
             raise self.error from RemoteTraceback(self.traceback)
         return self.result
@@ -133,19 +133,19 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a `Child` of low priority, and give what it returns.
+    """Run `work(report, *args)` in a `Child` of low priority, and return its result.
 
     Args:
-        work: What is done.
+        work: Function to run.
         args: Its arguments after `report`.
-        report: Called here with what `work` reports there.
-        cancelled: Ends the process, and all that it has started, as soon as it is set.
+        report: Called in this process with each report of `work`.
+        cancelled: Ends the process and all its children as soon as it is set.
         niceness: [-] of the process, 0 to 19.
 
     Raises:
         Cancelled: `cancelled` was set.
         EndedError: The process ended by itself.
-        Exception: What `work` raised, its traceback the cause.
+        Exception: The exception of `work`, with its traceback as the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
     _running.add(child)
@@ -161,19 +161,19 @@ def run_in_process(
 
 
 def portable(error: BaseException) -> BaseException:
-    """The error itself if it survives pickling, else one that says the same."""
+    """The error itself if it is picklable, otherwise a similar one with the same text."""
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # whatever the constructor of some error raises
+    except Exception:  # the constructor of an error may raise any exception
         kind = "" if isinstance(error, DbbError) else f"{type(error).__name__}: "
         return LoopError(f"{kind}{error}")
     return error
 
 
 def begin(receiver: int, sender: int, leads_group: bool) -> None:
-    """Main function of a `Child`, by the numbers of its two connections.
+    """Main function of a `Child`, with the numbers of its two connections.
 
-    It watches its parent before it imports what its work needs, which may take seconds.
+    It watches its parent before it imports the modules of its work, which may take seconds.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     wake_without_parent()
@@ -219,23 +219,23 @@ def _run(
     _: Connection, sender: Connection, niceness: int, work: Callable[..., Any], args: tuple
 ) -> None:
     signal.signal(signal.SIGTERM, _leave)
-    step_back(niceness)
+    lower_priority(niceness)
     sender.send(Outcome.of(work, lambda text, share: sender.send((text, share)), *args))
     sender.close()
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is left that a `finally` would do
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # every `finally` has run
 
 
 def _leave(*_: object) -> None:
-    """End by way of every `finally`, which a second signal does not interrupt."""
+    """End through every `finally`, which a second signal does not interrupt."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise SystemExit(128 + signal.SIGTERM)
 
 
 def _end_with_parent(leads_group: bool) -> None:
-    """Wait until the parent has closed its end of this process's standard input, and end."""
+    """Wait until the parent has closed its end of this process's standard input, then end."""
     os.read(0, 1)
     if leads_group:
-        end_group(0, at_once=False)  # itself too: temporary files go
+        end_group(0, at_once=False)  # itself too, which removes temporary files
         time.sleep(_PATIENCE)
         end_group(0, at_once=True)
     os._exit(1)

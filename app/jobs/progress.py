@@ -1,4 +1,4 @@
-"""Long commands: progress on standard error, and signals that end them by way of `finally`."""
+"""Long commands: progress on standard error, and signals that end them through `finally`."""
 
 import atexit
 import os
@@ -15,12 +15,12 @@ from app.jobs.guard import guarded
 from app.system import ENDING, wake_children
 
 OnProgress = Callable[[float], None]
-"""Takes the share of some work that is done, 0 to 1."""
+"""Takes the share of the work that is done, 0 to 1."""
 
-_EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
+_EVERY = 20.0  # [s] between two plain lines; shorter work prints none
 _LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
-_PATIENCE = 8.0  # [s] of the guard, if nothing in the process can act
-_TIDYING = 1.0  # [s] for what is done at its exit, once it is late
+_PATIENCE = 8.0  # [s] of the guard, if no thread of the process can act
+_TIDYING = 1.0  # [s] for the exit functions of a late process
 _received: list[int] = []
 
 
@@ -28,10 +28,10 @@ _received: list[int] = []
 def progress_bar(
     text: str, total: float, *, shown: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Show how far some work is, of a total in any unit.
+    """Show the progress of some work, relative to a total in any unit.
 
     Yields:
-        The function to be told how much is done. There, and before the work begins, Ctrl-C is heard
+        The function that takes the amount done. Calling it, and the start of the work, raise Ctrl-C
         again if it was lost.
     """
     _raise_what_was_lost()
@@ -46,22 +46,22 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """What takes the share of a part of some work, and tells it as a share of the whole.
+    """Convert the share of a part of some work, 0 to 1, to a share of the whole.
 
-    The part is from one share of the whole to another, 0 to 1.
+    The part is the interval `begin` to `end` of the whole.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
 
 def _raise_what_was_lost() -> None:
-    """What a signal did, if compiled code or the import of a library has swallowed it."""
+    """Raise the effect of a signal if compiled code or the import of a library has swallowed it."""
     if _received and threading.current_thread() is threading.main_thread():
         raise _exception()
 
 
 @contextmanager
 def _bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
-    # Imported here: it would make every command start later.
+    # Imported here: it would delay the start of every command.
     from rich import progress
     from rich.console import Console
 
@@ -95,11 +95,11 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 def ending_signals_raised() -> Iterator[None]:
     """SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` of 128 + the signal.
 
-    Whatever error compiled code makes of that is the same exception again at the end. Within 2 s
-    the process ends whatever it does.
+    If compiled code converts that into another error, the same exception is raised again at the
+    end. The process ends within 2 s in any case.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C was pressed, and something ended by it.
+        KeyboardInterrupt: Ctrl-C was pressed, and ended the work.
         SystemExit: Another of the signals came.
     """
     _received.clear()
@@ -107,14 +107,14 @@ def ending_signals_raised() -> Iterator[None]:
     if threading.current_thread() is threading.main_thread():
         for number in ENDING:
             handler = signal.getsignal(number)
-            # A signal that is ignored stays so; a handler of others, such as a test's, too.
+            # Ignored signals stay ignored; foreign handlers, such as a test's, stay installed.
             if handler in (signal.default_int_handler, signal.SIG_DFL):
                 before[number] = signal.signal(number, _raise)
     try:
         with _deadline(tuple(before)):
             yield
     except Exception as error:
-        # Ours says what it is; a browser's is that the same signal has ended the browser.
+        # Ours names the signal; a browser's error only says that the browser has ended.
         if _received and (isinstance(error, BrowserError) or not isinstance(error, DbbError)):
             raise _exception() from error
         raise
@@ -128,22 +128,23 @@ def ending_signals_raised() -> Iterator[None]:
 
 def _raise(number: int, _: FrameType | None) -> None:
     _received.append(number)
-    if len(_received) == 1:  # no other one interrupts what is tidied up after it
+    if len(_received) == 1:  # later signals do not interrupt the clean-up
         raise _exception()
 
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 s after one of these signals, whatever its main thread does.
+    """End the process 2 s after one of these signals, independently of its main thread.
 
-    Python's own handlers wait until compiled code of the main thread has returned, and what they
-    raise may be lost there. The numbers of signals are also written to a file, at once. If compiled
-    code holds Python's lock too, so that no thread of this process can act, the guard kills it.
+    Python's own handlers wait until compiled code of the main thread has returned, and their
+    exceptions may be lost there. The numbers of signals are also written to a file, at once. If
+    compiled code holds Python's lock too, so that no thread of this process can act, the guard
+    kills it.
     """
     if not numbers:
         yield
         return
-    heard, written = os.pipe()  # `heard` stays open: a signal may come to the end
+    heard, written = os.pipe()  # `heard` stays open for signals until the end
     os.set_blocking(written, False)
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     try:
@@ -163,7 +164,8 @@ def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
             if number[0] in numbers:
                 wake_children()
                 sleep(longest)
-                # Temporary folders go, as at any end; what hangs there does not hold the end up.
+                # Temporary folders are removed, as at any end; a hanging removal does not delay the
+                # end.
                 tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
                 tidying.start()
                 tidying.join(_TIDYING)

@@ -1,4 +1,4 @@
-"""`dbb check-robot`: what a description promises, held against the robot itself, row by row."""
+"""`dbb check-robot`: compares a description with the robot itself, check by check."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
-from app.onboarding.fit.grouping import MOST_UNSEEN, unseen_collisions
+from app.onboarding.fit.grouping import MAX_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import units_of_links
@@ -37,24 +37,24 @@ _log = logging.getLogger(__name__)
 Array = np.ndarray
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
-_STATES = 20  # [-] random ones in which the dynamics are compared
-_AGREE = 1e-6  # [-] of the largest entry
-_FASTEST = 20.0  # [rad/s or m/s] of a joint
-_STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a joint, [N] of one that slides
-_MARGIN = 0.02  # [-] share of a joint's range between the ready pose and a limit
-_OUT_OF_BASE = 0.01  # [m] by which a base's mesh may stick out of its body; a buffer has 0.1 m
+_STATES = 20  # [-] random states for comparing the dynamics
+_AGREE = 1e-6  # [-] tolerance relative to the largest entry
+_FASTEST = 20.0  # [rad/s or m/s] largest plausible speed of a joint
+_STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a revolute, [N] of a prismatic joint
+_MARGIN = 0.02  # [-] margin of the ready pose to a limit, relative to the range
+_OUT_OF_BASE = 0.01  # [m] largest overhang of a base's mesh over its body; a buffer has 0.1 m
 _LAYER = 0.05  # [m]
 _NEAR_POSES = 1000
-_MANY = 500  # [-] points nearer than the border by which a layer counts as reached
-_FEW = 10  # [-] points of the border in a layer that is not empty
+_MANY = 500  # [-] points nearer than the border in a layer that counts as reached
+_FEW = 10  # [-] smallest number of border points in a layer that is not empty
 _TOUCHED = {
     "contacts": "arm and base",
     "arm_contacts": "the arm and itself",
     "floor_contacts": "the arm and the floor",
 }
-_STILL = f"; the base gives way by less than {GIVES_WAY:g} m"
+_STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
-    ", as the arm cannot hold its hand where it is (`hand held`) and keeps away by itself; a "
+    ", because the arm cannot hold its end-effector in place (`hand held`) and avoids by itself; a "
     "smaller ee_hold.weight lets the base give way more"
 )
 
@@ -64,10 +64,10 @@ class Row(NamedTuple):
 
     name: str
     outcome: Outcome
-    """passed, warned or failed, or that nothing was there to show it."""
+    """passed, warned or failed, or "nothing to show" without a suitable case."""
     text: str
     numbers: dict[str, float]
-    """What was measured; keys end in their unit."""
+    """The measured values; keys end in their unit."""
 
 
 def check_robot(
@@ -78,12 +78,12 @@ def check_robot(
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
 ) -> Iterator[Row]:
-    """All checks of a description that could be read, one by one.
+    """All checks of a readable description, one by one.
 
-    A check that cannot be done fails with the reason; those that need it are left out.
+    A check that is not possible fails with the reason; checks that depend on it are left out.
 
-    They are made with the robot's own parameters. `runs` that guide the hand take longest; the
-    border is sampled by all cores, or `processes`.
+    The checks use the robot's own parameters. `runs` that guide the end-effector take longest;
+    all cores, or `processes`, sample the border.
     """
     tell("compiling")
     try:
@@ -120,16 +120,16 @@ def check_robot(
         yield rows[-1]
     shown = any(r.numbers and r.outcome != "nothing to show" for r in rows[len(checks) :])
     if runs and data.pairs.mobile and not shown:
-        yield Row("guiding", "failed", "no guiding run could be done in which the base counts", {})
+        yield Row("guiding", "failed", "no guiding run tests the base", {})
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
-    """The row of a check; whatever a library raises in it is its failure."""
+    """The row of a check; any exception of a library makes it fail."""
     try:
         return check()
     except DbbError as error:
         return Row(name, "failed", str(error), {})
-    except Exception as error:  # pybullet, MuJoCo, coal: they have no common base
+    except Exception as error:  # pybullet, MuJoCo, coal: without a common base class
         _log.debug("%s", name, exc_info=True)
         return Row(name, "failed", f"{type(error).__name__}: {error}", {})
 
@@ -161,7 +161,7 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """What both engines see of the robot in random poses, and what they say touches."""
+    """Pictures and contacts of both engines in random poses."""
     if not find_spec("pybullet"):
         return Row("engines", "warned", "pybullet is not installed: nothing to compare with", {})
     from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
@@ -171,14 +171,14 @@ def engines_row(model: RobotModel) -> Row:
     return Row(
         "engines",
         "passed" if good else "failed",
-        f"pictures differ in {found.picture:.1%} of their rays; of what touches in {found.poses} "
-        f"poses, one engine alone has nothing deeper than {1e3 * found.depth:.1f} mm",
+        f"pictures differ in {found.picture:.1%} of their rays; in {found.poses} poses the deepest "
+        f"contact of one engine alone is {1e3 * found.depth:.1f} mm",
         {"picture_difference": found.picture, "contact_difference_m": found.depth},
     )
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Limits that a motor can have, gravity that it can hold, inertia that the step can take."""
+    """Plausible limits of motors, torques that hold gravity, inertias that suit the step."""
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -207,32 +207,32 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Links of which plants count no contact touch as often as those that are built so."""
+    """Nested links, whose contacts plants ignore, touch as often as nested links should."""
     touches = nested_touches(model, _geometry(model))
     least = min(touches.values())
     seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
-    text = f"they touch in {least:.0%} of random poses at least"
+    text = f"they touch in at least {least:.0%} of random poses"
     if seldom:
-        text = f"plants count no contact of links that touch in few poses: {', '.join(seldom)}"
+        text = f"plants ignore contacts of links that touch in few poses: {', '.join(seldom)}"
     numbers = {"least_touching_share": least}
     return Row("nested links", "warned" if seldom else "passed", text, numbers)
 
 
 def base_row(model: RobotModel) -> Row:
-    """Every point of the meshes of l_m's links above the floor lies inside of l_m."""
+    """Every point of the meshes of l_m's links above the floor is inside of l_m."""
     unit = units_of_links(model, _geometry(model))[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]
     if not len(points):
         return Row("base's body", "failed", "the base's links have no shapes", {})
     out = float(MobileBody(model).distance(points).max())
-    text = f"the base's meshes stick out of it by {max(out, 0.0):.4f} m at most"
+    text = f"the base's meshes stick out of it by at most {max(out, 0.0):.4f} m"
     good = out <= _OUT_OF_BASE
     return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Where the hulls of links collide, bodies of a pair meet; and those that hold the links do."""
+    """Check that bodies enclose their links, and that a pair sees each collision of links."""
     found = unseen_collisions(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.poses),
@@ -244,23 +244,23 @@ def arm_row(model: RobotModel) -> Row:
         "left_out_poses": float(found.left_out),
     }
     text = (
-        f"of {found.poses} poses, of {found.looked_at:,} random ones, in which links collide, "
+        f"of {found.poses} poses with colliding links, among {found.looked_at:,} random ones, "
         f"bodies of a pair meet in all but {found.unseen}"
     )
     if found.unseen:
         text += f", mostly {found.worst}"
     if found.missed:
-        text += f"; bodies do not hold their links in {found.missed} of {found.watched} collisions"
-        text += f", {found.deepest:.3f} m at most"
+        text += f"; bodies do not enclose their links in {found.missed} of {found.watched} "
+        text += f"collisions, by at most {found.deepest:.3f} m"
     if found.left_out:
-        text += f"; a rule leaves {found.left_out} poses out, in which only links meet that are "
-        text += f"neighbours or near as built: {found.rule}"
+        text += f"; a rule excludes {found.left_out} poses in which only links meet that are "
+        text += f"neighbours or close by design: {found.rule}"
     if found.blind:
-        text += f"; {', '.join(found.blind)} does not hold the links with which it meets"
+        text += f"; {', '.join(found.blind)} does not enclose its colliding links"
         return Row("arm's bodies", "failed", text, numbers)
     if not found.poses:
         return Row("arm's bodies", "nothing to show", text, numbers)
-    if found.unseen or found.missed > MOST_UNSEEN * found.watched:
+    if found.unseen or found.missed > MAX_UNSEEN * found.watched:
         return Row("arm's bodies", "failed", text, numbers)
     return Row("arm's bodies", "warned" if found.missed else "passed", text, numbers)
 
@@ -272,7 +272,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 
 def holding_row(model: RobotModel) -> Row:
-    """Warns where the base takes the hand along: it gives way less there."""
+    """Warns if the base's motion moves the end-effector: the base moves less there."""
     carried = carried_hand(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
@@ -280,23 +280,23 @@ def holding_row(model: RobotModel) -> Row:
         for what in ("place", "pose")
     }
     worst = max(each.place for each in carried)
-    text = f"the arm holds its hand's place in {1 - worst:.0%} of poses, however the base moves"
+    text = f"the arm holds its end-effector in place in {1 - worst:.0%} of poses"
     warning = holding_warning(carried)
     return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warns where a person can push the arm against the base, whatever the controller does."""
+    """Warns if a person can push the arm against the base with every controller."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no part of the arm can meet the base", {})
-    text = f"the joints' torques hold {borne.min():.0f} N towards the base in all poses near it"
+    text = f"the joints' torques resist {borne.min():.0f} N towards the base in all poses near it"
     warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """There are pairs, each body of L_m has a reachability, and none is near for good."""
+    """There are pairs, each body of L_m has a reachability, and no pair is always near."""
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
@@ -314,7 +314,7 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     if always:
         text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of free poses"
         return Row("pairs", "warned", text, numbers)
-    text = f"{', '.join(names)}; inside the buffer in {near.max():.0%} of free poses at most"
+    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of free poses"
     return Row("pairs", "passed", text, numbers)
 
 
@@ -327,18 +327,18 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
     ready = judge_ready(model, data.pairs, q_m)
     numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
-    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer, joints {left:.0%} of "
-    text += "their range from a limit at least"
+    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer, joints "
+    text += f"{left:.0%} of their range or more from a limit"
     good = ready.clearance >= 0 and left >= _MARGIN
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """The borders of the pairs of L_m have no gap between the heights that they have.
+    """The borders of the pairs of L_m have no gap between their lowest and highest height.
 
-    At the lowest and highest heights that the arm reaches it may not get as far out as the border,
-    and a pair that hardly ever meets may have none: there the exact offset of l_m stands in, which
-    is told.
+    At the lowest and highest heights of the arm its reach may be shorter than the border's
+    distance, and a rare pair may have no points: there the exact offset of l_m replaces them, which
+    the row reports.
     """
     if not data.clouds:
         return Row("border", "warned", "no part of the arm can meet the base: there is none", {})
@@ -365,7 +365,7 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
         text = f"no points of {', '.join(empty)}"
     if ends:
         text += (
-            f"; where it does not reach out as far the exact offset stands in: {', '.join(ends)}"
+            f"; the exact offset replaces them at heights with a shorter reach: {', '.join(ends)}"
         )
     return Row("border", "warned" if empty else "passed", text, numbers)
 
@@ -373,9 +373,9 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """A guiding run, beside the same one without avoidance.
 
-    A robot that has lines of its own is led on no other's. Where the arm cannot start there is
-    nothing to judge, which is warned of; where the hand does not come into the inner half of the
-    buffer even without avoidance, the run shows nothing.
+    A robot with its own lines uses no others. If the arm cannot start there, the row warns; if
+    the end-effector does not enter the inner half of the buffer even without avoidance, the run
+    shows nothing.
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
@@ -401,7 +401,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     if near is not None:
         numbers |= {"min_clearance_m": float(near), "min_clearance_without_m": float(without)}
         text = (
-            f"least distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
+            f"smallest distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
             f"moved by {moved:.3f} m, {text}"
         )
     shown = without is not None and without < config.border.d_b / 2

@@ -1,4 +1,4 @@
-"""From a URDF to a robot's folder: every step in order, each number with where it comes from."""
+"""From a URDF to a robot's folder: all steps in order, and each number with its source."""
 
 from __future__ import annotations
 
@@ -75,14 +75,14 @@ from app.system import whole_folder, write_whole
 _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
-"""[-] random poses in which the links' hulls are compared, or more where collisions are rare."""
-_MOST_FITS = 3  # [-] of bodies that miss a collision, each judged by random poses of its own
+"""[-] random poses in which the links' hulls are compared, or more if collisions are rare."""
+_MAX_FITS = 3  # of bodies that miss a collision; each has random poses of its own
 _OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
 _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 PREFIX = "arm_"
-"""Before the names of an arm's links and joints that the base has too."""
+"""Prefix of an arm's links and joints whose names the base has too."""
 _URDF = "robot.urdf"
-"""The new one, in the robot's folder."""
+"""The new URDF, in the robot's folder."""
 
 
 def finish(
@@ -94,20 +94,20 @@ def finish(
     sampling: SamplingConfig | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Make a robot and its border, and only then put its folder in its place.
+    """Make a robot and its border, and move its complete folder into place.
 
-    The border is sampled by all usable cores, or `processes`; a coarse one, of a `sampling` of its
-    own, by this process, which takes less long than to start others. `workers` share what else
-    there is to share. `tell` is called with what is being done, `on_progress` with the share of a
-    long step that is, 0 to 1: of bodies, border and places.
+    All usable cores, or `processes`, sample the border; a coarse one, with its own `sampling`, is
+    made in this process, which takes less time than starting others. `workers` share the other
+    parallel work. `tell` takes the present activity, `on_progress` the finished share of a long
+    step, 0 to 1: of bodies, border and places.
 
     Raises:
-        RobotFileError: The URDF cannot become a robot, or a library cannot take it.
+        RobotFileError: The URDF cannot become a robot, or a library refuses it.
         AssetError: A package is not installed.
-        DescriptionError: What came out is no robot that the core takes.
-        OutputError: The folder is there already or cannot be written.
+        DescriptionError: The result is not a valid robot.
+        OutputError: The folder exists or cannot be written.
     """
-    request.name  # noqa: B018 - a wrong name is told before any work
+    request.name  # noqa: B018 - reports a wrong name before any work
     doing = ""
 
     def say(what: str) -> None:
@@ -131,12 +131,13 @@ def finish(
         robot, data = make_robot(
             request, folder, border, workers, tell=say, on_progress=on_progress
         )
-        say("looking for places to guide the hand")
+        say("searching lines for guiding")
         lines = _lines(robot, data, workers, on_progress)
-        # Imported here: the processes, which import this module, begin sooner without matplotlib.
+        # Imported here, because the processes, which import this module, start sooner without
+        # matplotlib.
         from app.onboarding.report import VIEW, draw, report_html
 
-        pictures = workers.map(draw, [(robot, data)])  # by the process that ends its line first
+        pictures = workers.map(draw, [(robot, data)])  # in the process that finishes its line first
         robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
@@ -148,25 +149,25 @@ def finish(
 
 @contextmanager
 def _one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Whatever a library raises becomes one line that names the step; its trace goes to the log."""
+    """Convert any exception of a library to one line that names the step; the log has its trace."""
     try:
         yield
     except DbbError:
         raise
-    except Exception as error:  # pinocchio, coal, qhull, trimesh: they have no common base
+    except Exception as error:  # pinocchio, coal, qhull, trimesh: without a common base class
         _log.debug("%s", doing(), exc_info=True)
         why = " ".join(str(error).split())[:300] or "no reason given"
         raise RobotFileError(
-            f"{doing()}: a library cannot take this robot: {type(error).__name__}: {why}; "
-            "look whether check_urdf takes the file, then report it with the URDF"
+            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; "
+            "check that check_urdf accepts the file, then report it with the URDF"
         ) from error
 
 
 _UNWATCHED = {
-    True: "chosen: links of them are nearer than d_b as they are built",
-    False: "chosen: its bodies are nearer than d_b in most poses; other pairs see what collides",
+    True: "chosen: some of their links are nearer than d_b by design",
+    False: "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions",
 }
-"""Why a pair is not watched: by its links, or by its bodies alone."""
+"""Why a pair is not monitored: because of its links, or of its bodies alone."""
 
 
 def make_robot(
@@ -178,9 +179,9 @@ def make_robot(
     tell: Callable[[str], None] = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Everything but guiding and the report, which `finish` adds; its arguments and errors.
+    """Everything except guiding and the report, which `finish` adds; its arguments and errors.
 
-    The URDF is written into the folder, a temporary one; `border` gives pairs and clouds, and
+    It writes the URDF into the given temporary folder; `border` returns pairs and clouds, and
     `workers` share random poses and reachability maps.
     """
     tell("reading the URDF")
@@ -217,8 +218,8 @@ def make_robot(
 def _lines(
     robot: NewRobot, data: BorderData, workers: Workers, on_progress: OnProgress
 ) -> Iterator[tuple[str, Place | str]]:
-    """Where the hand is guided from each side, or why nowhere, by the scenario; begun at once."""
-    # An arm that cannot hold its hand avoids by itself: there any line shows it.
+    """The line of guiding from each side, or why there is none, by the scenario."""
+    # An arm that cannot hold its end-effector avoids by itself: there any line shows it.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
     sides = [Side(name, robot.model, data, anyway=anyway) for name in names]
     return zip(names, workers.map(line_from, sides, on_progress, tells=True), strict=True)
@@ -227,7 +228,7 @@ def _lines(
 def _with_lines(
     robot: NewRobot, data: BorderData, folder: Path, found: Mapping[str, Place | str]
 ) -> NewRobot:
-    """The robot with its lines, and with all that there is to warn of."""
+    """The robot with its lines, and all warnings."""
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     lines = {name: place.content() for name, place in places.items()}
@@ -259,15 +260,15 @@ def _embodied(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Embodied:
-    """Bodies around groups of links; fitted anew where poses that were not seen then show a gap.
+    """Bodies around groups of links, fitted again if new poses show a collision that they miss.
 
-    Of several fits it is the one whose bodies miss fewest collisions of links.
+    Of several fits it takes the one whose bodies miss the fewest collisions of links.
     """
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     found: list[_Embodied] = []
-    while not found or (found[-1].unseen.unseen and len(found) < _MOST_FITS):
-        tell("looking at random poses")
+    while not found or (found[-1].unseen.unseen and len(found) < _MAX_FITS):
+        tell("sampling random poses")
         meetings = sample_meetings(
             bare,
             units,
@@ -293,8 +294,8 @@ def _embodied(
     best = min(found, key=lambda each: (len(each.unseen.blind), each.unseen.unseen))
     if best.unseen.blind:
         raise RobotFileError(
-            f"the bodies {', '.join(best.unseen.blind)} do not hold the links with which they "
-            f"meet; give another number of --bodies than {len(best.grouping.bodies) - 1}, or "
+            f"the bodies {', '.join(best.unseen.blind)} do not enclose their colliding links; "
+            f"choose another number of --bodies than {len(best.grouping.bodies) - 1}, or "
             "another --seed"
         )
     return best
@@ -316,10 +317,10 @@ def _moving(
 
 
 def parse(request: Request) -> Parsed:
-    """Read and check the URDF; everything that can be wrong with it is reported here.
+    """Read and check the URDF; all its errors are reported here.
 
     Raises:
-        RobotFileError: It cannot become a robot; says why, and which option helps.
+        RobotFileError: It cannot become a robot; names the reason, and the helpful option.
         AssetError: A package is not installed.
     """
     robot, tip, left_out = _whole_robot(request)
@@ -345,7 +346,7 @@ def parse(request: Request) -> Parsed:
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
-    """Refuse a ready pose that the description would not take."""
+    """Refuse a ready pose that would be invalid in the description."""
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):
@@ -363,7 +364,7 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
 
 
 def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
-    """The robot with its arm on it, the tip's name there, and sentences on left-out shapes."""
+    """The robot with its arm, the name of its tip, and sentences on left-out shapes."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
     robot, left_out = read_robot(locate(request.urdf), packages, **arguments)
@@ -371,7 +372,7 @@ def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
     if request.arm_urdf is None:
         return robot, tip, left_out
     arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
-    for part in (robot, arm):  # what is wrong with either is reported as its own
+    for part in (robot, arm):  # reports the errors of each separately
         tree = make_tree(part)
     tree.link(tip, "--tip")  # of the arm
     names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
@@ -380,10 +381,11 @@ def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
 
 
 def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
-    """The robot with `_joint` after the name of each joint that a link, or a library's own, has.
+    """The robot with distinct names, and the changes.
 
-    So it is with `_link` after that of a link which has a name of our own; with it those names. A
-    URDF may name them so, but pinocchio and MuJoCo then cannot tell them apart.
+    A joint with the name of a link or of a library gets `_joint` after its name, and a link with
+    one of our own names gets `_link`. A URDF may have such names, but pinocchio and MuJoCo cannot
+    distinguish them.
     """
     names = {tag: [str(e.get("name")) for e in robot.findall(tag)] for tag in ("link", "joint")}
     links = _distinct(names["link"], _OWN_LINKS, {*names["link"], *names["joint"]}, "_link")
@@ -395,7 +397,7 @@ def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
 def _distinct(
     names: Sequence[str], foreign: Collection[str], taken: set[str], end: str
 ) -> dict[str, str]:
-    """New names, with an end that makes them unique, for those that are foreign ones too."""
+    """New, unique names with a suffix for names that are also foreign ones."""
     renamed = {}
     for name in names:
         if name and name in foreign and names.count(name) == 1:  # else the tree refuses it
@@ -408,7 +410,7 @@ def _distinct(
 
 
 def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
-    """A copy with other names of links and joints, also where they are referred to."""
+    """A copy with other names of links and joints, including references to them."""
     robot = deepcopy(robot)
     for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
         ends = [(each, "name") for each in robot.findall(tag)]
@@ -420,9 +422,10 @@ def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
 
 
 def _composed(base: Element, arm: Element, request: Request) -> Element:
-    """One robot: the arm's root fixed to --base; its names that the base has get `arm_` in front.
+    """One robot: the arm's root is fixed to --base; duplicate names of the arm get the prefix
+    `arm_`.
 
-    Neither of the two is changed.
+    Neither input changes.
     """
     taken = {
         tag: [str(each.get("name")) for each in base.findall(tag)] for tag in ("link", "joint")

@@ -1,6 +1,6 @@
 """A description's numbers, each with its source: limits, damping, base and reachability.
 
-What the URDF does not state is measured, counted, or assumed and said so.
+Values that the URDF does not state are measured, counted, or assumed and marked so.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from app.robot.state import RobotState, at_rest
 Array = np.ndarray
 
 Sourced = Mapping[str, tuple[Any, str]]
-"""Values by the field of the description, each with its source."""
+"""Values by the field of the description, with their sources."""
 
-_TURN = np.pi  # [rad] either way, of a joint without limits
-_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] where none is stated
-_LARGEST = 1000.0  # [rad] or [m] of a limit that means none
-_DEGREES = 4 * np.pi  # [rad] of a joint that is no wheel: more is in degrees
-_TOO_FAR = 5.0  # [m] of a slide
-_FASTEST = 20.0  # [rad/s] or [m/s] of a joint: more means no limit
-_GRAVITY_SHARE = 2.5  # [-] of the largest gravity load, the assumed effort
-_LEAST_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
-_DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], of slides [N s/m]
+_TURN = np.pi  # [rad] range in each direction of a joint without limits
+_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
+_LARGEST = 1000.0  # [rad] or [m] a larger limit means none
+_DEGREES = 4 * np.pi  # [rad] a larger limit of a joint that is no wheel is in degrees
+_TOO_FAR = 5.0  # [m] largest plausible limit of a slide
+_FASTEST = 20.0  # [rad/s] or [m/s] a larger speed means no limit
+_GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
+_MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
+_DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], for slides [N s/m]
 _STRONG = 30.0  # [N m] effort of a strong joint
-_STABLE = 0.3e-3  # [s] damping over inertia may be a third of the inverse of a step of 1 ms
-_SAMPLES = 400  # [-] random poses in which loads are looked at
+_STABLE = 0.3e-3  # [s] largest ratio of damping to inertia is a third of 1/step
+_SAMPLES = 400  # [-] random poses for the loads
 
 
 def with_source(
     before: Mapping[str, Any], numbers: Sourced, after: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """A table of a description: numbers among other fields, and where the numbers come from."""
+    """A table of a description: numbers among other fields, and the sources of the numbers."""
     values = {name: value for name, (value, _) in numbers.items()}
     sources = {name: why for name, (_, why) in numbers.items()}
     return {**before, **values, **after, "source": sources}
 
 
 class Limits(NamedTuple):
-    """Of all joints, in order [rad or m, rad/s or m/s, N m or N]; `source` says from where."""
+    """Limits of all joints [rad or m, rad/s or m/s, N m or N]; `source` has their sources."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -61,7 +61,7 @@ class Limits(NamedTuple):
 
     @property
     def numbers(self) -> Sourced:
-        """As a description has them."""
+        """The form of a description."""
         return {
             name: (values, why)
             for (name, why), values in zip(self.source.items(), self[:4], strict=True)
@@ -69,10 +69,10 @@ class Limits(NamedTuple):
 
 
 def read_limits(arm: Arm) -> Limits:
-    """What the URDF states; 0 stands for an effort that it does not.
+    """The limits in the URDF; 0 stands for a missing effort.
 
     Raises:
-        RobotFileError: The limits of joints leave no room, or are not in radians and metres; names
+        RobotFileError: The limits of joints are empty, or not in radians and metres; names
             all of them.
     """
     _check_ranges(arm.joints)
@@ -96,15 +96,15 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits with an assumed effort, a share more than gravity needs, where there is none.
+    """The limits, with an assumed effort where the URDF has none: a multiple of the gravity load.
 
-    Of the model, the inertias are used and not the efforts.
+    The model's inertias are used, but not its efforts.
     """
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
     effort = [
-        round(e or float(max(_GRAVITY_SHARE * g, _LEAST_EFFORT[_kind(j)])), 2)
+        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[_kind(j)])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     ]
     text = _origin(missing, "2.5 times the largest gravity load in random poses")
@@ -112,15 +112,16 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
-    """[N m s/rad or N s/m] D of guiding by hand: as the paper's robot has, if the step allows it.
+    """[N m s/rad or N s/m] D of guiding: as in the paper's robot, if the step allows it.
 
-    A third of the joint's least inertia over a step is the most that pybullet damps stably.
+    The largest damping that pybullet simulates stably is a third of the joint's inertia over a
+    step.
     """
 
     def lightness(q: Array) -> Array:
         M = pin.crba(model.pin, model.pin.createData(), q)
         M = np.triu(M) + np.triu(M, 1).T
-        return np.diag(np.linalg.inv(M))[3:]  # of what the joint alone has to move
+        return np.diag(np.linalg.inv(M))[3:]  # inverse inertia of the joint alone
 
     least = 1.0 / largest_of_poses(model, lightness)
     wanted = [
@@ -147,7 +148,7 @@ def largest_of_poses(model: RobotModel, values: Callable[[Array], Array]) -> Arr
 
 
 def _range(joint: Joint) -> tuple[float, float] | None:
-    """The limits of a joint, or None where it turns without any."""
+    """The limits of a joint, or None if it turns without limits."""
     low, high = joint.lower, joint.upper
     if low is None or high is None or max(abs(low), abs(high)) >= _LARGEST:
         return None
@@ -155,7 +156,7 @@ def _range(joint: Joint) -> tuple[float, float] | None:
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
-    """Refuse limits that cannot be meant, of all joints at once, each with how it is mended."""
+    """Refuse implausible limits, of all joints at once, each with its correction."""
     wrong: dict[str, list[str]] = {}
     for joint in joints:
         limits = _range(joint)
@@ -181,7 +182,7 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
 
 
 def _within(value: float | None, most: float) -> float:
-    """A limit that means one, or 0."""
+    """A meaningful limit, or 0."""
     return value if value and 0 < value < most else 0.0
 
 
@@ -221,7 +222,7 @@ def base_numbers(
     half_track: float | None,
     steering: Steering | None = None,
 ) -> Sourced:
-    """Numbers of the description's base in the ready pose q_m (n_m,); `half_track` [m] if given."""
+    """Numbers of the base in the ready pose q_m (n_m,); `half_track` [m] is optional."""
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
     mass, yaw = float(M[0, 0]), float(M[2, 2])
@@ -267,7 +268,7 @@ def base_numbers(
 def _geometry(
     kind: str, wheels: Wheels, half_track: float | None, steering: Steering | None
 ) -> dict[str, tuple[Any, str]]:
-    """Radius, track and steering, as far as the kind has them."""
+    """Radius, track and steering, if the kind has them."""
     how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
@@ -285,12 +286,13 @@ def _geometry(
 
 
 SHARE = 0.5
-"""[-] of the peak above which (9) is fitted: its upper part is a parabola, its tails are none."""
+"""[-] share of the peak above which (9) is fitted: the upper part is a parabola, the tails are
+not."""
 COUNTED_POSES = 20_000
-"""[-] joint positions by which a reachability is counted."""
+"""[-] joint positions for counting a reachability."""
 _REACH_SAMPLES = 2000
-_WIDTH = 3.0  # [-] standard deviations of ρ at which an assumed reachability has fallen to zero
-_LEAST_WIDTH = 0.1  # [m]
+_WIDTH = 3.0  # [-] standard deviations of ρ at which an assumed reachability is zero
+_MIN_WIDTH = 0.1  # [m]
 
 
 class Reach(NamedTuple):
@@ -301,11 +303,11 @@ class Reach(NamedTuple):
     C: float
     source: str
     counted: ReachMap | None
-    """The map, or None where the coefficients are assumed."""
+    """The map, or None for assumed coefficients."""
     fit: ReachFit | None
 
     def content(self) -> dict[str, Any]:
-        """As a description has it."""
+        """The form of a description."""
         values = {"A_per_m2": round(self.A, 1), "B_m": round(self.B, 4), "C": round(self.C, 1)}
         return with_source({}, {name: (value, self.source) for name, value in values.items()})
 
@@ -313,9 +315,9 @@ class Reach(NamedTuple):
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
     """The coefficients of all bodies that may come near the base, with their names.
 
-    `workers` begin at once, so that other work can be done before they are taken. A body that fewer
-    than three joints move, or whose map (9) does not fit, gets a parabola about the distances that
-    it has in random poses: assumed, and said so.
+    `workers` start at once, so other work can run before the results are read. A body that fewer
+    than three joints move, or whose map does not fit (9), gets a parabola about its
+    distances in random poses, marked as assumed.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -340,7 +342,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """A parabola about the middle of the distances that the body's shape has from the mount."""
+    """A parabola about the middle of the distances of the body's shape from the mount."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []
@@ -348,6 +350,6 @@ def _assumed(model: RobotModel, body: str, why: str) -> Reach:
         state.update_kinematics(at_rest(model, q))
         at = state.data.oMi[shape.parentJoint] * shape.placement
         rho.append(float(np.linalg.norm(at.translation - mount)))
-    B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _LEAST_WIDTH)
+    B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
     source = f"assumed: a parabola about the body's distances in random poses; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

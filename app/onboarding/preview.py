@@ -1,4 +1,4 @@
-"""Which links no body holds, by design or by mistake, and a page that shows them."""
+"""Links outside of all bodies, by design or by mistake, and a page that shows them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Array = np.ndarray
 Bare = Literal["design", "mistake"]
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
-"""Of links that bodies hold, and of those that they do not."""
-_BARE = 0.005  # [m] by which a link may stand out of its body
+"""Colours of links inside of bodies, and of those outside."""
+_BARE = 0.005  # [m] largest overhang of a link over its body
 _BODY = "#0072B2"
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """Links that stand out of their body in the ready pose, `placed` by joint.
+    """Links that extend beyond their body in the ready pose, `placed` by joint.
 
-    It is by design where no watched body can come to that part of the link.
+    This is by design if no monitored body can reach that part of the link.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):

@@ -34,28 +34,28 @@ class Parsed:
 
 @dataclass(frozen=True)
 class NewRobot:
-    """A robot that was made, before anything is written."""
+    """A complete robot before its files are written."""
 
     request: Request
     parsed: Parsed
     urdf: str
     """Text of the new URDF."""
     content: dict[str, Any]
-    """The description, as `RobotDescription` takes it, its URDF by name."""
+    """The description, in the form of `RobotDescription`, with its URDF by name."""
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]
     verdict: Verdict
-    """Of the grouping."""
+    """Quality of the grouping."""
     unseen: Unseen
     ready: Ready
     reach: dict[str, Reach]
-    """By the name of the body."""
+    """Reachabilities, by the name of the body."""
     places: dict[str, Place]
-    """By the name of the scenario."""
+    """Lines of guiding, by the name of the scenario."""
     lacking: dict[str, str]
-    """Why a scenario has no place."""
+    """Why a scenario has no line."""
     held: str
-    """A warning where the arm cannot hold its hand, or nothing."""
+    """A warning if the arm cannot hold its end-effector in place, or empty."""
     warnings: list[str]
-    """One sentence each."""
+    """Warnings, one sentence each."""

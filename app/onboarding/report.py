@@ -31,21 +31,21 @@ Array = np.ndarray
 
 
 class Pictures(NamedTuple):
-    """Of a new robot, as PNG."""
+    """Pictures of a new robot, as PNG."""
 
     bodies: bytes
     border: bytes | None
-    """Or None if there is none."""
+    """The border, or None if there is none."""
     reach: bytes | None
-    """Or None if nothing was counted."""
+    """The reachability, or None if none was counted."""
     view: str
-    """A page of its own: the bodies in three dimensions."""
+    """A separate page: the bodies in three dimensions."""
     bare: dict[str, Bare]
-    """Links that no body holds, by design or by mistake."""
+    """Links outside of all bodies, by design or by mistake."""
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """The pictures of a robot and its border, which its lines of guiding do not change."""
+    """The pictures of a robot and its border, which are independent of its lines of guiding."""
     robot, data = job
     placed = _placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
@@ -54,7 +54,7 @@ def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
 
 
 def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
-    """The page, for a robot and its border; it needs nothing else."""
+    """The self-contained page for a robot and its border."""
     more = (("Border", pictures.border), ("Reachability", pictures.reach))
     parts = [
         Part("Warnings", points=robot.warnings or ["none"]),
@@ -80,10 +80,10 @@ VIEW = "bodies.html"
 
 
 def _bare(bare: dict[str, Bare]) -> list[str]:
-    """Sentences on the links that no body holds."""
+    """Sentences on the links outside of all bodies."""
     whys = {
-        "design": "stand out of their bodies by design, where nothing that is watched can come",
-        "mistake": "stand out of their bodies where something watched can come: a mistake",
+        "design": "extend beyond their bodies by design, where no monitored body can come",
+        "mistake": "extend beyond their bodies where a monitored body can come: a mistake",
     }
     links = {why: [link for link, each in bare.items() if each == why] for why in whys}
     return [f"{', '.join(links[why])} {text}" for why, text in whys.items() if links[why]]
@@ -126,7 +126,7 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
         for pair in each
     ]
     return Grid(
-        ("pair", "set", "in collision", "least distance [m]", f"within {robot.request.d_b:g} m"),
+        ("pair", "set", "in collision", "smallest distance [m]", f"within {robot.request.d_b:g} m"),
         rows,
     )
 
@@ -134,7 +134,7 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
 def _verdict(robot: NewRobot) -> list[str]:
     verdict, ready, share = robot.verdict, robot.ready, robot.unseen.share
     return [
-        f"poses with a collision of links that no pair sees: {share:.1%} of the random ones",
+        f"random poses with a collision that no pair sees: {share:.1%}",
         f"random poses without a collision in which bodies meet: {verdict.false:.1%}",
         f"ready pose: {ready.nearest} is nearest, {ready.clearance:+.3f} m from its buffer",
     ]
@@ -243,7 +243,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """Means of the reachability over shells, and (9); None if nothing was counted."""
+    """Means of the reachability over shells, and (9); None if none was counted."""
     counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
     if not counted:
         return None
@@ -294,7 +294,7 @@ def _legend(figure: Figure, names: Sequence[str]) -> None:
         Patch(color=BODY_COLOURS[k % len(BODY_COLOURS)], alpha=0.5, label=name)
         for k, name in enumerate(names)
     ]
-    kinds = {None: "held links", "design": "bare by design", "mistake": "bare by mistake"}
+    kinds = {None: "enclosed links", "design": "bare by design", "mistake": "bare by mistake"}
     links = [Patch(color=COLOURS[kind], label=text) for kind, text in kinds.items()]
     handles = [*patches, *links]
     figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))

@@ -1,4 +1,4 @@
-"""What is asked of `dbb new-robot`, and whether it goes together before anything is read."""
+"""The input of `dbb new-robot`, with checks before anything is read."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import NamedTuple
 
 from app.config import Config, parameter
 from app.errors import ConfigError, RobotFileError, UnknownNameError
-from app.strict import MOST_SEEDS, Vector3, check_range
+from app.strict import MAX_SEEDS, Vector3, check_range
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-"""What a robot's name matches as a whole."""
+"""Pattern of a robot's name."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """A robot to be made; without a number or a name, it is found."""
+    """A robot to make; missing numbers and names are determined automatically."""
 
     urdf: str
     """The URDF or xacro, package://PACKAGE/PATH for one of an installed package, or a zip with a
-    URDF and its meshes, of which nothing is executed."""
+    URDF and its meshes; nothing in a zip is executed."""
     base: str
     """Link that moves with the base, z up."""
     tip: str
@@ -30,59 +30,59 @@ class Request:
     out: Path
     """Folder of the new description, such as robot_assets/NAME; its name is the robot's."""
     wheels: tuple[str, str] | None = None
-    """Joints (or links) of a left and a right driven wheel, of a car-like base the rear ones; by
-    default found."""
+    """Joints (or links) of a left and a right driven wheel, for a car-like base the rear ones;
+    default: found automatically."""
     arm_urdf: str | None = None
-    """Another URDF with the arm, to be fixed to --base; --tip is in it then."""
+    """Another URDF with the arm, to be fixed to --base; --tip is then a link of it."""
     mount_xyz: Vector3 = (0.0, 0.0, 0.0)
-    """[m] where the root of --arm-urdf stands in --base."""
+    """[m] position of the root of --arm-urdf in --base."""
     mount_rpy: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] how it is turned there."""
+    """[rad] its rotation there."""
     mount: str | None = None
-    """Link at whose origin the arm stands; by default the one that carries its first joint."""
+    """Link at whose origin the arm starts; default: the parent of its first joint."""
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
     """[m] the end-effector's origin in --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] how it is turned there; its z points out of the hand."""
+    """[rad] its rotation there; its z points out of the gripper."""
     half_track: float | None = None
-    """[m] effective half track of the base; by default measured between the wheels."""
+    """[m] effective half track of the base; default: measured between the wheels."""
     wheel_radius: float | None = None
-    """[m] of a base whose URDF has no wheels; needs --half-track too."""
+    """[m] wheel radius of a base whose URDF has no wheels; needs --half-track too."""
     kind: str = "differential"
-    """Of the base: differential, holonomic (which needs no wheels) or car-like."""
+    """Kind of the base: differential, holonomic (which needs no wheels) or car-like."""
     wheelbase: float | None = None
-    """[m] of a car-like base; by default measured to its steered wheels."""
+    """[m] wheelbase of a car-like base; default: measured to its steered wheels."""
     steering_limit: float | None = None
-    """[rad] of its steering to either side; by default the URDF's."""
+    """[rad] steering limit to either side; default: the URDF's."""
     steering_rate: float | None = None
-    """[rad/s] how fast it steers; by default the URDF's, or 1.5."""
+    """[rad/s] steering rate; default: the URDF's, or 1.5."""
     ready: tuple[float, ...] | None = None
-    """(n_m,) [rad or m] the ready pose; by default chosen among random poses."""
+    """(n_m,) [rad or m] ready pose; default: chosen among random poses."""
     bodies: int | None = None
-    """How many bodies the arm gets; by default four, others where four do not do."""
+    """Number of bodies of the arm; default: four, or another number if four do not suffice."""
     assume_inertia: bool = False
-    """Take masses from volumes where the arm's URDF states none at all."""
+    """Compute masses from volumes if the arm's URDF states none at all."""
     title: str | None = None
-    """What people read; by default the name."""
+    """Title of the robot; default: its name."""
     licence: str | None = None
     """Licences of the files that the URDF refers to."""
     seed: int = 0
-    """Of all random poses."""
+    """Seed of all random poses."""
     d_b: float = Config().border.d_b
-    """[m] d_b of this robot, which its bodies and ready pose have to suit."""
+    """[m] d_b of this robot, which determines its bodies and ready pose."""
     file: str | None = None
-    """Path of the URDF in a zip that holds several."""
+    """Path of the URDF in a zip with several."""
     source: str | None = None
-    """What people read as the robot's source where it is not `urdf`, or None."""
+    """Displayed source of the robot if it is not `urdf`, or None."""
     package: tuple[str, ...] = ()
-    """Folders of ROS packages, NAME=FOLDER each, before those that are found: folders of that name
-    from the URDF upwards, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed."""
+    """Folders of ROS packages, as NAME=FOLDER. Without them, packages are folders of that name
+    upwards from the URDF, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed."""
     xacro: tuple[str, ...] = ()
-    """Arguments of a xacro, NAME=VALUE each, such as ur_type=ur20."""
+    """Arguments of a xacro, as NAME=VALUE, such as ur_type=ur20."""
 
     @property
     def told(self) -> str:
-        """What people read as the robot's source: the URDF, or the zip that it came in."""
+        """The displayed source of the robot: the URDF, or the zip that contains it."""
         return self.source or self.urdf
 
     @property
@@ -90,7 +90,7 @@ class Request:
         """The robot's name.
 
         Raises:
-            RobotFileError: The folder's name cannot be one.
+            RobotFileError: The folder's name is not a valid name.
         """
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
@@ -101,7 +101,7 @@ class Request:
 
 
 class Bounds(NamedTuple):
-    """Of a number that may be given, in its unit, and the one kind of base that has it, if any."""
+    """Bounds of an optional number, in its unit, and the only kind of base that has it, if any."""
 
     low: float
     high: float
@@ -117,8 +117,8 @@ BOUNDS = {
     "steering_rate": Bounds(0.01, 20.0, "rad/s", "car-like"),
     "bodies": Bounds(1, 8),
 }
-"""By the field of `Request`."""
-_FARTHEST = 10.0  # [m] or [rad] of a place or a turn; more is a slip of the keys
+"""Bounds by the field of `Request`."""
+_FARTHEST = 10.0  # [m] or [rad] largest place or rotation; more is a typing error
 
 
 def option(field: str) -> str:
@@ -130,22 +130,22 @@ def check_request(request: Request) -> None:
     """Refuse numbers out of bounds, those of another kind of base, and packages without a folder.
 
     Raises:
-        UnknownNameError: There is no such kind of base.
-        ConfigError: Names the option and what would be right.
+        UnknownNameError: The kind of base does not exist.
+        ConfigError: Names the option and the valid range.
     """
     known = parameter("border.d_b")
     check_range("--buffer-distance", request.d_b, known.low, known.high, known.unit)
-    check_range("--seed", request.seed, 0, MOST_SEEDS)
+    check_range("--seed", request.seed, 0, MAX_SEEDS)
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
         for coordinate in getattr(request, field):
             check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
     for field in ("mount_xyz", "mount_rpy"):
         if request.arm_urdf is None and any(getattr(request, field)):
             raise ConfigError(
-                f"{option(field)}: is for an arm of a file of its own; give --arm-urdf, or leave "
-                "it out: in one URDF the joint of the arm's mount says where it stands"
+                f"{option(field)}: is for an arm in its own file; give --arm-urdf, or leave "
+                "it out: in one URDF the joint of the arm's mount has its place"
             )
-    # Imported here: coal and pinocchio would make `dbb --help` start later.
+    # Imported here: coal and pinocchio would delay the start of `dbb --help`.
     from app.robot.description import KINDS
 
     kind = request.kind
@@ -172,10 +172,10 @@ def check_request(request: Request) -> None:
 
 
 def package_folders(given: Sequence[str]) -> dict[str, Path]:
-    """The folders of packages by their names, from `NAME=FOLDER` each.
+    """The folders of packages by their names, from `NAME=FOLDER`.
 
     Raises:
-        ConfigError: One is of another form, or is no folder.
+        ConfigError: One has another form, or is not a folder.
     """
     folders = named("--package", given, "FOLDER")
     if lost := [folder for folder in folders.values() if not Path(folder).is_dir()]:
@@ -184,10 +184,10 @@ def package_folders(given: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, given: Sequence[str], what: str) -> dict[str, str]:
-    """What an option gives by name, from `NAME=…` each.
+    """The values of an option by name, from `NAME=…`.
 
     Raises:
-        ConfigError: One is of another form.
+        ConfigError: One has another form.
     """
     found = {}
     for each in given:

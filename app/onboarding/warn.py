@@ -1,6 +1,6 @@
-"""What a user should know of a new robot before trusting it.
+"""Warnings that a user should read before using a new robot.
 
-One warning is of every robot: whether its arm can hold its hand while the base moves under it.
+One of them applies to every robot: whether its arm can hold the end-effector while the base moves.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.border.mobile import MobileBody
-from app.config import AdmittanceConfig, HandConfig
+from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
@@ -31,21 +31,21 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
-_IN_FLOOR = 0.005  # [m] below the floor
-_OVER = 2.0  # [-] volume of a body over that of what it holds
-_TOO_LARGE = 5.0  # [-] length of an arm's links over the distances of its joints; a telescope's 3
-_FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
+_IN_FLOOR = 0.005  # [m] largest depth below the floor
+_OVER = 2.0  # [-] largest ratio of a body's volume to that of its links
+_TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
+_FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
 _POSES, _SAMPLES = 100, 2000
-_NEAR = 0.30  # [m] from the base within which a pose counts
-_LEFT = 0.10  # [-] of the base's motion of the hand that the arm may leave over
-_LEVER = 0.3  # [m] at which a turning hand counts as much as a moving one
-_NOTHING = 1e-6  # [m/s or rad/s] what is left where the base does not move the hand
-_OUT = 0.005  # [m] out of a body
-_OFTEN = 0.25  # [-] share of poses from which on it is warned of
+_NEAR = 0.30  # [m] largest distance from the base of a pose that counts
+_LEFT = 0.10  # [-] largest share of the base's motion that the arm does not compensate
+_LEVER = 0.3  # [m] lever that weights rotation against translation
+_NOTHING = 1e-6  # [m/s or rad/s] remainder that counts as zero
+_OUT = 0.005  # [m] largest overhang over a body
+_OFTEN = 0.25  # [-] share of poses from which on a warning is given
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
-    """One sentence each, the gravest first."""
+    """One sentence each, the most serious first."""
     return [
         *_scale(robot),
         *_places(robot),
@@ -63,7 +63,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 
 def _places(robot: NewRobot) -> Iterator[str]:
-    """Parts of the arm that stand where none can, in the ready pose: in the floor, in the base."""
+    """Misplaced parts of the arm in the ready pose: in the floor, in the base."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
     own = robot.request.arm_urdf is None
     look = f"look at {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
@@ -109,18 +109,18 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     if robot.unseen.unseen:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
-            f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
+            f"mostly {robot.unseen.worst}: bodies that are neighbours or close by design are no "
             "pair, so try another number of --bodies, or limit the joints between them"
         )
     if robot.unseen.left_out:
         yield (
             f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
-            f"that no buffer can watch, neighbours or near as built: {robot.unseen.rule}; "
+            f"that no buffer can monitor, neighbours or close by design:  {robot.unseen.rule}; "
             "limit the joints between them"
         )
     for name, by_links in verdict.unwatched.items():
         if not by_links:
-            yield f"{name} is not watched: its bodies are near in most poses, its links in none"
+            yield f"{name} is not monitored: its bodies are near in most poses, its links in none"
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].links[0] for unit in pair)
         yield f"{a} and {b} touch in most of the poses: taken as nested"
@@ -129,7 +129,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     for body in robot.bodies:
         worst = max(fit.over_cover for fit in body.fits)
         if worst > _OVER:
-            yield f"{body.name} has {worst:.1f} times the volume of what it holds"
+            yield f"{body.name} has {worst:.1f} times the volume of its links"
 
 
 def _reaches(robot: NewRobot) -> Iterator[str]:
@@ -150,7 +150,7 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
 
 
 def _scale(robot: NewRobot) -> Iterator[str]:
-    """Shapes of another scale than the joints, as of a mesh that is not in metres."""
+    """Shapes of another scale than the joints, such as a mesh that is not in metres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
         max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
@@ -195,9 +195,9 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Suspensions that count as rigid, and what moves beside the arm: another arm, a head, legs.
+    """Suspensions that count as rigid, and moving parts beside the arm: another arm, a head, legs.
 
-    Wheels and casters turn without end: they roll.
+    Wheels and casters turn without limits: they roll.
     """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
@@ -224,7 +224,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """How far links that move beside the arm can leave the bodies that hold them at rest."""
+    """Distances by which links that move beside the arm can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     chain = [joint.name for joint in arm.joints]
     roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
@@ -241,11 +241,11 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
                     outs[link] = float(outside(model, body.name, corners).max())
             if outs and (out := max(outs.values())) > _OUT:
                 link = max(outs, key=outs.__getitem__)
-                yield f"{link} can move {out:.2f} m out of {body.name}, which holds it at rest only"
+                yield f"{link} can move {out:.2f} m out of {body.name}, its body at rest"
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] how far points in the frame of a body's joint are out of its shapes, at least."""
+    """(N,) [m] lower bound of the distances of points in a body's joint frame to its shapes."""
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
         own = moved(points, model.geometry.geometryObjects[k].placement.inverse())
@@ -256,7 +256,7 @@ def outside(model: RobotModel, body: str, points: Array) -> Array:
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
-    """Joints that turn without end on what of an arm's own file is fixed to the base."""
+    """Joints without limits on fixed links of a separate arm's file."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
@@ -298,13 +298,13 @@ def _base(robot: NewRobot) -> Iterator[str]:
             continue
         if inertias[link].assumed and all(shape.kind == "sphere" for shape in each.shapes):
             yield (
-                f"{link} is a sphere that is only seen, without a mass: it counts as a part of "
-                f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, take its <visual> away"
+                f"{link} is a sphere with a visual only, without a mass: it counts as a part of "
+                f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, remove its <visual>"
             )
         else:
             seen.append(link)
     if seen:
-        yield f"no collision shape, so what is seen is used: {', '.join(seen)}"
+        yield f"no collision shape, so the visual one is used:  {', '.join(seen)}"
     mesh_paths = robot.urdf.count('filename="/')
     if mesh_paths:
         yield (
@@ -316,30 +316,30 @@ def _base(robot: NewRobot) -> Iterator[str]:
 
 
 class Carried(NamedTuple):
-    """How often the base takes the hand along with it."""
+    """Frequency of uncompensated motion of the end-effector with the base."""
 
     axis: Axis
-    """Of the base's motion."""
+    """Axis of the base's motion."""
     speed: float
-    """[m/s or rad/s] at which it was asked."""
+    """[m/s or rad/s] commanded speed."""
     place: float
-    """[-] share of the poses in which the arm cannot keep its hand's place."""
+    """[-] share of the poses in which the arm cannot hold the end-effector's position."""
     pose: float
-    """[-] share in which it cannot keep place and orientation."""
+    """[-] share in which it cannot hold position and orientation."""
 
     @property
     def text(self) -> str:
-        """As it is told after "while the base"."""
+        """The sentence part after "while the base"."""
         if self.axis.angular:
             return f"turns at {self.speed:g} rad/s"
         return f"moves {self.axis.way} at {self.speed:g} m/s"
 
 
 def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
-    """How often the arm is too slow, or lacks a joint, to hold its hand where it is.
+    """How often the arm is too slow, or lacks a joint, to hold its end-effector in place.
 
-    At random poses near the base, clear of it, for each of the base's axes at the largest speed
-    that it is commanded: see `lost_hand`.
+    It samples random clear poses near the base, with each of the base's axes at its largest
+    commanded speed: see `lost_hand`.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
@@ -358,16 +358,16 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
 
 
 def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
-    """Whether the arm loses its hand's place, and whether place or orientation, to the base.
+    """Whether the base's motion moves the end-effector's position, and its position or orientation.
 
-    Looked at is what is least left over of J_arm q̇ = -J_base ν within the joints' velocity limits;
-    for the orientation too, an angular part counts with a lever of 0.3 m. A part is lost if more
-    than a tenth of the base's motion is left of it: of that part's, or of the other's by the lever
-    where that is more.
+    It computes the smallest remainder of J_arm q̇ = -J_base ν within the joints' velocity limits.
+    With orientation, the angular part has a lever of 0.3 m. A part is lost if its remainder exceeds
+    a tenth of the base's motion: of the motion of that part, or of the other part by the lever
+    if that is larger.
 
     Args:
-        J_arm: (6, n_m) Jacobian of the hand, linear above angular.
-        moved: (6,) [m/s, rad/s] J_base ν, velocity of the hand with the arm at rest.
+        J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
+        moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
         qd_max: (n_m,) [rad/s or m/s] largest speeds of the joints.
     """
     linear, angular = float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
@@ -381,7 +381,7 @@ def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
 
 def _least(J: Array, moved: Array, qd_max: Array) -> Array:
-    """What is least left over of J q̇ = -moved with |q̇| ≤ q̇_max."""
+    """The smallest remainder of J q̇ = -moved with |q̇| ≤ q̇_max."""
     from scipy.optimize import lsq_linear
 
     found = lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls")
@@ -389,7 +389,7 @@ def _least(J: Array, moved: Array, qd_max: Array) -> Array:
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
-    """A sentence on the base's axes along which the arm often cannot hold its hand, or nothing."""
+    """A sentence on the base's axes along which the arm often cannot compensate, or empty."""
     often = [each for each in carried if each.place > _OFTEN]
     if not often:
         return ""
@@ -399,15 +399,15 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
         for each in often
     )
     return (
-        f"the arm cannot hold its hand's place while the base {ways}: there the base gives way "
-        "less, as far as the hand stays where it is"
+        f"the arm cannot hold its end-effector in place while the base {ways}: there the base "
+        "moves less, so that the end-effector stays in place"
     )
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
-    """(N,) [N] F* at random poses near the base: what the arm bears towards it, at rest.
+    """(N,) [N] F* at random poses near the base: the bound of a force towards it, at rest.
 
-    See `force_bound`; of that pair of L_m which is nearest.
+    See `force_bound`; for the nearest pair of L_m.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
@@ -422,20 +422,20 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def push_warning(borne: Array) -> str:
-    """A sentence on an arm that a person can push at its base, or nothing."""
-    person = HandConfig().f_max
+    """A sentence on an arm that a person can push against the base, or empty."""
+    person = PersonConfig().f_max
     weak = float((borne < person).mean()) if len(borne) else 0.0
     if weak <= _OFTEN:
         return ""
     return (
         f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of poses near "
-        f"it the joints' torques hold less towards it, in {_OFTEN:.0%} at most "
+        f"it the joints' torques resist less towards it, in at most {_OFTEN:.0%} only "
         f"{np.quantile(borne, _OFTEN):.0f} N"
     )
 
 
 def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
-    """(N, n_m) random poses with no bodies in contact and the arm near the base, or any such."""
+    """(N, n_m) random poses without contact and with the arm near the base, or any poses."""
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))
     clear, near = [], []

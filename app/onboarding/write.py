@@ -1,4 +1,4 @@
-"""A new robot's folder: its description, its URDF rooted on the floor, and its sources."""
+"""A new robot's folder: its description, its URDF with its root on the floor, and its sources."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from app.onboarding.request import Request
 
 MESH_FOLDER = "meshes"
-"""Where a robot's folder has the meshes that were written anew."""
-_ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
+"""Folder of the rewritten meshes in a robot's folder."""
+_ENDLESS = "1e6"  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
-    """The description, its URDF and where its assets come from, into a folder."""
+    """Write the description, its URDF and the sources of its assets into a folder."""
     write_whole(folder / "robot.urdf", robot.urdf)
     title = f"{robot.content['title']}, from {robot.request.told}"
     text = description_text(robot.content, title)
@@ -55,7 +55,7 @@ def write_robot(robot: NewRobot, folder: Path) -> None:
 
 
 def _sources_text(robot: NewRobot) -> str:
-    """`SOURCES.md`: which files the robot is made of."""
+    """`SOURCES.md`: the files that the robot is made of."""
     request, lines = robot.request, []
     copied = "No mesh is copied: `robot.urdf` names the files of the installed packages."
     for what, path in (("robot", request.told), ("arm", request.arm_urdf)):
@@ -89,27 +89,27 @@ def _sources_text(robot: NewRobot) -> str:
 
 
 class HandMade(NamedTuple):
-    """What a person has changed of a robot."""
+    """A person's changes of a robot."""
 
     shapes: dict[tuple[str, int], Shape]
-    """By the name of the body and the shape's place in it."""
+    """Shapes, by the name of the body and the index."""
     unwatched: dict[str, str]
-    """Why a pair is not watched, by its name; of all that are not."""
+    """Why a pair is not monitored, by its name; for all such pairs."""
     ready: tuple[float, ...] | None
-    """(n_m,) [rad or m] the ready pose, or None where it stays."""
+    """(n_m,) [rad or m] the ready pose, or None for no change."""
 
 
 BY_HAND = "set by hand"
-"""The source of what a person has changed."""
+"""The source of a person's changes."""
 
 
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
-    """Write a robot's folder with changes, in its place or as a copy; all else stays as it stands.
+    """Write a robot's folder with changes, in place or as a copy; everything else stays the same.
 
     Raises:
         DescriptionError: It would be no robot that the core takes, or the present description
             takes more than its budget to read.
-        OutputError: `out` is another robot's, or cannot be written.
+        OutputError: `out` is another robot's folder, or cannot be written.
     """
     before = file_text(source / "robot.toml")
     in_place = out.resolve() == source.resolve()
@@ -118,7 +118,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         text = within_budget(_changed_text, before, name, changes, size=len(before))
     except BudgetError as error:
         raise DescriptionError(f"{source / 'robot.toml'}: {error}") from None
-    with temporary_folder() as tried:  # what is wrong with it must not be kept
+    with temporary_folder() as tried:  # an invalid robot must not replace it
         write_whole(tried / "robot.toml", text)
         load_description(tried / "robot.toml")
     if in_place:
@@ -150,21 +150,21 @@ def _changed_text(text: str, name: str | None, changes: HandMade) -> str:
 
 
 def shape_content(shape: Shape) -> dict[str, Any]:
-    """A shape as a description has it; one that is not turned says nothing of that."""
+    """A shape in the form of a description, which leaves out a zero rotation."""
     return {k: v for k, v in shape.model_dump().items() if k != "rpy_rad" or any(v)}
 
 
 _HEADER = (
     "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
-    "Each number is measured, from the URDF, given, chosen, counted or assumed; check what is "
-    "assumed.",
+    "Each number is measured, from the URDF, given, chosen, counted or assumed; check the "
+    "assumed ones.",
 )
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
     """The text of `robot.toml`: a title, and each number's kind of source, as comments.
 
-    What is empty, as of a robot without lines, is left out.
+    Empty tables, such as missing lines, are left out.
     """
     document = tomlkit.document()
     for line in (title, *_HEADER):
@@ -180,7 +180,7 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 
 
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
-    """What a number's source says before its colon, beside it; a mixed one in full."""
+    """Add the part of a number's source before its colon as a comment; a mixed one in full."""
     for key, value in content.items():
         if isinstance(value, Mapping):
             _comment(item[key], value)
@@ -193,11 +193,11 @@ def _comment(item: Any, content: Mapping[str, Any]) -> None:
 def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = None) -> str:
     """The text of the new URDF.
 
-    The base and all below it, on a root on the floor, x forward. Meshes keep their files. A link
-    that is only seen can be touched too. Endless joints become revolute with wide limits, joints
-    that follow others stand still, as other libraries' do: all then read the same robot.
+    It has the base and everything below it, on a root on the floor, x forward. Meshes keep their
+    files. A link with a visual only collides with it too. Endless joints become revolute with wide
+    limits, and joints that follow others are fixed, so that all libraries read the same robot.
 
-    Meshes below `home`, the folder of the new URDF, are named by the path in it.
+    Meshes below `home`, the folder of the new URDF, have relative paths.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -227,10 +227,10 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 
 
 def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
-    """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
+    """The name of a mesh in the new URDF: relative below its own folder, which may move.
 
-    That comes first, also where Python takes a folder above for a package. The address is that of
-    `mesh_address`. A mesh that libraries take otherwise is written there as an STL in metres.
+    This has precedence, also if Python takes a folder above for a package. The address is that of
+    `mesh_address`. A mesh that libraries read differently is written there as an STL in metres.
     """
     path = mesh_path(address).resolve()
     if home is None:
@@ -268,7 +268,7 @@ def _copies(element: Element, *tags: str) -> list[Element]:
 
 
 def _colour_only(material: Element) -> Element:
-    """A material without its texture, which nobody draws."""
+    """A material without its texture, which is never drawn."""
     kept = Element("material", name=material.get("name") or "unnamed")
     kept.extend(_copies(material, "color"))
     return kept
@@ -290,9 +290,9 @@ def _joint(old: Element) -> Element:
 
 
 def _hold_within_limits(element: Element, joint: Joint) -> None:
-    """Have a joint that stands still do so at its limit nearest to zero, where that is none of it.
+    """Let a fixed joint be at its limit nearest to zero, if zero is not within the limits.
 
-    Such a joint stands at zero in every library: a finger would be inside of the hand.
+    Libraries place such a joint at zero: a finger would be inside of the gripper.
     """
     low, high = joint.lower or 0.0, joint.upper or 0.0
     if (at := held_at(joint)) == 0.0:
@@ -308,7 +308,7 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
 
 
 def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
-    """Have a joint follow another from where both stand still; it stays alone without that one."""
+    """Let a joint follow another from their rest positions; without that joint it is fixed."""
     if (mimic := element.find("mimic")) is None or joint.mimic is None:
         return
     leader, multiplier, offset = joint.mimic
@@ -339,10 +339,11 @@ def description(
     moving: tuple[Sourced, Sourced] | None = None,
     unwatched: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """A description, its URDF by name; without numbers and bodies, for kinematics and dynamics.
+    """A description, with its URDF by name; without numbers and bodies, for kinematics and
+    dynamics.
 
-    Dots stand for the bodies, ones for what is `moving`, base and arm, and the joints' middle.
-    `unwatched` says why a pair of bodies is not watched, by its name.
+    It has points as bodies, ones for the `moving` values of base and arm, and the joints' middle.
+    `unwatched` says why a pair of bodies is not monitored, by its name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
@@ -403,6 +404,6 @@ def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
     """The robot of a description and a URDF.
 
     Raises:
-        DescriptionError: It is no robot that the core takes.
+        DescriptionError: It is not a valid robot.
     """
     return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))

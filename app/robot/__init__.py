@@ -1,1 +1,1 @@
-"""Robot description → model → state: what the robot is, and where it is now."""
+"""Robot description → model → state: the robot's data, and its present configuration."""

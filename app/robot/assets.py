@@ -1,7 +1,7 @@
-"""Where things are: installed packages, robots' folders, their URDFs with meshes, and caches.
+"""Locations: installed packages, robots' folders, their URDFs with meshes, and caches.
 
 A file of an installed package has the address `package://PACKAGE/PATH`.
-The same text of a URDF is for pinocchio and, with a planar root, for pybullet.
+pinocchio and, with a planar root, pybullet read the same text of a URDF.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ IN_CHECKOUT = (_PROJECT / "pyproject.toml").is_file() and (_PROJECT / "robot_ass
 ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
 """Folder of the robot descriptions, in a checkout or inside the installed package."""
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
-"""Folder of the borders that ship with the project; only read."""
+"""Folder of the delivered borders; read only."""
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
-_MOST_ELEMENTS = 100_000  # [-] of an XML file; the largest known URDFs have some thousands
-_MOST_JOINTS = 200  # [-] of a robot that move; the largest known ones have 60
-_DEEPEST = 100  # [-] elements in one another
+_MAX_ELEMENTS = 100_000  # [-] most elements of an XML file; large URDFs have some thousands
+_MAX_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
+_DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
-    "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons for which "
-    "docs/install.md has it"
+    "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
+    "docs/install.md lists"
 )
 
 
 def cache_folder() -> Path:
-    """Folder of new borders: `dbb_cache/` in a checkout, else the user's; the first writable."""
+    """Folder of new borders: `dbb_cache/` in a checkout, or the user's; the first writable one."""
     folders = [*[SHIPPED_CACHE] * IN_CHECKOUT, *cache_folders()]
     return next((folder for folder in folders if is_writable(folder)), folders[0])
 
 
 def user_robots() -> list[Path]:
-    """Folders of the user's own robots, as `$DBB_ROBOTS` lists them; new ones go into the first.
+    """Folders of the user's own robots in `$DBB_ROBOTS`; new ones go into the first.
 
     An empty entry is `robots` in the user's data folder.
     """
@@ -65,16 +65,16 @@ def is_own(name: str) -> bool:
 
 
 def robot_names() -> list[str]:
-    """Names of the robots that have a description, those of the user included."""
+    """Names of the robots that have a description, including the user's."""
     found = {path.parent.name for top in _tops() for path in top.glob("*/robot.toml")}
-    return sorted(name for name in found if not name.startswith("."))  # one that is being made
+    return sorted(name for name in found if not name.startswith("."))  # unfinished robots
 
 
 def check_robot_name(name: str) -> None:
     """Refuse the name of a robot that does not exist.
 
     Raises:
-        UnknownNameError: Lists those that exist, and folders of `$DBB_ROBOTS` that do not.
+        UnknownNameError: Lists the existing robots, and missing folders of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
@@ -85,14 +85,14 @@ def check_robot_name(name: str) -> None:
 
 
 def absent_folders() -> str:
-    """Which folders of `$DBB_ROBOTS` do not exist, as a sentence; empty if all do."""
+    """A sentence on the missing folders of `$DBB_ROBOTS`; empty if all exist."""
     named = filter(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
     absent = [part for part in named if not Path(part.strip()).expanduser().is_dir()]
     return f"DBB_ROBOTS names a folder that does not exist: {', '.join(absent)}" if absent else ""
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot's description; of two of the same name, the one that ships."""
+    """Folder of a robot's description; a delivered robot has precedence."""
     folders = [top / name for top in _tops()]
     return next((each for each in folders if (each / "robot.toml").is_file()), folders[0])
 
@@ -102,13 +102,13 @@ def _tops() -> list[Path]:
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file behind `package://PACKAGE/PATH`, where PACKAGE is an installed package.
+    """The file of `package://PACKAGE/PATH`, where PACKAGE is an installed package.
 
-    That is a Python package, or one that a wheel put under its `share` folder, as those of ROS are.
+    That is a Python package, or one that a wheel installed below `share`, like ROS packages.
 
     Raises:
-        AssetError: The address is of another form, the package is not installed, the file is not in
-            it, or the path leads out of it.
+        AssetError: The address has another form, the package is not installed, it lacks the file,
+            or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -116,7 +116,8 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        # No other name is advised to be installed: it stands in a file, and anybody may own it.
+        # For other names no installation is advised: they come from a file, and anyone may own
+        # them.
         how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
@@ -128,7 +129,7 @@ def resolve_package_uri(uri: str) -> Path:
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of an installed package: a Python package's own, then those of its share."""
+    """Folders of an installed package: a Python package's own, then those below `share`."""
     spec = importlib.util.find_spec(package) if package.isidentifier() else None
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
@@ -137,18 +138,18 @@ def package_roots(package: str) -> list[Path]:
 
 
 def share_folders() -> list[Path]:
-    """Folders in which wheels keep packages that are not Python's: `share` of their prefix."""
+    """Folders in which wheels install packages that are not Python's: `share` of their prefix."""
     libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
     prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]
 
 
 class HasUrdf(Protocol):
-    """The part of a robot's description that says where its URDF is."""
+    """The part of a robot's description that has the place of its URDF."""
 
     @property
     def name(self) -> str:
-        """Of the robot, and of its folder."""
+        """Name of the robot, and of its folder."""
         ...
 
     @property
@@ -161,7 +162,7 @@ def urdf_path(description: HasUrdf) -> Path:
     """The robot's URDF file.
 
     Raises:
-        AssetError: It is not there.
+        AssetError: The file does not exist.
     """
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
@@ -202,11 +203,11 @@ _ZERO_INERTIAL = (
 def resolved_urdf(description: HasUrdf) -> str:
     """The robot's URDF with every mesh by its absolute path, and an inertia for each link.
 
-    A link without one has none: pybullet would take it for 1 kg.
+    A link without an inertia gets zero, because pybullet would assume 1 kg.
 
     Raises:
-        AssetError: The URDF or a mesh that it refers to is not there.
-        DescriptionError: As `read_urdf`.
+        AssetError: The URDF or one of its meshes is missing.
+        DescriptionError: As for `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
@@ -222,8 +223,8 @@ def shown_urdf(description: HasUrdf) -> str:
     A shape whose mesh is not installed is left out.
 
     Raises:
-        AssetError: The URDF is not there.
-        DescriptionError: As `read_urdf`.
+        AssetError: The URDF is missing.
+        DescriptionError: As for `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for link in tree.iterfind("link"):
@@ -239,11 +240,11 @@ def shown_urdf(description: HasUrdf) -> str:
 
 
 def bare_urdf(description: HasUrdf) -> str:
-    """The robot's URDF without shapes, so without meshes that may not be installed.
+    """The robot's URDF without shapes, and thus without meshes that may not be installed.
 
     Raises:
-        AssetError: The URDF is not there.
-        DescriptionError: As `read_urdf`.
+        AssetError: The URDF is missing.
+        DescriptionError: As for `read_urdf`.
     """
     tree = read_urdf(description)
     for link in tree.iterfind("link"):
@@ -256,8 +257,8 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
     """The robot's URDF with an inertia for each link.
 
     Raises:
-        AssetError: It is not there.
-        DescriptionError: It cannot be read, or no robot's URDF is such XML.
+        AssetError: The file is missing.
+        DescriptionError: The file cannot be read, or its XML is not a robot's.
     """
     path = urdf_path(description)
     try:
@@ -266,8 +267,8 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
         why = str(error).removeprefix(f"{path}: ")
         raise DescriptionError(f"{path}: {why}") from None
     moving = sum(joint.get("type") != "fixed" for joint in tree.iterfind("joint"))
-    if moving > _MOST_JOINTS:  # pinocchio's memory grows with their cube
-        raise DescriptionError(f"{path}: {moving} moving joints; at most {_MOST_JOINTS} are taken")
+    if moving > _MAX_JOINTS:  # pinocchio's memory grows with their cube
+        raise DescriptionError(f"{path}: {moving} moving joints; at most {_MAX_JOINTS} are taken")
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
@@ -280,7 +281,7 @@ _UTF16 = {
     b"<\0": "utf-16-le",
     b"\0<": "utf-16-be",
 }
-"""How a file in UTF-16 begins; one that begins otherwise is none, though it may say so."""
+"""First bytes of a file in UTF-16; another file is not UTF-16, even if it declares it."""
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 _PLACEHOLDERS = (
     (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
@@ -298,8 +299,8 @@ def refuse_placeholder(content: bytes, where: object) -> None:
     """Refuse placeholders that a download or a repository may leave instead of a file.
 
     Args:
-        content: The first bytes of the file at least.
-        where: Named in the message.
+        content: The first bytes of the file, or all of them.
+        where: Name for the message.
 
     Raises:
         RobotFileError: It is such a placeholder; names it.
@@ -311,12 +312,13 @@ def refuse_placeholder(content: bytes, where: object) -> None:
 
 
 def xml_text(path: Path) -> str:
-    """The text of an XML file, by the encoding that it declares, or UTF-8; it can be parsed.
+    """The text of a valid XML file, by its declared encoding, or UTF-8.
 
     Raises:
-        RobotFileError: It is another kind of file, has another encoding, or as `refuse_entities`.
-        OSError: It cannot be read.
-        ValueError: It is larger than any such file.
+        RobotFileError: It is another kind of file, has another encoding, or as for
+            `refuse_entities`.
+        OSError: The file cannot be read.
+        ValueError: The file is larger than any valid one.
     """
     content = content_of(path)
     refuse_placeholder(content, path)
@@ -329,28 +331,28 @@ def xml_text(path: Path) -> str:
     except (LookupError, ValueError) as error:
         how = "the encoding that it declares" if declared else "UTF-8, and it declares no other"
         raise RobotFileError(f"{path}: it is not in {how}: {error}; save it as UTF-8") from None
-    text = text.strip("\ufeff\0 \t\r\n")  # other readers pass over blanks before <?xml
+    text = text.strip("\ufeff\0 \t\r\n")  # other readers skip blanks before <?xml
     refuse_entities(text, path)
     return text
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that multiplies itself, reaches for other files or is huge, before a tree is made.
+    """Refuse XML that expands, refers to other files or is huge, before parsing a tree.
 
     Args:
-        content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
-            declares does not count.
-        path: Named in the message.
+        content: Content of an XML file in its parsed form: the declared encoding of a text
+            does not count.
+        path: Name for the message.
 
     Raises:
-        RobotFileError: It declares an entity, as a billion laughs do, nests deeper or has more
-            elements than any robot, or is not well-formed.
+        RobotFileError: It declares an entity, as in a "billion laughs" attack, nests deeper or has
+            more elements than any robot, or is not well-formed.
     """
 
     def refuse(name: str, *_: object) -> NoReturn:
         raise RobotFileError(
             f"{path.name}: it declares the XML entity {name!r}, which could grow without end or "
-            "read other files; write out what it stands for, without <!ENTITY …>"
+            "read other files; write its text instead, without <!ENTITY …>"
         )
 
     depth = count = 0
@@ -358,9 +360,9 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     def begin(*_: object) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+        if depth > _DEEPEST or count > _MAX_ELEMENTS:
             raise RobotFileError(
-                f"{path.name}: it has more than {_MOST_ELEMENTS:,} elements, or more than "
+                f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, or more than "
                 f"{_DEEPEST} in one another, which no robot has"
             )
 
@@ -369,12 +371,12 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
         depth -= 1
 
     encoding = "utf-8" if isinstance(content, str) else None
-    parser = expat.ParserCreate(encoding, "}")  # with namespaces, as ElementTree has it
+    parser = expat.ParserCreate(encoding, "}")  # with namespaces, as in ElementTree
     parser.EntityDeclHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter for its encoding
         raise RobotFileError(f"{path}: not well-formed: {error}") from None
 
 
@@ -390,7 +392,7 @@ def _mesh(reference: str, folder: Path) -> Path:
 def planar_urdf(description: HasUrdf) -> str:
     """The resolved URDF on a root of two prismatic joints and a revolute one: x, y, yaw.
 
-    pybullet knows no planar joint; in pinocchio the same root is `JointModelPlanar`.
+    pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`.
     """
     text = resolved_urdf(description)
     planar = _PLANAR_ROOT.format(zero=_ZERO_INERTIAL, root=root_link(text))
@@ -398,7 +400,7 @@ def planar_urdf(description: HasUrdf) -> str:
 
 
 def floats(text: str, count: int) -> list[float] | None:
-    """The numbers of an attribute; None unless they are so many, and finite."""
+    """The numbers of an attribute; None unless their number is `count` and all are finite."""
     try:
         values = [float(word) for word in text.split()]
     except ValueError:

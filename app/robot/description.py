@@ -33,14 +33,14 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
 KINDS: dict[str, type[BaseKind]] = {}
-"""Kinds of base that a description may have, by the name that stands in `kind`."""
+"""Kinds of base for descriptions, by their name in `kind`."""
 
 
 class ArmDescription(Sourced):
     """The manipulator: its joints from the base outwards, its limits and its end-effector."""
 
     mount_link: str
-    """URDF link at whose origin the arm stands: `p_base` of (9)."""
+    """URDF link whose origin is the arm's mount: `p_base` of (9)."""
     joints: tuple[str, ...] = Field(min_length=1)
     """Names of the URDF joints, from the base outwards."""
     end_effector_link: str
@@ -48,25 +48,25 @@ class ArmDescription(Sourced):
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
     """[m] origin of the end-effector's frame in that link."""
     end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] its fixed-axis roll, pitch and yaw in that link; z points out of the hand."""
+    """[rad] its fixed-axis roll, pitch and yaw in that link; z points out of the gripper."""
     position_lower: tuple[Finite, ...] | None = None
-    """[rad or m] lower joint limits; from the URDF if not given."""
+    """[rad or m] lower joint limits; default: from the URDF."""
     position_upper: tuple[Finite, ...] | None = None
-    """[rad or m] upper joint limits; from the URDF if not given."""
+    """[rad or m] upper joint limits; default: from the URDF."""
     max_velocity: tuple[Positive, ...] | None = None
-    """[rad/s or m/s] joint velocity limits; from the URDF if not given."""
+    """[rad/s or m/s] joint velocity limits; default: from the URDF."""
     max_effort: tuple[Positive, ...] | None = None
-    """[N m or N] joint torque limits; from the URDF if not given."""
+    """[N m or N] joint torque limits; default: from the URDF."""
     ready_position: tuple[Finite, ...]
     """[rad or m] a pose well inside the limits and outside every buffer."""
     joint_damping: tuple[NonNegative, ...]
-    """[N m s/rad or N s/m] D of the arm when it is guided by hand."""
+    """[N m s/rad or N s/m] D of the arm during guiding."""
 
     @model_validator(mode="after")
     def _one_number_a_joint(self) -> Self:
         n = len(self.joints)
         if len(set(self.joints)) != n:
-            raise ValueError("`joints` names a joint twice")
+            raise ValueError("`joints` has a joint twice")
         for name in (
             "position_lower",
             "position_upper",
@@ -82,21 +82,21 @@ class ArmDescription(Sourced):
 
 
 class BodyDescription(Strict):
-    """One link l_• of Figure 2b: a union of convex shapes that stands for some URDF links."""
+    """One link l_• of Figure 2b: a union of convex shapes that encloses some URDF links."""
 
     source: str
-    """Where the shapes come from."""
+    """Source of the shapes."""
     name: Name
-    """As in the names of pairs, `lm-lEE`."""
+    """Name, as in the pair `lm-lEE`."""
     frame: str
-    """URDF link in whose frame the shapes are given."""
+    """URDF link whose frame the shapes use."""
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
-    """URDF links that this body stands for: its distances and contacts count as theirs. A part of a
-    link that can meet no other body may stick out of it."""
+    """URDF links that this body encloses: its distances and contacts count as theirs. A part of a
+    link that can meet no other body may extend beyond it."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    """By one of those links, links of other bodies with which it is built into one another: that
-    they touch is no contact."""
+    """By one of those links, links of other bodies that are nested with it: their touching is no
+    contact."""
 
 
 class ReachabilityDescription(Sourced):
@@ -111,49 +111,49 @@ class ReachabilityDescription(Sourced):
 
 
 class LinePlace(Sourced):
-    """Where a scenario on a line leads the hand of this robot."""
+    """The line of a scenario for the end-effector of this robot."""
 
     start_m: Vector3
-    """[m] where the hand starts, the base at the origin facing +x."""
+    """[m] start of the end-effector, with the base at the origin facing +x."""
     move_m: Vector3
-    """[m] how far it is led."""
+    """[m] displacement of the end-effector."""
 
 
 class RobotDescription(Strict):
-    """All that the method needs to know of a robot.
+    """All data of a robot that the method uses.
 
-    `bodies` stand in the order of the kinematic chain, the mobile robot l_m first; neighbours in it
-    are joined to each other and never a pair.
+    `bodies` are in the order of the kinematic chain, the mobile robot l_m first; neighbours in it
+    are connected by joints and never a pair.
     """
 
     name: Name
     title: str
-    """As shown to people."""
+    """Displayed title."""
     urdf: str
     """The robot's URDF, a file beside the description or the address of one in a package."""
     licence: str
     """Licences of the assets that the URDF refers to."""
     base: SerializeAsAny[BaseKind]
-    """Of one of `KINDS`."""
+    """The base, of one of `KINDS`."""
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
     """By the name of the body; every body that may come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
-    """By the name of the scenario; one that leads to the base's sides is not run without its own,
-    or a start that is given."""
+    """By the name of the scenario; a scenario towards the base's sides needs a line or a specified
+    start."""
     without_line: dict[str, str] = Field(default_factory=dict)
     """Why the robot has no line, by the name of the scenario."""
     unwatched: dict[str, str] = Field(default_factory=dict)
-    """Why a pair of bodies is not watched, by its name such as `lm-l2`: as neighbours never are."""
+    """Why a pair of bodies is not monitored, by its name such as `lm-l2`; neighbours never are."""
     config: Config = Config()
-    """Parameters that this robot has otherwise than others by default, such as its d_b."""
+    """Parameters whose default differs for this robot, such as its d_b."""
 
     @model_validator(mode="after")
     def _names_agree(self) -> Self:
         names = [body.name for body in self.bodies]
         if len(set(names)) != len(names):
-            raise ValueError("bodies: a name stands twice")
+            raise ValueError("bodies: a name appears twice")
         if unknown := self.reachability.keys() - set(names[1:]):
             raise ValueError(
                 f"reachability: no arm body is named {', '.join(sorted(unknown))}; "
@@ -164,8 +164,8 @@ class RobotDescription(Strict):
             unknown = body.nested.keys() - set(body.covers)
             if unknown := unknown | set(chain(*body.nested.values())) - foreign:
                 raise ValueError(
-                    f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: it names links that "
-                    "this body covers, each with links that others cover"
+                    f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: its keys are links "
+                    "that this body covers, its values links that others cover"
                 )
         pairs = [f"{a}-{b}" for a, b in combinations(names, 2)]
         if unknown := self.unwatched.keys() - set(pairs):
@@ -177,7 +177,7 @@ class RobotDescription(Strict):
 
     @property
     def nested(self) -> frozenset[frozenset[str]]:
-        """Pairs of links that are built into one another."""
+        """Pairs of nested links."""
         return frozenset(
             frozenset((own, link))
             for body in self.bodies
@@ -191,7 +191,7 @@ class RobotDescription(Strict):
         return self.bodies[0]
 
     def with_mobile_shapes(self, *shapes: Shape) -> Self:
-        """The same robot with more on its base, such as cargo: shapes in the frame of l_m."""
+        """The same robot with additions on its base, such as cargo: shapes in the frame of l_m."""
         first, *others = self.bodies
         loaded = first.model_copy(update={"shapes": (*first.shapes, *shapes)})
         return self.model_copy(update={"bodies": (loaded, *others)})
@@ -202,7 +202,7 @@ class RobotDescription(Strict):
 
 
 def register_base_kind(kind: type[BaseKind]) -> None:
-    """Let descriptions have another kind of base from now on: a record whose `kind` is a `Literal`.
+    """Register another kind of base for descriptions: a record whose `kind` is a `Literal`.
 
     Raises:
         DescriptionError: The name is not a single one, or another kind has it.
@@ -226,7 +226,7 @@ def differential(description: RobotDescription) -> DifferentialBase:
     """The base of a robot with a differential one.
 
     Raises:
-        DescriptionError: It has another kind.
+        DescriptionError: The base has another kind.
     """
     if not isinstance(description.base, DifferentialBase):
         raise DescriptionError(
@@ -240,7 +240,7 @@ def load_description(path: Path) -> RobotDescription:
 
     Raises:
         DescriptionError: The file is missing, is not TOML, or a field is missing, misspelt or out
-            of its range; the message names file, field and what would be right.
+            of its range; the message names file, field and the valid values.
     """
     try:
         data = from_toml(file_text(path))
@@ -264,8 +264,8 @@ def load_robot(name: str) -> RobotDescription:
     """The description of a robot by its name.
 
     Raises:
-        UnknownNameError: No robot has that name; lists those that exist.
-        DescriptionError: Its description does not hold.
+        UnknownNameError: The robot does not exist; lists the existing ones.
+        DescriptionError: Its description is invalid.
     """
     check_robot_name(name)
     return load_description(robot_folder(name) / "robot.toml")

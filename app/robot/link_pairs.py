@@ -1,4 +1,4 @@
-"""§2.1: link pairs: which can meet, found once by random sampling, and their distances now."""
+"""§2.1: link pairs that can meet, found once by random sampling, and their present distances."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Pair(NamedTuple):
 
 
 class ClosestPoints(NamedTuple):
-    """FindClosestPoints: those of one link pair, in the frame of the given kinematics."""
+    """FindClosestPoints: the closest points of one link pair, in the frame of the kinematics."""
 
     pair: Pair
     """The link pair; `a` is nearer to the base than `b`."""
@@ -40,12 +40,12 @@ class ClosestPoints(NamedTuple):
     p_b: Array
     """(3,) [m] closest point on `b`."""
     n: Array
-    """(3,) normal from `a` to `b`: moving `b` along it increases d, in penetration too. A unit
-    vector, or shorter where it is a mean between two convex parts of `a`."""
+    """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
+    vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n; or p_b."""
+    """(3,) [m] point of the core of `b` behind p_b: its radius farther along n; or p_b."""
     parts: tuple[ClosestPoints, ...] = ()
-    """Those of each convex part of `a` by itself, where it has several."""
+    """The closest points of each convex part of `a`, if there are several."""
 
 
 def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
@@ -54,7 +54,7 @@ def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
 
 
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
-    """Those from a convex body each, whose normals turn continuously: `a` itself or its parts.
+    """Closest points of single convex bodies, with continuous normals: of `a` itself or its parts.
 
     In a concave corner of `a` two faces are near, and the pair's own normal is between theirs.
     """
@@ -70,13 +70,13 @@ class LinkPairs:
     manipulator: tuple[Pair, ...]
     """L_m^c, the pairs within the arm."""
     never: tuple[Pair, ...]
-    """Pairs that no sample brought into collision."""
+    """Pairs without a sample in collision."""
     rates: dict[str, float] = field(hash=False)
-    """Part of the samples in collision, by the name of the pair."""
+    """Share of the samples in collision, by the name of the pair."""
     least_distance_m: dict[str, float] = field(hash=False)
-    """[m] least signed distance seen, by the name of the pair."""
+    """[m] smallest sampled signed distance, by the name of the pair."""
     samples: int
-    """Number of joint positions sampled."""
+    """Number of sampled joint positions."""
     seed: int
     """Seed of the generator."""
 
@@ -87,7 +87,7 @@ class LinkPairs:
 
 
 class PairDistances:
-    """Distances and closest points of some pairs, at the least cost from Python.
+    """Distances and closest points of some pairs, efficiently from Python.
 
     Update once for a configuration, then read. A body of several shapes is as near as its nearest.
 
@@ -112,10 +112,11 @@ class PairDistances:
             parts = [range(k, k + each) for k in whole[::each]]
             groups.append([whole, *parts] if len(parts) > 1 else [whole])
         self._placed = geometry_data(self._geometry)
-        # References into pinocchio's own results: reading them anew would cost more than computing.
+        # References to pinocchio's own results, because reading them again costs more than
+        # computing.
         results = self._placed.distanceResults
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
-        """Of each pair, and of each part of its body `a` by itself where that has several."""
+        """For each pair: its own, and those of the parts of its body `a` if there are several."""
         self._by_part = [whole for whole, *_ in self._results]
         self._by_part += [part for _, *parts in self._results for part in parts]
 
@@ -125,7 +126,7 @@ class PairDistances:
         pin.computeDistances(self._geometry, self._placed)
 
     def update_from(self, data: pin.Data) -> None:
-        """Compute all distances from kinematics that are already there."""
+        """Compute all distances from existing kinematics."""
         pin.updateGeometryPlacements(self._pin, data, self._geometry, self._placed)
         pin.computeDistances(self._geometry, self._placed)
 
@@ -138,7 +139,7 @@ class PairDistances:
         return tuple(self.distance(i) for i in range(len(self.pairs)))
 
     def write_distances(self, into: Array) -> None:
-        """[m] the same, then those of each part of a body `a` by itself, where it has several."""
+        """[m] all distances, then those of each part of a body `a` with several."""
         for k, results in enumerate(self._by_part):
             nearest = results[0] if len(results) == 1 else _nearest(results)
             into[k] = nearest.min_distance
@@ -152,7 +153,7 @@ class PairDistances:
         return found
 
     def closest(self, i: int) -> ClosestPoints:
-        """The closest points of the i-th pair; copies, safe to keep."""
+        """The closest points of the i-th pair, as copies."""
         found = []
         for results in self._results[i]:
             at = _nearest(results)
@@ -163,7 +164,7 @@ class PairDistances:
         return with_parts(*found)
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
-        """The library's own record of the i-th pair; overwritten by the next update."""
+        """The library's own record of the i-th pair; the next update overwrites it."""
         return _nearest(self._results[i][0])
 
 
@@ -172,10 +173,10 @@ def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Takes distances that depend on where bodies are alone, to the last digit.
+    """Configure distances to depend on the bodies' places alone, to the last digit.
 
-    By pinocchio's own requests each search begins where the pair's last one has ended, which shows
-    from 1e-6 m downwards, and saves a step nothing.
+    With pinocchio's own requests each search starts where the pair's last one has ended, which
+    changes results below 1e-6 m, and saves no time.
     """
     data = pin.GeometryData(geometry)
     for k in range(len(data.distanceRequests)):
@@ -184,9 +185,9 @@ def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
 
 
 def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
-    """All pairs of bodies that are no neighbours in the chain and are watched, in the order of (1).
+    """All monitored pairs of bodies that are not neighbours in the chain, in the order of (1).
 
-    By the body nearer to the base, and for each of those from the end-effector inwards.
+    They are sorted by the body nearer to the base, then from the end-effector inwards.
     """
     names = model.body_names
     order = sorted(combinations(range(len(names)), 2), key=lambda ij: (ij[0], -ij[1]))
@@ -206,7 +207,7 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     Paper: Eq. (2).
 
     Returns:
-        A pair stands in L if any sample has a signed distance of zero or less.
+        The pairs; a pair is in L if any sample has a signed distance of zero or less.
     """
     pairs = candidate_pairs(model)
     q_m = sample_joints(model, samples, np.random.default_rng(seed))

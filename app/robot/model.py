@@ -1,7 +1,7 @@
 """The compiled robot: pinocchio's model on a planar base, reduced to q̇ = (q̇_b, q̇_m).
 
-The planar joint of pinocchio has its velocity in the base's own frame, so the map from the reduced
-velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a term in Ṡ.
+The planar joint of pinocchio has its velocity in the base's own frame. Thus the map from the
+reduced velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a term in Ṡ.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ Result = TypeVar("Result")
 
 
 class RobotModel:
-    """What does not change while the robot moves.
+    """The constant data of a robot.
 
-    The base moves only as its kind can: the first columns of S are its T J_m.
+    The base moves within its kind: the first columns of S are its T J_m.
 
     Attributes:
         description: The description it was compiled from.
         pin: pinocchio's model: a planar joint, then the arm's; all other joints are locked at zero.
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
-        body_joints: Pinocchio's joint that carries each body, by its name.
+        body_joints: Pinocchio's joint that moves each body, by its name.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
-        n_d: How many numbers the base's drive has beside its velocity.
+        n_d: Number of states of the base's drive besides its velocity.
         n_m: Degrees of freedom of the arm.
-        reading_shapes: Shapes that each array of a measurement may have, in its order.
+        reading_shapes: Valid shapes of each array of a measurement, in its order.
         J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
         J_m_inv: (n_b, n_b) its inverse.
-        base_rows: (n_b, n) [J_m O], by which (16) and the limits of the base act on q̈.
+        base_rows: (n_b, n) [J_m O], the rows of (16) and of the limits of the base on q̈.
         S: (3 + n_m, n) from the reduced velocity to pinocchio's.
-        base_acceleration_max: (n_b,) [m/s² or rad/s²] of the base's axes.
-        base_inertia: (n_b,) [kg or kg m²] mass or inertia along each of them.
-        joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
+        base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
+        base_inertia: (n_b,) [kg or kg m²] mass or inertia along each axis.
+        joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
-        q_limits, qd_limits, tau_limits: (2, n_m) the lower and the upper ones.
+        q_limits, qd_limits, tau_limits: (2, n_m) lower and upper limits.
         qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
     """
 
@@ -101,8 +101,8 @@ class RobotModel:
     def wheel_positions(self, angles: Sequence[float] | Array) -> dict[str, float]:
         """Positions [rad] of the wheels' joints, by name, for angles (n_w,) of the base's `wheels`.
 
-        An angle grows while the base rolls forward, or steers to the left, whichever way the axis
-        of a joint points.
+        An angle grows when the base rolls forward, or steers to the left, for both directions of a
+        joint's axis.
         """
         signs = self._wheel_signs
         pairs = zip(self.description.base.wheels, angles, strict=True)
@@ -153,7 +153,7 @@ class RobotModel:
             pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad), np.array(arm.end_effector_xyz_m)
         )
         name = "end_effector"
-        while self.pin.existFrame(name):  # a link or joint of the robot may have it
+        while self.pin.existFrame(name):  # a link or joint of the robot may have the name
             name += "_"
         self.ee_frame = self.pin.addFrame(
             pin.Frame(
@@ -201,11 +201,12 @@ def kept_per_model(
     [Callable[Concatenate[RobotModel, Options], Result]],
     Callable[Concatenate[RobotModel, Options], Result],
 ]:
-    """Keep what a pure function of a model and hashable values gives, while the model is there.
+    """Cache the results of a pure function of a model and hashable values, for the model's
+    lifetime.
 
-    What is kept is shared by all who ask: nobody may change it, and it must not hold the model, or
-    neither would ever be given back. Of one model so many results are kept; beyond that the oldest
-    is forgotten.
+    All callers share a result: they must not change it, and it must not refer to the model, or
+    neither would ever be freed. Each model has a limited number of results; beyond it the oldest
+    is dropped.
     """
 
     def keep(
@@ -242,7 +243,7 @@ def whole_model(description: RobotDescription) -> pin.Model:
 
 
 def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:
-    """1 for each wheel's joint whose axis points to the left, or up; -1 if it is mirrored."""
+    """1 for each wheel's joint whose axis points to the left, or up; -1 if mirrored."""
     data, q = full.createData(), pin.neutral(full)
     pin.computeJointJacobians(full, data, q)
     signs = {}
@@ -255,7 +256,7 @@ def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, fl
 
 
 def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
-    """The model with all joints but the arm's locked at zero."""
+    """The model with all joints except the arm's locked at zero."""
     where = f"{description.name}/robot.toml"
     names = list(full.names)[2:]  # after "universe" and the root joint
     wanted = {"arm.joints": description.arm.joints}
@@ -270,11 +271,11 @@ def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
     locked = [full.getJointId(name) for name in names if name not in description.arm.joints]
     try:
         model = pin.buildReducedModel(full, locked, pin.neutral(full))
-    except ValueError as error:  # such as of a joint that has the name of a link
+    except ValueError as error:  # such as a joint with the name of a link
         raise DescriptionError(f"{where}: urdf: pinocchio cannot reduce it: {error}") from None
     if tuple(list(model.names)[2:]) != description.arm.joints:
         raise DescriptionError(
-            f"{where}: arm.joints: must stand in the order of the chain: "
+            f"{where}: arm.joints: must be in the order of the chain: "
             f"{', '.join(list(model.names)[2:])}"
         )
     if model.nq != 4 + len(description.arm.joints):

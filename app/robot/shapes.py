@@ -1,10 +1,10 @@
-"""Convex shapes of the simplified collision bodies (Figure 2b), as a description states them.
+"""Convex shapes of the simplified collision bodies (Figure 2b), in the form of a description.
 
-Each shape gives itself to coal for exact distances with a signed normal, and as a mesh for drawing.
+Each shape provides coal's geometry for exact signed distances, and a mesh for drawing.
 
 A superquadric (hyper-ellipsoid) has the surface f(p) = 1, and less inside, of
 f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). e₁ rounds it from top to bottom, e₂ in
-plan: 1 is an ellipsoid, towards 0 it becomes a box. A convex polytope stands for it.
+plan: 1 is an ellipsoid, towards 0 it becomes a box. A convex polytope approximates it.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Hull(_Placed):
 
     type: Literal["hull"]
     vertices_m: Annotated[tuple[Vector3, ...], Field(min_length=4)]
-    """[m] points in the shape's own frame; those inside of the others' hull do nothing."""
+    """[m] points in the shape's own frame; points inside of the others' hull have no effect."""
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(np.array(self.vertices_m))
@@ -149,16 +149,16 @@ class Hull(_Placed):
 class Superquadric(_Placed):
     """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, almost a box.
 
-    Its distances are those of a convex polytope of 3,458 vertices on its surface, and so at most
-    what the polytope lies inside of the surface too large: less than 0.5 % of the longest semi-axis
-    for exponents from 0.1 to 1, 1 % up to 2.
+    Its distances are those of a convex polytope of 3,458 vertices on its surface. They are too
+    large by at most the polytope's depth inside of the surface: less than 0.5 % of the longest
+    semi-axis for exponents from 0.1 to 1, 1 % up to 2.
     """
 
     type: Literal["superquadric"]
     semi_axes_m: tuple[Positive, Positive, Positive]
-    """[m] half of the lengths along x, y and z."""
+    """[m] half lengths along x, y and z."""
     e1: Exponent
-    """[-] roundness from top to bottom: 1 as an ellipsoid, towards 0 as a box."""
+    """[-] roundness from top to bottom: 1 is an ellipsoid, 0 would be a box."""
     e2: Exponent
     """[-] roundness in plan."""
 
@@ -184,7 +184,7 @@ def _mesh_points(path: Path) -> Array:
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    trimesh would repair the winding of slivers with networkx, which need not be installed.
+    trimesh would correct the winding of slivers with networkx, which may not be installed.
     """
     import trimesh  # see ConvexMesh.hull
 
@@ -195,19 +195,19 @@ def hull_mesh(points: Array) -> trimesh.Trimesh:
     return hull
 
 
-_THIN = 1e-4  # [m] the least thickness of a hull
+_THIN = 1e-4  # [m] smallest thickness of a hull
 
 
 def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
-    """The convex hull of points (N, 3) [m]; 0.1 mm thick where they lie in a plane or on a line.
+    """The convex hull of points (N, 3) [m]; 0.1 mm thick if they are in a plane or on a line.
 
-    coal takes no corner of more than 255 neighbours, such as one of a finely drawn disc: then the
-    points go onto the finest grid [m] on which none has more.
+    coal refuses corners with more than 255 neighbours, such as those of a finely drawn disc. Then
+    the points are rounded to the finest grid [m] without such corners.
     """
     points = np.asarray(points, dtype=float)
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
-        if np.ptp(points @ axis) < _THIN:  # coal ends the process at a hull without a volume
+        if np.ptp(points @ axis) < _THIN:  # coal ends the process for a hull without a volume
             points = np.concatenate([points + s * _THIN / 2 * axis for s in (-1.0, 1.0)])
     vertices = coal.StdVec_Vec3s()
     for vertex in points:
@@ -230,7 +230,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
     """The surface of a shape, in its own frame: that of its `placement()`.
 
     Raises:
-        AssetError: The file of a convex mesh is not there.
+        AssetError: The file of a convex mesh is missing.
     """
     with extras_named():
         from trimesh import convex, creation
@@ -259,7 +259,8 @@ def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Arra
     `semi_axes` are a, b and c [m]; e₁ is the exponent from top to bottom, e₂ that in plan.
     """
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
-    # By the largest of each sum: a power of 2/e of a number far from 1 would overflow.
+    # Relative to the largest term of each sum, because a power of 2/e of other numbers would
+    # overflow.
     plan = _power_sum(x, y, e2 / 2)
     return _power_sum(plan, z, e1 / 2) ** (2 / e1)
 
@@ -271,7 +272,7 @@ def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> 
 
 
 def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, float, float]:
-    """Semi-axes [m] of the superquadric on which all corners of a box of size (3,) [m] lie."""
+    """Semi-axes [m] of the superquadric through all corners of a box of size (3,) [m]."""
     growth = (2.0 ** (e2 / e1) + 1.0) ** (e1 / 2)
     a, b, c = (0.5 * side * growth for side in size)
     return a, b, c
@@ -281,10 +282,10 @@ def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, floa
 def polytope_vertices(
     semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
 ) -> Array:
-    """Points of the surface whose convex hull stands for the superquadric, read-only.
+    """Points of the surface whose convex hull approximates the superquadric, read-only.
 
     They are the points of a cube's grid, denser towards its edges, where a small exponent bends the
-    surface most. The hull lies inside of the surface.
+    surface most. The hull is inside of the surface.
 
     Returns:
         (6 intervals² + 2, 3) [m] in the superquadric's frame.

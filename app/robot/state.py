@@ -1,11 +1,11 @@
-"""Where the robot is now: kinematics and dynamics computed once a step, then only read.
+"""The robot's present state: kinematics and dynamics, computed once per step, then only read.
 
-The kernels take pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
-(6, 3 + n_m) is the twist that the k-th velocity gives to all that it carries, linear over angular,
-at the origin of the world. Joint 1 is the planar base with columns 0 to 2, and each joint after it
-carries all later ones: a body on joint j is moved by the columns before j + 2. `B` (3, n_b) maps
-the base's reduced velocities to its own twist (v_x, v_y, ω_z), and the reduced velocity q̇ stands
-for (B q̇_b, q̇_m).
+The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
+(6, 3 + n_m) is the twist per unit of the k-th velocity of all bodies that it moves, linear over
+angular, at the origin of the world. Joint 1 is the planar base with columns 0 to 2, and each joint
+after it moves all later ones: the columns before j + 2 move a body on joint j. `B` (3, n_b) maps
+the base's reduced velocities to its own twist (v_x, v_y, ω_z), and the reduced velocity q̇ means
+(B q̇_b, q̇_m).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _FLOAT = np.dtype(float)
 
 
 class Measurement(NamedTuple):
-    """What the robot's sensors give, once a control step."""
+    """The readings of the robot's sensors in one control step."""
 
     base_pose: Array
     """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
@@ -36,15 +36,15 @@ class Measurement(NamedTuple):
     qd_m: Array
     """(n_m,) [rad/s or m/s] the arm's joint velocities."""
     drive: Array = np.zeros(0)
-    """(n_d,) what the base's drive has besides, such as a steering angle [rad]; if it is left out,
-    it counts as at rest."""
+    """(n_d,) further states of the base's drive, such as a steering angle [rad]; default: at
+    rest."""
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
-    """The same with arrays of floats.
+    """The measurement with arrays of floats.
 
     Raises:
-        MeasurementError: One of them is not that many numbers; the message names it.
+        MeasurementError: An array has a wrong number of values; names it.
     """
     for each, shapes in zip(measurement, model.reading_shapes, strict=True):
         if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
@@ -71,7 +71,7 @@ def is_finite(measurement: Measurement) -> bool:
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
-    """What the sensors of a robot at rest give, its base at the origin if no pose is given."""
+    """The readings of a robot at rest; default: with its base at the origin."""
     pose = np.zeros(3) if base_pose is None else base_pose
     base = model.description.base
     return Measurement(pose, np.zeros(model.n_b), q_m, np.zeros(model.n_m), base.drive_at_rest())
@@ -130,15 +130,15 @@ def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Arr
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist and acceleration of the body on each joint, at the origin of the world.
 
-    The accelerations are those at q̈ = 0, J̇ q̇: each joint's axes turn with what carries it. The
-    base's own are fixed to it, and its twist does not change by itself.
+    The accelerations are those at q̈ = 0, J̇ q̇: each joint's axes turn with its parent. The
+    base's own are fixed to it, and its twist is constant then.
 
     Args:
         J: (6, 3 + n_m) as of this module.
         v: (3 + n_m,) pinocchio's velocity.
 
     Returns:
-        Twice (2 + n_m, 6), by joint; the first row is the world's.
+        Both (2 + n_m, 6), by joint; the first row is the world's.
     """
     joints = J.shape[1] - 1
     twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
@@ -190,13 +190,13 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """How many velocities move a joint's body: the first ones; none moves the world."""
+    """Number of velocities that move a joint's body: the first ones; none moves the world."""
     return joint + 2 if joint > 0 else 0
 
 
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
-    """Velocity of a point at p (3,) [m] of what the k-th velocity moves, for each unit of that."""
+    """Velocity of a point at p (3,) [m] per unit of the k-th velocity, if that moves it."""
     return (
         J[0, k] + J[4, k] * p[2] - J[5, k] * p[1],
         J[1, k] + J[5, k] * p[0] - J[3, k] * p[2],
@@ -206,7 +206,7 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) Jacobian of the point of a joint's body that is now at p (3,) [m]."""
+    """(3, n) Jacobian of the point of a joint's body at the present place p (3,) [m]."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
     for k in range(carrying(joint)):
@@ -227,13 +227,13 @@ def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
 def distance_motions(
     J: Array, B: Array, twists: Array, biases: Array, joints: Array, at: Array, normals: Array
 ) -> tuple[Array, Array, Array]:
-    """How points of bodies move along normals that are fixed to other bodies: ḋ and d̈.
+    """Motion of points of bodies along normals that are fixed to other bodies: ḋ and d̈.
 
     J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a:
     the printed (p_b − p_a)/‖p_b − p_a‖ flips in penetration. A face keeps its normal while the
     closest points of a round link slide along it, and the point of the link's core, its radius
-    behind p_b, stays: there d̈ is exact. The curvature |v_⊥|²/d of the distance of two fixed points
-    would be ten times as wrong as none.
+    behind p_b, does not move on the link: then d̈ is exact. The curvature |v_⊥|²/d of the distance
+    of two fixed points would have ten times the error of no curvature.
 
     Paper: Eq. (21).
 
@@ -242,19 +242,19 @@ def distance_motions(
         B: (3, n_b) as of this module.
         twists: (2 + n_m, 6) of `chain_motion`.
         biases: (2 + n_m, 6) of `chain_motion`.
-        joints: (k, 2) that carry the body with the normal and the one with the point.
+        joints: (k, 2) that move the body with the normal and the one with the point.
         at: (k, 3) [m] the points, in the world.
         normals: (k, 3) unit normals, in the world.
 
     Returns:
-        (k, n) J_r; (k,) [m/s²] J̇_r q̇, with the turning of the normals; (k,) [m/s] J_r q̇.
+        (k, n) J_r; (k,) [m/s²] J̇_r q̇, including the rotation of the normals; (k,) [m/s] J_r q̇.
     """
     count = len(joints)
     rows = np.zeros((count, B.shape[1] + J.shape[1] - 3))
     accelerations, speeds = np.empty(count), np.empty(count)
     for k in range(count):
         a, b, p, n = joints[k, 0], joints[k, 1], at[k], normals[k]
-        # What carries both moves neither against the other.
+        # Common parents do not move the two relative to each other.
         sign = 1.0 if a < b else -1.0
         for l in range(carrying(min(a, b)), carrying(max(a, b))):
             u, v, w = _column(J, l, p)
@@ -326,8 +326,8 @@ def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> No
 def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     """Pinocchio's results as arrays that later calls overwrite, by their names in a control step.
 
-    Of each joint (n_j, 4, 3) `oMi` has the columns of its rotation and its origin [m]; pinocchio
-    stores them one after the other.
+    For each joint (n_j, 4, 3) `oMi` has the columns of its rotation and its origin [m]; pinocchio
+    stores them contiguously.
     """
     joints, first = len(data.oMi), data.oMi[0].rotation
     oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
@@ -344,9 +344,9 @@ class RobotState:
     """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
     Attributes:
-        base_pose, base_velocity, q_m, qd_m, drive: The measurement it was updated with.
-        qd: (n,) reduced velocity q̇: the base's, wheel speeds [rad/s] of a differential one, then
-            the arm's joints.
+        base_pose, base_velocity, q_m, qd_m, drive: The measurement of the last update.
+        qd: (n,) reduced velocity q̇: the base's (for a differential one wheel speeds [rad/s]),
+            then the arm's joints.
         M: (n, n) inertia matrix M of (26).
         h: (n,) C q̇ + g of (26).
         g: (n,) g of (26).
@@ -378,7 +378,7 @@ class RobotState:
     def __init__(self, model: RobotModel) -> None:
         self.model = model
         self.data = model.pin.createData()
-        # As pinocchio stores them: reading them anew costs more.
+        # In pinocchio's memory, because reading them again costs more.
         root, data = self.data.oMi[1], self.data
         self.R_world_base, self.p_o = root.rotation, root.translation
         self._dynamics, self._J = (data.M, data.nle, data.g), data.J
@@ -388,7 +388,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """From now on live in the memory of a control step, which keeps it up to date."""
+        """Use the memory of a control step from now on, which updates it."""
         present = {name: getattr(self, name) for name in _SHARED}
         for name in _SHARED:
             setattr(self, name, getattr(step, name))
@@ -404,7 +404,7 @@ class RobotState:
 
     @property
     def measurement(self) -> Measurement:
-        """What it was updated with."""
+        """The measurement of the last update."""
         return Measurement(self.base_pose, self.base_velocity, self.q_m, self.qd_m, self.drive)
 
     @property
@@ -413,26 +413,26 @@ class RobotState:
         return pin.SE3(self.R_ee, self.p_ee)
 
     def scale_arm_inertias(self, factor: float) -> None:
-        """Compute with other masses and inertias of the arm from the next update on.
+        """Use other masses and inertias of the arm from the next update on.
 
-        The factor [-] is of each mass, and of each inertia about the same centre of mass; 1 is the
-        model's. What is fixed to the base, the arm's first link too, keeps its own. The model that
-        others share is not changed.
+        The factor [-] applies to each mass, and to each inertia about the same centre of mass; 1 is
+        the model's. Links fixed to the base, including the arm's first link, do not change, nor
+        does the shared model.
         """
         self._factor = factor
         self._compile()
 
     def carry(self, mass: float, centre: Sequence[float]) -> None:
-        """Compute with a load [kg] from the next update on.
+        """Include a load [kg] from the next update on.
 
-        The centre (3,) [m] is in the end-effector's frame; the load is a point.
+        The centre (3,) [m] is in the end-effector's frame; the load is a point mass.
         """
         at = self.model.pin.frames[self.model.ee_frame].placement
         self._load = pin.Inertia(mass, at.act(np.array(centre, dtype=float)), np.zeros((3, 3)))
         self._compile()
 
     def _compile(self) -> None:
-        """Make pinocchio's model anew where it differs from the one that others share."""
+        """Make a separate pinocchio model if it differs from the shared one."""
         self.pin = self.model.pin
         if self._factor == 1.0 and self._load.mass == 0.0:
             return
@@ -453,7 +453,7 @@ class RobotState:
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
-        """Recompute all but M, h and g, which stay those of the last `update`."""
+        """Recompute everything except M, h and g, which keep the values of the last `update`."""
         q, v = self._take(measurement)
         pin.computeJointJacobians(self.pin, self.data, q)
         self._update_motion(v)
@@ -465,7 +465,7 @@ class RobotState:
         return q, v
 
     def _update_motion(self, v: Array) -> None:
-        """Placements, velocities and accelerations, with the Jacobians already there."""
+        """Placements, velocities and accelerations, with the existing Jacobians."""
         T_ee = pin.updateFramePlacement(self.pin, self.data, self.model.ee_frame)
         R_ee, p_ee = T_ee.rotation.copy(), T_ee.translation.copy()
         twists, biases, J_ee, v_ee, Jdqd_ee = _motion(self._J, self._B, v, p_ee)
@@ -481,7 +481,7 @@ class RobotState:
         return self.R_world_base @ p_base + self.p_o
 
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
-        """(3, n) Jacobian of the point of a joint's body that is now at `p_world`."""
+        """(3, n) Jacobian of the point of a joint's body at the present place `p_world`."""
         return point_jacobian(self._J, self._B, joint, p_world)
 
     def point_velocity(self, joint: int, p_world: Array) -> Array:

@@ -17,7 +17,7 @@ from app.strict import Array
 if TYPE_CHECKING:
     import trimesh
 
-_MOST_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
+_MAX_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
 _FARTHEST = 10.0  # [m] of an origin: of a joint, a shape or a centre of mass
 
 
@@ -34,7 +34,7 @@ def origin(element: Element, where: str) -> pin.SE3:
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
-    if np.abs(rpy).max() > _MOST_TURN:
+    if np.abs(rpy).max() > _MAX_TURN:
         words = " ".join(f"{angle:g}" for angle in rpy)
         raise RobotFileError(
             f'{where}: rpy="{words}" looks like degrees; angles of a URDF are in radians: 90 '

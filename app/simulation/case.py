@@ -1,4 +1,4 @@
-"""A run to be done, and a case: all that it takes to do it again exactly, as a file."""
+"""A planned run, and a case: the file with all data that repeat a run exactly."""
 
 import json
 from importlib.metadata import version
@@ -16,45 +16,45 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.pulled import CHALLENGE
-from app.strict import MOST_SEEDS, Finite, Strict, explain, file_text, parsed
+from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
-_MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
-FORMAT = "dbb_case"  # the key that only such a file has
+_MAX_ENTRIES = 1000  # [-] most options, parameters or figures of a case; about a hundred are usual
+FORMAT = "dbb_case"  # the key that identifies such a file
 
 
-class Planned(NamedTuple):
-    """A run to be done: all that its figures follow from."""
+class RunSpec(NamedTuple):
+    """A planned run: all data that determine its figures."""
 
     robot: str
     scenario: Scenario
     config: Config
     controller: str = "dbb"
     physics: str | None = None
-    """Kind of plant; the default one if None."""
+    """Name of the plant; None for the default one."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of all random numbers."""
 
 
 class RunCase(Strict):
-    """What `dbb run`, `screenshot`, `film`, `report`, `replay`, `serve` and the page play again."""
+    """The run of a case file, which `dbb run`, `film`, `serve` and other commands repeat."""
 
     dbb_case: Literal[1] = 1
-    """Number of the file's layout."""
+    """Version of the file format."""
     version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
-    """Of the program that wrote it."""
+    """Version of the program that wrote it."""
     robot: str
     played: str
     """Name of the scenario."""
-    options: dict[str, Any] = Field(max_length=_MOST)
-    """Of the scenario, all of them."""
+    options: dict[str, Any] = Field(max_length=_MAX_ENTRIES)
+    """All options of the scenario."""
     controller: str
     physics: str
-    seed: int = Field(default=0, ge=0, le=MOST_SEEDS)
-    parameters: dict[str, float | str] = Field(max_length=_MOST)
-    """All of them, by their paths."""
-    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MOST)
-    """What came of it, by the names of `dbb run`'s figures."""
+    seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
+    parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
+    """All parameters, by their paths."""
+    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
+    """The results, by the names of `dbb run`'s figures."""
 
     @field_validator("parameters")
     @classmethod
@@ -62,7 +62,7 @@ class RunCase(Strict):
         return {present_name(path): value for path, value in values.items()}
 
     @classmethod
-    def of(cls, run: Planned) -> Self:
+    def of(cls, run: RunSpec) -> Self:
         """The case of a run."""
         return cls(
             robot=run.robot,
@@ -74,43 +74,43 @@ class RunCase(Strict):
             parameters={path: run.config.value(path) for path in sorted(tunables())},
         )
 
-    def planned(self) -> Planned:
-        """The run; raises what `scenario` and `config` do."""
+    def spec(self) -> RunSpec:
+        """The run; raises the errors of `scenario` and `config`."""
         run = self.controller, self.physics, self.seed
-        return Planned(self.robot, self.scenario(), self.config(), *run)
+        return RunSpec(self.robot, self.scenario(), self.config(), *run)
 
     def scenario(self) -> Scenario:
-        """What is played.
+        """The scenario with its options.
 
         Raises:
-            DbbError: There is no such scenario, or its options are none that it can have.
+            DbbError: The scenario does not exist, or its options are invalid.
         """
         check_name("scenario", self.played, _PLAYED)
         options = {name: _tuples(value) for name, value in self.options.items()}
         return _PLAYED[self.played].changed(**options)
 
     def config(self) -> Config:
-        """The parameters, as far as there are such ones by now.
+        """The parameters that still exist.
 
         Raises:
-            ConfigError: One is out of its range.
+            ConfigError: A value is out of its range.
         """
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """What is not as it was when the case was written, a line each."""
+        """The differences since the case was written, one per line."""
         now, found = version("dbb-mobile-manipulator"), []
         if self.version != now:
             found.append(f"the case was written by dbb {self.version}, this is {now}")
         for path in sorted(self.parameters.keys() - tunables().keys()):
-            found.append(f"there is no parameter {path} any more; it was {self.parameters[path]}")
+            found.append(f"the parameter {path} no longer exists; it was {self.parameters[path]}")
         for path in sorted(tunables().keys() - self.parameters.keys()):
-            found.append(f"the case has no {path} yet; it is {Config().value(path)}")
+            found.append(f"the case has no {path}; it is {Config().value(path)}")
         return found
 
     def changes(self, figures: dict[str, Any]) -> list[str]:
-        """Which of its figures did not come out as they are in the case, a line each."""
+        """The figures that differ from those of the case, one per line."""
         return [
             f"{name} was {value!r}, is now {figures.get(name)!r}"
             for name, value in self.figures.items()
@@ -126,7 +126,7 @@ class RunCase(Strict):
         """The case of a file's text.
 
         Raises:
-            CaseError: It is none; says what is wrong. Names and options are checked too.
+            CaseError: The text is not a valid case; names the problem, also for names and options.
         """
         try:
             content = parsed(json.loads, text)
@@ -142,7 +142,7 @@ class RunCase(Strict):
         except ValidationError as error:
             raise CaseError(f"{where} is no case: {explain(error, cls)}") from None
         except DbbError as error:
-            raise CaseError(f"{where} is no case of today: {error}") from None
+            raise CaseError(f"{where} is no valid case: {error}") from None
         return case
 
 
@@ -150,7 +150,7 @@ def read_case(path: Path) -> RunCase:
     """The case of a file.
 
     Raises:
-        CaseError: There is no such file, or it holds no case; says what is wrong.
+        CaseError: The file does not exist or has no valid case; names the problem.
     """
     try:
         return RunCase.read(file_text(path), path)
@@ -161,5 +161,5 @@ def read_case(path: Path) -> RunCase:
 
 
 def _tuples(value: Any) -> Any:
-    """Lists of a file as the records have them."""
+    """Lists of a file as tuples, as in the records."""
     return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

@@ -1,6 +1,6 @@
 """People who hold the robot, each with one hand, at the end-effector or any point of the arm.
 
-A hand is a spring, a damper, a limited strength and, if it has one, a mass.
+A hand is a spring and a damper with a force limit, and optionally a mass.
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.compiled import compiled, direct
-from app.config import HandConfig
+from app.config import PersonConfig
 from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -19,25 +19,25 @@ from app.simulation.plants.interface import Push
 from app.strict import Array
 
 _ARM = 2  # pinocchio's first joint of the arm; 1 is the planar joint of the base
-_QUICKNESS = 20.0  # [rad/s] of the hand's motion towards a new target
-_TOP_SPEED = 1.5  # [m/s] of the hand
-_FARTHEST = 1e4  # [m] from the world's origin
-_LINK_SIZE = 1.0  # [m] no part of a link is farther from its origin
-_GRIP = 2e4  # [N/m] of the flesh between a hand with a mass and the robot
-_GRIP_DAMPING = 0.5  # [-] of that spring with the hand's mass on it, of the critical one
+_QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
+_TOP_SPEED = 1.5  # [m/s] largest speed of the hand
+_FARTHEST = 1e4  # [m] farthest target from the world's origin
+_LINK_SIZE = 1.0  # [m] largest distance of a link's point from its origin
+_GRIP = 2e4  # [N/m] stiffness of the grip between a hand with a mass and the robot
+_GRIP_DAMPING = 0.5  # [-] damping ratio of that spring with the hand's mass
 
 
 class Hold(NamedTuple):
-    """Where somebody holds the robot, and where to."""
+    """A person's grip: the held point and its target."""
 
     who: int
     """Number of the person."""
     target: Array
-    """(3,) [m] where the point is pulled, in the world."""
+    """(3,) [m] target of the held point, in the world."""
     link: str | None = None
     """Name of a frame of the arm, one of `held_links`; None is the end-effector."""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """(3,) [m] the point that is held, in the link's frame; without a link it is the end-effector's
+    """(3,) [m] the held point, in the link's frame; without a link it is the end-effector's
     origin."""
 
 
@@ -48,27 +48,27 @@ class PullReading(NamedTuple):
     link: str | None
     """As in `Hold`."""
     point: Array
-    """(3,) [m] where the robot is held."""
+    """(3,) [m] the held point."""
     target: Array
-    """(3,) [m] where to."""
+    """(3,) [m] its target."""
     force: Array
     """(3,) [N] the person's force on that point."""
 
 
 class PersonForces(NamedTuple):
-    """What people do to the robot in one control step."""
+    """The forces of people on the robot in one control step."""
 
     hand: Array
     """(3,) [N] sum of the forces on the end-effector's origin, in the world."""
     pushes: tuple[Push, ...] = ()
-    """Those on other points of the arm."""
+    """Forces on other points of the arm."""
 
 
 class People:
-    """One `PersonHand` for each who holds; forces on the same point add up."""
+    """One `PersonHand` for each person who holds the robot; forces on the same point add."""
 
-    def __init__(self, model: RobotModel, config: HandConfig, dt: float) -> None:
-        """Nobody holds the robot; `config` is the strength of each, `dt` [s] between two `pull`."""
+    def __init__(self, model: RobotModel, config: PersonConfig, dt: float) -> None:
+        """Without people; `config` is the strength of each, `dt` [s] the period of `pull`."""
         self.config = config
         self._model, self._dt = model, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
@@ -76,13 +76,13 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """What each does in one period, and all together; who is not among them lets go.
+        """The pull of each person in one period, and all forces; people without a hold release.
 
-        Whoever takes another point lets go of the one before, and takes hold without a jerk. Each
-        `who` has at most one hold.
+        A person who changes to another point releases the previous one and grips without a jerk.
+        Each `who` has at most one hold.
 
         Raises:
-            TargetError: A target lies below the floor, or is not three finite numbers.
+            TargetError: A target is below the floor, or is not three finite numbers.
         """
         hands, readings, pushes = {}, [], []
         total = np.zeros(3)
@@ -105,34 +105,34 @@ class People:
 
 
 class PersonHand:
-    """F = K (p - p_ee) - D v_ee, no stronger than f_max, where p follows the target smoothly.
+    """F = K (p - p_ee) - D v_ee, limited to f_max, where p follows the target smoothly.
 
-    Targets come 20 times a second and jump; p moves towards the latest as a critically damped
-    point of limited speed, from where the person took hold. So F has no steps at 1 kHz. The damper
-    acts against the world: with p at rest the person only takes energy out.
+    Targets arrive 20 times a second with jumps; p moves towards the latest as a critically damped
+    point of limited speed, from the point of the grip. Thus F has no steps at 1 kHz. The damper
+    acts against the world: with p at rest the person only absorbs energy.
 
-    A hand with a mass stands between the two: F moves the mass, and the robot feels what the grip
-    on it transmits. That is more than f_max while the mass is being stopped, and less while it is
-    set in motion; at rest it is F. Spring, damper, mass and grip are passive, so with p at rest
-    such a hand only takes energy out as well.
+    A hand with a mass is between the two: F moves the mass, and the robot receives the force that
+    the grip transmits. It exceeds f_max while the mass stops, is smaller while the mass
+    accelerates, and equals F at rest. Spring, damper, mass and grip are passive, so with p at rest
+    such a hand only absorbs energy as well.
     """
 
-    def __init__(self, config: HandConfig, dt: float = 0.001) -> None:
-        """A person who does not hold the robot; `dt` [s] is between two calls of `force`."""
+    def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
+        """A person who does not hold the robot; `dt` [s] is the period of `force`."""
         self.config, self._dt = config, dt
         """K, D, f_max and the mass; may be replaced at any time."""
         self.motion: Array | None = None
         """(2, 3) p [m] and its velocity [m/s]; None while the robot is not held."""
-        self._mass: Array | None = None  # (2, 3) the same of the mass in the hand
+        self._mass: Array | None = None  # (2, 3) position and velocity of the hand's mass
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:
         """(3,) [N] the person's force on the end-effector for one period, in the world.
 
         The end-effector is at p_ee (3,) [m] with a velocity (3,) [m/s]; without a target (3,) [m]
-        the person lets go.
+        the person releases.
 
         Raises:
-            TargetError: The target lies below the floor, or is not three finite numbers.
+            TargetError: The target is below the floor, or is not three finite numbers.
         """
         if target is None:
             self.motion = self._mass = None
@@ -148,7 +148,7 @@ class PersonHand:
         if config.mass == 0.0:
             self._mass = None
             return force
-        if self._mass is None:  # it moves with what it takes hold of
+        if self._mass is None:  # starts with the robot's velocity
             self._mass = np.array([p_ee, v_ee], dtype=float)
         self._mass, force = _push_once(
             self._mass, self.motion[0], p_ee, v_ee, *spring, config.mass, self._dt
@@ -169,10 +169,10 @@ def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[in
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """(3,) [m] a place in the world to which a person may pull.
+    """(3,) [m] a valid target of a person, in the world.
 
     Raises:
-        TargetError: It lies below the floor or farther away than 10 km, or is not three finite
+        TargetError: The place is below the floor, farther away than 10 km, or not three finite
             numbers.
     """
     place = _finite_point(target, "the hand's target")
@@ -188,12 +188,12 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
     """(3,) [m] a point of a link, in its frame, that a person may hold.
 
     Raises:
-        TargetError: It is nothing of a link's, or is not three finite numbers.
+        TargetError: The point is too far from the link, or not three finite numbers.
     """
-    place = _finite_point(point, "the point that is held")
+    place = _finite_point(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
         raise TargetError(
-            f"the point that is held is farther than {_LINK_SIZE:g} m from its link: {point!r}"
+            f"the held point is farther than {_LINK_SIZE:g} m from its link: {point!r}"
         )
     return place
 
@@ -244,7 +244,7 @@ def _pull(
         dt: [s]
 
     Returns:
-        The hand a period later, and (3,) [N] what the person does then.
+        The hand a period later, and (3,) [N] its force in that period.
     """
     a = _QUICKNESS**2 * (target - hand[0]) - 2 * _QUICKNESS * hand[1]
     v = _shortened(hand[1] + a * dt, _TOP_SPEED)
@@ -266,14 +266,14 @@ def _push_mass(
 ) -> tuple[Array, Array]:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
-    F = K' (p - x) - D ẋ, no stronger than f_max, moves it, and the grip G = k (x - p_ee) +
-    c (ẋ - v_ee) moves the robot, all at the period's end, to which the end-effector is taken to
-    go on as it does. K' and the grip in a row are as stiff as K. The rule is stable for every mass,
-    spring and damper; where F is stronger than f_max, it is f_max that way.
+    F = K' (p - x) - D ẋ, limited to f_max, moves it, and the grip G = k (x - p_ee) +
+    c (ẋ - v_ee) moves the robot. Both hold at the period's end, with the end-effector
+    extrapolated by its velocity. K' and the grip in series are as stiff as K. The rule is stable
+    for every mass, spring and damper; if F exceeds f_max, its direction does not change.
 
     Args:
         held: (2, 3) x [m] and ẋ [m/s].
-        p: (3,) [m] to where the spring pulls.
+        p: (3,) [m] target of the spring.
         p_ee: (3,) [m]
         v_ee: (3,) [m/s]
         stiffness: [N/m] K
@@ -287,7 +287,7 @@ def _push_mass(
     """
     K = stiffness * _GRIP / (_GRIP - stiffness)
     grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)
-    alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] what F has to move, in this rule
+    alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] effective mass of F in this rule
     grip = p_ee + dt * v_ee
     driven = mass * held[1] + dt * (grip_damping * v_ee - _GRIP * (held[0] - grip))
     pull = K * (p - held[0])

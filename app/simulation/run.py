@@ -1,4 +1,4 @@
-"""A scenario from start to end, headless and as fast as it goes."""
+"""A scenario from start to end, headless and as fast as possible."""
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
-from app.simulation.loop.pacing import settled
+from app.simulation.case import RunSpec
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
@@ -27,11 +27,11 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """A new session at the beginning of a setting; `robot` is without the door that it may hold.
+    """A new session at the start of a setting; `robot` is without a door that it may hold.
 
     Raises:
         ConfigError: The plant has no doors, and the setting has one.
-        UnknownNameError: No such controller or plant.
+        UnknownNameError: The controller or plant does not exist.
     """
     session = Session(
         setting.model,
@@ -48,31 +48,31 @@ def begin(
 
 
 def steps_of(
-    run: Planned, model: RobotModel, data: BorderData
+    run: RunSpec, model: RobotModel, data: BorderData
 ) -> Generator[tuple[Session, Step], None, None]:
     """The control steps of a run, one by one, with the session after each.
 
-    The session is closed when the last step has been taken, or the iterator is.
+    The session is closed after the last step, or when the iterator is closed.
 
     Raises:
-        UnreachableError: No start of the arm for this scenario.
-        TargetError: The hand would be led below the floor.
+        UnreachableError: The arm cannot reach the start of this scenario.
+        TargetError: The end-effector's path goes below the floor.
         ConfigError: The plant has no doors, and the scenario has one.
-        UnknownNameError: No such controller or plant.
+        UnknownNameError: The controller or plant does not exist.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)
     session = begin(setting, model, run.controller, run.physics, run.seed)
     try:
-        leader = scenario.leader(session)
+        driver = scenario.driver(session)
         for _ in range(round(scenario.duration / DT)):
-            yield session, session.step(*leader(session))
+            yield session, session.step(*driver(session))
     finally:
         session.close()
 
 
-def run_planned(
-    run: Planned,
+def run_from_spec(
+    run: RunSpec,
     model: RobotModel,
     data: BorderData,
     *,
@@ -80,16 +80,16 @@ def run_planned(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Do a run and take its figures; it raises what `steps_of` does.
+    """Do a run and compute its figures; it raises the errors of `steps_of`.
 
-    `on_progress` is called now and then with the simulated time [s], `on_step` after each control
-    step. A trace that is `drawn` has snapshots, to be written and replayed.
+    `on_progress` takes the simulated time [s] from time to time; `on_step` is called after each
+    control step. A trace that is `drawn` has snapshots for writing and replaying.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)
     begun: float | None = None
     steps = steps_of(run, model, data)
-    with settled(), closing(steps):
+    with gc_frozen(), closing(steps):
         for k, (session, step) in enumerate(steps):
             begun = begun or perf_counter() - step.duration
             recorder.add(session, step)
@@ -124,21 +124,21 @@ def run_scenario(
     seed: int = 0,
     **how: Any,
 ) -> RunResult:
-    """Run a scenario of a robot; what else it takes and what it raises stands at `run_planned`."""
-    planned = Planned(model.description.name, scenario, config, controller, physics, seed)
-    return run_planned(planned, model, data, **how)
+    """Run a scenario of a robot; see `run_from_spec` for the other arguments and the errors."""
+    spec = RunSpec(model.description.name, scenario, config, controller, physics, seed)
+    return run_from_spec(spec, model, data, **how)
 
 
 def filmed(
-    run: Planned,
+    run: RunSpec,
     model: RobotModel,
     data: BorderData,
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
-    """Snapshots of a run up to the last of some times [s], those at the times themselves included.
+    """Snapshots of a run up to the last of some times [s], including those at these times.
 
-    `on_progress` is called now and then with the simulated time [s].
+    `on_progress` takes the simulated time [s] from time to time.
     """
     last = round(run.scenario.duration / DT) - 1
     wanted = {min(round(t / DT), last) for t in times}

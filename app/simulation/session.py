@@ -27,47 +27,47 @@ from app.simulation.plants.interface import Contacts, Physics, Push
 from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
-_BANDWIDTH = 250.0  # [rad/s] of the loop that makes velocities of noisy positions; about 40 Hz
-_ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may seem beyond
-LEAD = -1  # number of the person whose pull a scenario gives
+_BANDWIDTH = 250.0  # [rad/s] of the loop that computes velocities from noisy positions; about 40 Hz
+_ROUNDING = 1e-6  # [rad or m] tolerance of a joint at its limit
+SCENARIO_PERSON = -1  # number of a scenario's person
 
 
 class Step(NamedTuple):
-    """What happened in one control step."""
+    """The results of one control step."""
 
     t: float
-    """[s] simulated time at the step's begin."""
+    """[s] simulated time at the start of the step."""
     measurement: Measurement
     control: ControlStep
     """All quantities of the control step; the next step overwrites them."""
     base_command: Array
-    """(n_b,) [m/s or rad/s] in force; what arrives at the drive may be late."""
+    """(n_b,) [m/s or rad/s] command in force; it may reach the drive later."""
     hand_target: Array | None
-    """(3,) [m] where the (first) person at the end-effector pulls it, or None."""
+    """(3,) [m] target of the (first) person at the end-effector, or None."""
     hand_force: Array
-    """(3,) [N] force on the end-effector in the world: the person's, or what the hand exerts on a
-    door that it holds."""
+    """(3,) [N] force on the end-effector in the world: the person's, or the end-effector's force on
+    a door that it holds."""
     ee_error: float
-    """[m] true distance of the end-effector from its reference, or from where the person pulls; 0
-    if there is neither."""
+    """[m] true distance of the end-effector from its reference, or from the person's target; 0
+    without both."""
     contacts: Contacts
-    """What touched in the step."""
+    """Contacts of the step."""
     duration: float
-    """[s] real time that the control took."""
+    """[s] real time of the control."""
     truth: Measurement
-    """The robot as it is; the same as `measurement` without noise."""
+    """The true state of the robot; equal to `measurement` without noise."""
     distances: tuple[float, ...]
     """[m] true signed distances, in the order of the control step's pairs."""
     buffer: BufferReading
-    """Whether d_b is enough for how fast the arm comes."""
+    """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorReading | None = None
-    """How the opening of a door goes, or None if there is none."""
+    """State of the opening door, or None without one."""
     pulls: tuple[PullReading, ...] = ()
-    """All that hold the robot."""
+    """All people who hold the robot."""
     person: PersonForces = PersonForces(np.zeros(3))
-    """The forces of people that acted on the robot."""
+    """The forces of people on the robot."""
     reference: Reference | None = None
-    """What the arm tracked, or None while it was guided."""
+    """The tracked reference, or None while a person guides the arm."""
     hand_speed: float = 0.0
     """[m/s] true speed of the end-effector."""
 
@@ -89,31 +89,31 @@ class Session:
     ) -> None:
         """Set up; call `reset` before the first step.
 
-        `controller` is one of `app.control.CONTROLLERS`; `physics` a kind of plant, the default one
-        if None; `plant` the robot as it is, where the controller's has what it holds as one more
-        body. The other arguments are the session's attributes.
+        `controller` is one of `app.control.CONTROLLERS`; `physics` is the name of a plant, None for
+        the default one. `plant` is the real robot if the controller's model has a held object as
+        one more body. The other arguments are the session's attributes.
 
         Raises:
             UnknownNameError: No controller or plant has that name.
-            ConfigError: The plant has no doors.
+            UnknownNameError: The controller or plant does not exist.
             DescriptionError: No part of the arm can meet the base.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
                 f"{model.description.name}: no part of the arm can meet the base: there is nothing "
-                "to avoid; look in its report whether the bodies hold the links"
+                "to avoid; check in its report that the bodies enclose the links"
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
-        """Kind of plant; of everything random; the door that the hand holds, and how far it is open
-        at the start, or None."""
+        """Name of the plant; seed of all random numbers; the door that the end-effector holds with
+        its initial angle, or None."""
         period = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=period)
-        """All of the control, as a robot's own loop calls it."""
+        """The whole control, with the interface of a robot's own loop."""
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._own_state = RobotState(model)  # where sensors say something else
+        self._own_state = RobotState(model)  # if sensors differ from it
         pairs = [*data.pairs.mobile, *data.pairs.manipulator]
         self._distances = DistanceMonitor(self._own_state, pairs)
         self._watch = BufferWatch(config)
@@ -122,9 +122,9 @@ class Session:
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest with the arm at `q_m` (n_m,) [rad or m]; nobody pulls.
+        """Put the robot at rest with the arm at `q_m` (n_m,) [rad or m], without people.
 
-        The base stands at x, y [m] and heading [rad], (3,), or else at the origin.
+        The base is at x, y [m] and heading [rad], (3,), or at the origin.
 
         Raises:
             TargetError: A joint is beyond its limits.
@@ -137,10 +137,10 @@ class Session:
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(len(self._base.wheels))
-        """(n_w,) [rad] of the base's `wheels`, for drawing."""
+        """(n_w,) [rad] angles of the base's `wheels`, for drawing."""
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
-        """The robot as it was at the last step."""
+        """The state of the robot at the last step."""
         self._watch.reset()
 
     def configure(self, config: Config) -> None:
@@ -154,12 +154,12 @@ class Session:
 
     @property
     def controller(self) -> Controller:
-        """The controller under test."""
+        """The controller of the session."""
         return self.loop.controller
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector at the last step, as the sensors have it."""
+        """Pose of the end-effector at the last step, by the sensors."""
         return self.controller.state.T_world_ee
 
     def step(
@@ -174,12 +174,12 @@ class Session:
         """Advance by one control step.
 
         Args:
-            reference: What the arm tracks, or None while it is guided.
-            pull: (3,) [m] where a person pulls the end-effector, or None.
-            door: How the opening of a door goes, for the record only.
-            holds: Others who hold the robot, here or elsewhere.
-            forces: What acts on the robot instead of those people's own springs; the error is still
-                towards where they pull.
+            reference: The end-effector's reference, or None while a person guides the arm.
+            pull: (3,) [m] target of a person at the end-effector, or None.
+            door: State of the opening door, for the record only.
+            holds: Other people who hold the robot, at the end-effector or elsewhere.
+            forces: Forces on the robot that replace those of the people's springs; the error
+                still refers to their targets.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -189,7 +189,7 @@ class Session:
         state, distances = self._observe(truth, measurement, control)
         p_ee = state.p_ee
         if pull is not None:
-            holds = (Hold(LEAD, pull), *holds)
+            holds = (Hold(SCENARIO_PERSON, pull), *holds)
         pulls, own = self._people.pull(state, holds if forces is None else ())
         person = own if forces is None else forces
         target = next((hold.target for hold in holds if hold.link is None), None)
@@ -225,7 +225,7 @@ class Session:
         return step
 
     def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
-        """The weight of the payload; the same and that of the load that is not known."""
+        """The weight of the payload, and this weight together with that of the unknown load."""
         payload, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
@@ -240,9 +240,9 @@ class Session:
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, tuple[float, ...]]:
-        """The true state, and [m] of all pairs; without noise both are the controller's estimate.
+        """The true state, and [m] distances of all pairs; without noise both are the estimate.
 
-        That is within hundredths of a millimetre of the truth, and costs nothing.
+        The estimate is within hundredths of a millimetre of the truth, without extra cost.
         """
         if sensed is truth:
             self.state = self.controller.state
@@ -265,14 +265,14 @@ class Session:
 
 
 class Disturbances:
-    """What stands between the controller and the robot: noise, delay, slip.
+    """The disturbances between the controller and the robot: noise, delay, slip.
 
-    Sensors and base commands as they are become those that arrive. The error of the arm's masses is
-    none of these: it is in the controller's model (`RobotState`).
+    They change true sensor values and base commands to those that arrive. The error of the arm's
+    masses is not among them: it is in the controller's model (`RobotState`).
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Begin like after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
+        """The state after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
         self._dt = dt
         self._seed = seed
         self.configure(config)
@@ -295,7 +295,7 @@ class Disturbances:
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
-        """Begin the noise anew and forget all commands."""
+        """Restart the noise and forget all commands."""
         self._rng = np.random.default_rng(self._seed)
         self._tracking: VelocityTracking | None = None
         self._commands.clear()
@@ -306,9 +306,9 @@ class Disturbances:
     def sensed(self, truth: Measurement) -> Measurement:
         """Readings of the sensors in a control step; the true values without disturbances.
 
-        Each joint's position has white noise added. Its velocity is then no reading of its own: as
-        on a robot with encoders only, it is made from the noisy positions by `VelocityTracking`.
-        The base's sensors have no noise. All readings are then late, repeated or lost.
+        Each joint's position has white noise. Its velocity is then no separate reading: as
+        on a robot with encoders only, `VelocityTracking` computes it from the noisy positions.
+        The base's sensors have no noise. Finally all readings are late, repeated or lost.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -320,7 +320,7 @@ class Disturbances:
         return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
 
     def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that the controller has: late, repeated, or the last ones for those lost."""
+        """The readings that reach the controller: late, repeated, or replaced by the last ones."""
         self._sent.append(sent)
         if self._steps < self._begins:
             due, lost, late = True, False, 0
@@ -333,9 +333,9 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """(n_b,) [m/s or rad/s] the command that takes effect, less what slips.
+        """(n_b,) [m/s or rad/s] the command that takes effect, without the part lost to slip.
 
-        `command` is in force at this control step; before the first there was rest.
+        `command` is in force at this control step; before the first one the base was at rest.
         """
         self._commands.append(command)
         steps = self._command_late
@@ -344,17 +344,15 @@ class Disturbances:
 
 
 class VelocityTracking:
-    """Velocities from positions: a tracking loop, as the electronics of encoders have it.
+    """Velocities from positions: a tracking loop, as in the electronics of encoders.
 
-    v̂ follows q by ω² s / (s + ω)², exactly discretised: constant velocities come out right, a
-    change comes late by 2/ω = 8 ms. White noise of deviation σ on the positions becomes a deviation
+    v̂ follows q by ω² s / (s + ω)², exactly discretised: constant velocities are exact, a
+    change is late by 2/ω = 8 ms. White noise of deviation σ on the positions becomes a deviation
     of about σ √(ω³ dt) / 2 of the velocities, 62 σ/s at 1 kHz.
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """A settled loop at positions q (n,) [rad or m] and velocities; `dt` [s] is between two
-        updates.
-        """
+        """A settled loop at positions q (n,) [rad or m] and velocities; `dt` [s]: its period."""
         pole = math.exp(-_BANDWIDTH * dt)  # twice: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
         self._q, self._qd, self._dt = q - qd * dt, qd.copy(), dt
@@ -369,7 +367,7 @@ class VelocityTracking:
 
 
 def _check_within_limits(model: RobotModel, q_m: Array) -> None:
-    """Refuse a start from which a plant would throw the arm back.
+    """Refuse a start at which a plant's joint limits would accelerate the arm.
 
     Raises:
         TargetError: Names the joint and its limits.

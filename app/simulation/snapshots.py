@@ -1,7 +1,7 @@
 """Pictures of the robot without display, browser or graphics card: pybullet's software renderer.
 
-The renderer gives the bodies alone. What a figure draws over them, such as lines on the floor, it
-places with `Picture.pixels`.
+The renderer draws the bodies alone. A figure that draws over them, such as lines on the floor,
+uses `Picture.pixels`.
 """
 
 import math
@@ -21,27 +21,27 @@ from app.strict import Array
 Rgba = tuple[float, float, float, float]
 
 _FINER = 2  # [-] rendered pixels per pixel and direction
-_NEAR, _FAR = 0.1, 30.0  # [m] what is drawn of the depth
+_NEAR, _FAR = 0.1, 30.0  # [m] drawn range of depth
 _LIGHT = (2.0, -2.5, 5.0)  # [m] turned with the camera
 
 
 class Camera(NamedTuple):
-    """Where a picture is taken from."""
+    """Viewpoint of a picture."""
 
     target: Array
-    """(3,) [m] what it looks at, in the world."""
+    """(3,) [m] target in the world."""
     distance: float
-    """[m] from the target."""
+    """[m] distance from the target."""
     yaw: float
     """[rad] direction in plan from the target to the camera, from the world's x axis."""
     pitch: float
-    """[rad] height of the camera over the horizon, seen from the target."""
+    """[rad] elevation of the camera, seen from the target."""
     width: int = 480
-    """[px] of the picture."""
+    """[px] width of the picture."""
     height: int = 480
-    """[px] of the picture."""
+    """[px] height of the picture."""
     fov: float = 0.35
-    """[rad] vertical field of view; a small one keeps upright edges upright."""
+    """[rad] vertical field of view; a small one keeps vertical edges vertical."""
 
     @property
     def eye(self) -> Array:
@@ -51,12 +51,12 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """The same camera moved so that points (N, 3) [m] of the world just fill the picture.
+        """The same camera, moved so that points (N, 3) [m] of the world fill the picture.
 
-        The margin [-] of the picture stays free on each side.
+        A margin [-] of the picture stays free on each side.
         """
         camera = self
-        for _ in range(8):  # the perspective's share of the place changes a little each time
+        for _ in range(8):  # the perspective changes a little each time
             at = _project(points, *camera.matrices())
             middle = (at.max(axis=0) + at.min(axis=0)) / 2
             half = (at.max(axis=0) - at.min(axis=0)) / 2
@@ -88,16 +88,16 @@ class Solid(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A picture with what is needed to draw over it."""
+    """A picture with the data for drawing over it."""
 
     rgb: Array
     """(height, width, 3) uint8."""
     floor: Array
-    """(height, width) bool, where no body is."""
+    """(height, width) bool, true where no body is."""
     view: Array
-    """(4, 4) from the world to the camera."""
+    """(4, 4) transform from the world to the camera."""
     projection: Array
-    """(4, 4) from the camera to the clip space."""
+    """(4, 4) transform from the camera to the clip space."""
 
     def pixels(self, points: Array) -> Array:
         """(N, 2) [px] column and row of points (N, 3) [m] in the world."""
@@ -106,7 +106,7 @@ class Picture(NamedTuple):
         return (at * [1, -1] + 1) / 2 * [width, height] - 0.5
 
     def unhidden(self, points: Array) -> Array:
-        """(N,) bool, whether points (N, 3) [m] on the floor are in the picture and unhidden."""
+        """(N,) bool, whether points (N, 3) [m] on the floor are visible in the picture."""
         height, width = self.floor.shape
         column, row = np.rint(self.pixels(points)).astype(int).T
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -114,7 +114,7 @@ class Picture(NamedTuple):
 
 
 class Photographer:
-    """Takes pictures of one robot, in a pybullet client of its own, until it is closed."""
+    """Takes pictures of one robot, in its own pybullet client, until it is closed."""
 
     def __init__(self, model: RobotModel) -> None:
         """Load the robot's visual meshes.
@@ -141,12 +141,12 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """A picture of the robot at a base's pose (3,) [m, rad] and the arm's joints (n_m,) [rad or
+        """A picture of the robot at a base pose (3,) [m, rad] and joint positions (n_m,) [rad or
         m].
 
-        Solids are seen too; without `robot` they alone are.
+        It includes solids; without `robot` it shows them alone.
         """
-        away = 0.0 if robot else 1000.0  # [m] far outside of any picture
+        away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         pose = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, pose, strict=True):
             self._client.resetJointState(self._world.robot, joint, float(position))
@@ -182,7 +182,7 @@ class Photographer:
         return Picture(_smaller(rgb).round().astype(np.uint8), floor, view, projection)
 
     def _add(self, solid: Solid) -> int:
-        # Corners of their own for each face: pybullet would round the edges of a box.
+        # Separate corners for each face, because pybullet would round the edges of a box.
         flat = solid.mesh.copy()
         flat.unmerge_vertices()
         shape = self._client.createVisualShape(
@@ -196,13 +196,13 @@ class Photographer:
 
 
 def _smaller(image: Array) -> Array:
-    """(h, w, c) mean of blocks of an image (h f, w f, c) of finer pixels."""
+    """(h, w, c) mean of blocks of a finer image (h f, w f, c)."""
     h, w, c = image.shape
     return image.reshape(h // _FINER, _FINER, w // _FINER, _FINER, c).mean(axis=(1, 3))
 
 
 def _project(points: Array, view: Array, projection: Array) -> Array:
-    """(N, 2) right and up from the picture's middle, in halves of it."""
+    """(N, 2) right and up from the picture's centre, relative to half of its size."""
     clip = np.column_stack([points, np.ones(len(points))]) @ (projection @ view).T
     return clip[:, :2] / clip[:, 3:]
 

@@ -1,4 +1,4 @@
-"""The one report kit: a page of parts with text, pictures and tables, which needs nothing else."""
+"""The kit of all reports: a self-contained page of parts with text, pictures and tables."""
 
 from __future__ import annotations
 
@@ -31,36 +31,36 @@ _UNITS = {
 
 
 class Cell(NamedTuple):
-    """A cell of a table that is more than its text."""
+    """A cell of a table with more than plain text."""
 
     text: str
     notes: Sequence[str] = ()
-    """Lines in small print below it."""
+    """Lines in small print below the text."""
     mark: str = ""
-    """`yes`, `no` or nothing, for its colour."""
+    """`yes`, `no` or empty, which selects its colour."""
 
 
 class Grid(NamedTuple):
     """A table."""
 
     head: Sequence[str]
-    """Titles of the columns, or none."""
+    """Titles of the columns, or empty."""
     rows: Sequence[Sequence[str | Cell]]
-    """Its cells, plain text or `Cell`."""
+    """Rows of cells, plain text or `Cell`."""
     numbers: bool = False
-    """Whether the columns after the first are numbers, which are not broken."""
+    """Whether the columns after the first have numbers, which must not break over lines."""
 
 
 class Part(NamedTuple):
-    """A part of a page, in the order in which it is shown."""
+    """A part of a page, with its fields in the order of display."""
 
     title: str = ""
-    """Its heading, and what its picture shows."""
+    """Its heading, which also describes its picture."""
     name: str = ""
-    """What the page's links call it, or nothing if none leads to it."""
+    """Target name of the page's link to it, or empty without a link."""
     text: Sequence[str] = ()
     png: bytes | None = None
-    """A picture, which stands in the page itself."""
+    """A picture, embedded in the page."""
     tables: Sequence[Grid] = ()
     points: Sequence[str] = ()
     """A list of sentences."""
@@ -71,9 +71,9 @@ class Part(NamedTuple):
 
 
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
-    """The page; all that it is given is text and no markup.
+    """The page; all arguments are text without markup.
 
-    Below the title stands the lead, a sentence or two, with links to the parts that have a name.
+    The lead, one or two sentences, is below the title, with links to the parts that have a name.
     """
     return _template().render(title=title, lead=lead, parts=parts)
 
@@ -88,7 +88,7 @@ def _template() -> Template:
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """Tables of figures; cases with figures of their own stand side by side."""
+    """Tables of figures; cases with separate figures are columns side by side."""
     plain = _flat({k: v for k, v in measured.items() if not isinstance(v, Mapping)})
     cases = {k: _flat(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)
@@ -111,7 +111,7 @@ def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
 
 
 def label(key: str) -> str:
-    """A key as people read it, its unit in brackets."""
+    """A key in readable form, with its unit in brackets."""
     for ending, unit in _UNITS.items():
         if key.endswith(ending) and len(key) > len(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"

@@ -1,4 +1,4 @@
-"""The report of one run, on a page that needs nothing else."""
+"""The report of one run, on a self-contained page."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,14 +22,14 @@ from app.studies.runs import flattened
 
 _BETWEEN = "; values between two rows are not recorded"
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
-"""Colours of what has none of its own, such as joints and further pairs."""
+"""Colours of curves without their own, such as joints and further pairs."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """The page of a run: key numbers, figures, and which parameters were not the defaults.
+    """The page of a run: key numbers, figures, and parameters that differ from the defaults.
 
-    `on_progress` is called with the share of the figures that are drawn.
+    `on_progress` takes the share of the figures that are drawn.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
@@ -57,7 +57,7 @@ def _about(run: Trace) -> str:
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
-    """The bodies of the run's robot, the base first; empty where it is not described here."""
+    """The bodies of the run's robot, the base first; empty if its description is missing here."""
     try:
         return tuple(body.name for body in load_robot(meta.robot).bodies)
     except DbbError:
@@ -65,9 +65,9 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there.
+    """The figures of a run, as in `dbb run --json`, and its extremes; with the same keys.
 
-    None in the place of what is not finite, as a log that somebody has changed may give.
+    None in place of values that are not finite, which an edited log may have.
     """
     return _finite({**extremes(run), **metrics(run)})
 
@@ -99,7 +99,7 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
     """Parameters that differ from the defaults in any of the configurations.
 
     Returns:
-        Path as in `border.d_b`, default, and the values it had, in order, joined if there are more.
+        Path as in `border.d_b`, default, and its values in order, joined if there are several.
     """
     changes = []
     for path, about in tunables().items():
@@ -131,7 +131,7 @@ def distances_figure(run: Trace) -> Figure:
     d_b = [s.d_b for s in run.snapshots]
     if len(set(d_b)) == 1:
         style.level(above, d_b[0], "buffer distance $d_b$")
-    else:  # it was changed while the run went on
+    else:  # it changed during the run
         times = [s.t for s in run.snapshots]
         above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
     above.axhline(0.0, color=style.TARGET, linewidth=1.0)
@@ -170,13 +170,13 @@ def base_figure(run: Trace) -> Figure:
 
 @style.picture("hand", "The hand")
 def hand_figure(run: Trace) -> Figure:
-    """Distance of the hand from its target, and the force on it."""
+    """Distance of the end-effector from its target, and the force on it."""
     figure = style.new_figure(4.6)
     error, force = figure.subplots(2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.HAND)
-    error.set_ylabel("hand error [mm]")
+    error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
-    force.set_ylabel("force on the hand [N]")
+    force.set_ylabel("force on the end-effector [N]")
     for ax in (error, force):
         ax.set_ylim(bottom=0.0)
     _over_time((error, force), run)
@@ -198,7 +198,7 @@ def torques_figure(run: Trace) -> Figure:
 
 @style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
-    """Paths of base and hand from above; squares mark the start."""
+    """Paths of base and end-effector from above; squares mark the start."""
     figure = style.new_figure(5.0)
     ax = figure.subplots()
     for points, colour, text in (
@@ -242,7 +242,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Time from the log's begin to its end; contact is shaded."""
+    """Time from the start of the log to its end; contact is shaded."""
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:
         if run.t[-1] > run.t[0]:
@@ -256,7 +256,7 @@ def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None =
 
 
 def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
-    """Begin and end [s] of the stretches in which a flag (N,) holds, at times t (N,)."""
+    """Start and end [s] of the intervals in which a flag (N,) is true, at times t (N,)."""
     stretches = np.ma.clump_unmasked(np.ma.masked_array(t, ~flags))
     return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in stretches]
 

@@ -1,4 +1,4 @@
-"""What all that runs shares: rows of rounded figures, and their files."""
+"""Results that all studies of runs share: rows of rounded figures, and their files."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
 
-Row = dict[str, Any]  # numbers, texts, truths and None, by columns that end in their unit; no NaN
+Row = dict[str, Any]  # numbers, texts, booleans and None, by columns that end in their unit; no NaN
 
-DIGITS = 9  # [-] after the point, of metres, radians, newtons and seconds
-_LOG_EVERY = 10  # control steps between two rows of a trace that is thinned
+DIGITS = 9  # [-] decimals of metres, radians, newtons and seconds
+_LOG_EVERY = 10  # control steps between two rows of a thinned trace
 
 
 def thinned(result: RunResult) -> RunResult:
-    """A run with a row a hundredth of a second, as other processes and the figures take it."""
+    """A run with a row every hundredth of a second, for other processes and for figures."""
     return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
 
 
 def flattened(figures: Mapping[str, Any]) -> Row:
-    """Figures by pair, axis or joint as figures of their own, each with its unit at its end.
+    """Figures by pair, axis or joint as separate figures, each with its unit at the end of its key.
 
     `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
     """
@@ -39,17 +39,17 @@ def flattened(figures: Mapping[str, Any]) -> Row:
 
 
 def rounded(value: object) -> object:
-    """A number rounded to `DIGITS`, anything else as it is.
+    """A number rounded to `DIGITS`; other values do not change.
 
-    The QP solver's answers differ in their last digit with where its memory lies, and a result is
-    to be the same on any number of processes.
+    The last digit of the QP solver's solutions depends on the addresses of its memory, and a result
+    must be the same on any number of processes.
     """
     return round(value, DIGITS) if isinstance(value, float) else value
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length whole or not at all, by the ending; None and NaN are empty."""
-    # Imported here: it is not needed before all runs are done.
+    """Write columns of equal length completely or not at all; None and NaN are empty cells."""
+    # Imported here, because it is needed only when all runs are done.
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow
@@ -60,12 +60,12 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 
 
 def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> None:
-    """The same for rows: a column for each name in them, and before those the first ones."""
+    """Write rows as `write_table` does, with a column for each name; `first` names come first."""
     names = dict.fromkeys([*first, *(name for row in rows for name in row)])
     write_table(path, {name: [row.get(name) for row in rows] for name in names})
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write a file whole or not at all."""
+    """Write a file completely or not at all."""
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     write_whole(path, text)

@@ -1,4 +1,4 @@
-"""The one visual language of all figures: colours, line widths, sizes, and what a picture is."""
+"""The visual language of all figures: colours, line widths, sizes, and the type of a picture."""
 
 import io
 import logging
@@ -19,7 +19,7 @@ METHOD_COLOURS = {
     "barrier": "#CC79A7",
     "none": "#7A7F87",
 }
-"""One colour a controller; these and those below are Okabe and Ito's, told apart by all eyes."""
+"""One colour for each controller, all from Okabe and Ito's palette for colour-blind readers."""
 METHOD_NAMES = {
     "dbb": "proposed (DBB)",
     "hqp": "as printed (HQP)",
@@ -29,9 +29,9 @@ METHOD_NAMES = {
     "none": "no avoidance",
 }
 PAIR_COLOURS = {"lm-lEE": "#009E73", "lm-l3": "#E69F00", "lm-door": "#882E72"}
-"""One colour a pair of L_m."""
+"""One colour for each pair of L_m."""
 PAIR_NAMES = {
-    "lm-lEE": r"$\mathcal{L}_m(1)$: base, hand",
+    "lm-lEE": r"$\mathcal{L}_m(1)$: base, end-effector",
     "lm-l3": r"$\mathcal{L}_m(2)$: base, forearm",
     "lm-door": "base, door",
 }
@@ -40,11 +40,11 @@ SOFT = "#9AA5B1"
 ACTING = "#C2185B"
 """The acting point and its force."""
 TARGET = "#D7263D"
-"""Where the hand shall go."""
+"""The target of the end-effector."""
 PATH = "#0072B2"
-"""Where the base has been."""
+"""The path of the base."""
 HAND = "#009E73"
-"""Where the hand has been."""
+"""The path of the end-effector."""
 SCORE_MAP = "viridis"  # low blue, high yellow, as in the paper
 
 WIDTH = 11.0  # [in] of every figure; with DPI, pixels of a slide
@@ -80,21 +80,21 @@ _RULES: dict[Any, Any] = {
 }
 
 
-# At the level of information it tells of each letter that it takes from another font.
+# At the level INFO it reports each letter from another font.
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The rules of all figures, for the time of a `with`."""
+    """The rules of all figures, during a `with`."""
     with matplotlib.rc_context(_RULES):
         yield
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure of a height and a width [in], laid out so that nothing overlaps.
+    """An empty figure of a height and a width [in], with a layout without overlaps.
 
-    It belongs to no window and no global list, so that it needs no display and is freed after use.
+    It belongs to no window and no global list, so it needs no display and is freed after use.
     """
     return Figure(figsize=(width, height), layout="constrained")
 
@@ -107,23 +107,23 @@ def png_of(figure: Figure) -> bytes:
 
 
 class Picture(NamedTuple):
-    """A picture for a page: a function that draws it, whose docstring is what is said of it."""
+    """A picture for a page: a function that draws it; its docstring is the caption."""
 
     name: str
-    """As commands, files and links call it."""
+    """Its name in commands, files and links."""
     title: str
     needs: tuple[Any, ...]
-    """What is run for it, if anything."""
+    """The runs that it needs, if any."""
     draw: Callable[..., Any]
 
     @property
     def words(self) -> str:
-        """What is said of it."""
+        """The caption."""
         return words_of(self.draw)
 
 
 def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
-    """Makes a picture of the function that draws it; as in `Picture`."""
+    """Make a picture of the function that draws it; as in `Picture`."""
     return lambda draw: Picture(name, title, needs, draw)
 
 
@@ -138,9 +138,9 @@ def words_of(function: Callable[..., Any]) -> str:
 
 
 def panel_title(axes: Axes, letter: str, text: str) -> None:
-    """The panel's letter in the paper and what it shows, above its upper left corner."""
+    """The panel's letter in the paper and its title, above its upper left corner."""
     title = f"({letter}) {text}" if letter else text
-    # A title over three-dimensional axes stands inside of them: the layout does not see it.
+    # A title over three-dimensional axes is inside of them: the layout does not see it.
     axes.set_title(title, y=0.97 if axes.name == "3d" else None)
 
 
@@ -168,7 +168,7 @@ def level(axes: Axes, value: float, text: str) -> None:
 
 
 def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
-    """Keywords of `plot` for one point that stands out on any ground."""
+    """Keywords of `plot` for one point that is visible on any background."""
     return {
         "color": colour,
         "marker": marker,

@@ -1,4 +1,4 @@
-"""A fuzz of what strangers can send or hand over: messages of a page, and files."""
+"""A fuzz test of untrusted input: messages of a page, and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sends and hands over what strangers may: `python -m benchmarks.fuzz --seconds 60 [--seed 1]`."""
+"""Send and read mutated input: `python -m benchmarks.fuzz --seconds 60 [--seed 1]`."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-_LEAST, _MOST = 2.0, 5.0  # [-] powers of ten of how often something is repeated
+_MIN_POWER, _MAX_POWER = 2.0, 5.0  # [-] powers of ten of how often something is repeated
 
 _TOML: tuple[Callable[[int], str], ...] = (
     lambda n: f"a{'.b' * n} = 1",
@@ -140,7 +140,7 @@ _TEXTS = {
 
 def expanded(kind: str, right: bytes, rng: np.random.Generator) -> bytes:
     """A file of a kind whose reading could take far more than its size."""
-    n = int(10 ** rng.uniform(_LEAST, _MOST))
+    n = int(10 ** rng.uniform(_MIN_POWER, _MAX_POWER))
     if kind in _TEXTS:
         texts = _TEXTS[kind]
         return texts[int(rng.integers(len(texts)))](n).encode()

@@ -42,7 +42,7 @@ from app.robot.assets import ASSETS, planar_urdf
 from app.robot.description import load_description, load_robot
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
-from app.simulation.case import Planned, RunCase, read_case
+from app.simulation.case import RunCase, RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.study import Journal
@@ -57,9 +57,9 @@ _LONGEST = 20.0  # [s] of a core, after which a file is given up
 _SILENT = 300.0  # [s] without an answer, after which the process that reads hangs
 _SECONDS = 2.0  # [s] of a core that one may take
 _READER = 4.0  # [s] that a process of its own may take beside, if one reads it: it imports much
-_GROWTH = 300.0  # [MiB] beyond what the process had before
+_GROWTH = 300.0  # [MiB] largest growth of the process
 _EXPANDED = 0.1  # [-] share of files that are made to become large
-_MEMORY = 6 * 2**30  # [bytes] of address space, of which the libraries take one half
+_MEMORY = 6 * 2**30  # [bytes] address space; the libraries take one half
 _numbers = itertools.count()
 _ROBOT = ASSETS / "husky_panda"
 _URDF = """<robot name="r"><link name="base"><visual><geometry><mesh filename="a.stl"/></geometry>
@@ -74,7 +74,7 @@ class Kind(NamedTuple):
     Attributes:
         name: Of a file of it, with its ending.
         seed: Writes a right one to a path.
-        take: Reads it and does with it what commands do first.
+        take: Reads the file and runs the first steps of the commands with it.
         mutate: Writes a mutated one to a path, from the bytes of a right one.
     """
 
@@ -220,7 +220,7 @@ def _figures(path: Path) -> None:
 def _played(path: Path) -> None:
     """A case."""
     scenario = SCENARIOS["guiding-lateral"]
-    case = RunCase.of(Planned("husky_panda", scenario, Config(), "dbb", "planar"))
+    case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "planar"))
     path.write_text(case.text(), encoding="utf-8")
 
 
@@ -262,7 +262,7 @@ def _mesh(path: Path) -> None:
 
 
 def _shape(path: Path) -> None:
-    """Fit what a link with that mesh is; each under a name of its own, by which it is kept."""
+    """Fit a link with that mesh; each has its own name, because results are cached by it."""
     mesh = path.with_name(f"{next(_numbers)}.stl")
     path.rename(mesh)
     try:
@@ -304,11 +304,11 @@ KINDS = {
 
 
 class Outcome(NamedTuple):
-    """What became of one file.
+    """The outcome for one file.
 
     Attributes:
         result: `right`, `line` or `finding`.
-        text: Of a finding, what came instead of a line.
+        text: For a finding, the output instead of a line.
         lost: Whether the process that reads is lost with it.
     """
 
@@ -351,7 +351,7 @@ def fuzz_files(
 
 
 def _answered(child: Child) -> Outcome:
-    """What the process that reads says, or that it says nothing."""
+    """The answer of the reading process, or a timeout."""
     try:
         if child.receiver.poll(_SILENT):
             return child.receiver.recv()
@@ -369,7 +369,7 @@ def _kept(path: Path, keep: Path, k: int) -> str:
 
 
 def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> None:
-    """What the process that reads does: file k of a kind at a time, as it is asked."""
+    """Main function of the reading process: file k of a kind at a time, on request."""
     folder = Path(at)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     signal.signal(signal.SIGPROF, _too_long)
@@ -392,7 +392,7 @@ def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> 
 
 
 def _within_budget(kind: Kind, path: Path) -> Outcome:
-    """What becomes of a file, or that it takes too much time or memory."""
+    """The outcome for a file, including too much time or memory."""
     before, begin = peak_memory(), _times()
     outcome = _outcome(kind, path)
     own, of_children = _times() - begin
@@ -417,7 +417,7 @@ def _outcome(kind: Kind, path: Path) -> Outcome:
         if "\n" in str(error):
             return Outcome("finding", f"more than one line: {type(error).__name__}")
         return Outcome("line")
-    except BaseException as error:  # whatever it is, it is a finding
+    except BaseException as error:  # any exception is a finding
         place = error.__traceback__
         while place is not None and place.tb_next is not None:
             place = place.tb_next

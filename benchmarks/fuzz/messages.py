@@ -1,7 +1,7 @@
 """Messages of every kind that a page may send, mutated, to a dashboard that is really served.
 
-Each message is first given to the gate's own check in this place: what it calls garbage ends its
-sender's connection, so that of those only some go over a socket, from a client that comes anew.
+Each message first passes the gate's own check in this process. A rejected one ends its sender's
+connection, so only some of those go over a socket, from a client that connects again.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with ot
 _PACKED = tuple(value for value in HOSTILE if value != 10**400)
 """Values that a message can hold."""
 _PICTURE = png(Image.new("RGBA", (SIZES["width"][2], SIZES["height"][2])))
-"""What a page answers that is asked for a picture of the scene."""
+"""The answer of a page to the request of a picture."""
 _asked: deque[str] = deque(maxlen=1)
 """The last name of a question to a page."""
 
@@ -56,7 +56,7 @@ _asked: deque[str] = deque(maxlen=1)
 def fuzz_messages(
     length: Length, seed: int, keep: Path, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Send mutated messages; what was sent, and what broke.
+    """Send mutated messages; returns the counts and the findings.
 
     Args:
         length: Of it.
@@ -182,7 +182,7 @@ class _Fuzz:
         yield from (b"\0" * (size * (k % 2)) for k in range(min(count, 2**26 // size)))
 
     def _verdict(self, data: bytes) -> str:
-        """What the gate says of it; `websockets` ends what is longer than any message."""
+        """The verdict of the gate; `websockets` ends messages that are too long."""
         if len(data) > gate.LARGEST_MESSAGE:
             return "garbage"
         try:
@@ -191,7 +191,7 @@ class _Fuzz:
             return "garbage"
         except gate.RefusedError:
             return "refused"
-        except Exception as error:  # whatever it is, it is a finding
+        except Exception as error:  # any exception is a finding
             self._findings.setdefault(f"{type(error).__name__}: {error}"[:200], repr(data[:300]))
             return "garbage"
         return "taken"
@@ -237,13 +237,13 @@ class _Fuzz:
         return plain.get(hint, None if hint is type(None) else {})
 
     def _look(self, seen: Callable[[], bool]) -> None:
-        """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
+        """Whether everything works and the parameters are in their ranges; ends started work."""
         for job in self._jobs():  # nobody waits for its end: a picture's may take half a minute
             job.cancel()
         t = self._loop.latest().t
 
         def passes() -> bool:
-            self._loop.send(Pause(False))  # what was sent before may pause it once more
+            self._loop.send(Pause(False))  # an earlier message may pause it again
             return self._loop.latest().t != t
 
         self._wait(passes, "time stands still", lambda: str(self._loop.latest())[:2000])
@@ -279,7 +279,7 @@ class _Fuzz:
 
 @contextlib.contextmanager
 def _errors_in(findings: dict[str, str]) -> Iterator[None]:
-    """What the log calls an error meanwhile is a finding, by the line that raised it."""
+    """Each error in the log is a finding, by the line that raised it."""
 
     class Errors(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:

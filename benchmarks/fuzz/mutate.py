@@ -1,4 +1,4 @@
-"""Mutations of what is right: of trees, as JSON and messages are, and of bytes."""
+"""Mutations of valid input: of trees, such as JSON and messages, and of bytes."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ MEASUREMENTS: dict[str, Callable[..., Report]] = {
 
 
 def main() -> None:
-    """Run the measurement that is asked for and print its table.
+    """Run the chosen measurement and print its table.
 
     Raises:
         SystemExit: A name or a number was wrong; says which.

@@ -1,4 +1,4 @@
-"""How large d_b must be for a hand that comes at a speed, from the front and from the side."""
+"""The d_b required for an approach speed, from the front and from the side."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Does the asked base acceleration jump along smooth motions inside the buffer?
 
-A slope shrinks with the step, a jump does not: around the worst places the step is refined, and
-what is left at a step of zero is the jump.
+A slope shrinks with the step, a jump does not: the step is refined around the worst places, and
+the limit at a step of zero is the jump.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ KINDS: dict[Kind, tuple[str, str]] = {
 }
 """Whether the law has a reference, and whose limits the arm has.
 
-A guided base knows none of the arm's; the last kind has changes of active limits in it, so that it
-is not held to what is asked.
+A guided base has no arm limits; the last kind includes changes of active limits, so it has no
+bound.
 """
 
 
 class Path(NamedTuple):
-    """A motion and how the law is asked along it.
+    """A motion and the mode of the law along it.
 
     Attributes:
         options: Robot, controller and seed.
@@ -56,7 +56,7 @@ class Path(NamedTuple):
         mode: With a reference, `tracking`, or without, `guided`.
         limits: The `robot`'s, or `wide` ones that no motion meets.
         duration: [s]
-        speed: [m/s] of the hand at most.
+        speed: [m/s] largest speed of the end-effector.
     """
 
     options: Options
@@ -89,10 +89,10 @@ def continuity(
         options: See `Options`.
         count: Random motions.
         duration: [s] of each.
-        speed: [m/s] of the hand at most.
+        speed: [m/s] largest speed of the end-effector.
         refined: Places of each kind at which the step is refined.
         first: Number of the first motion; from 0 the audit's own state is among them.
-        kinds: What is asked of the law: see `KINDS`.
+        kinds: Modes of the law: see `KINDS`.
     """
     audits = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
     own = range(first - audits, first + count)
@@ -115,7 +115,7 @@ def continuity(
 
 
 def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
-    """Of one kind: the worst steps, and what of them is a jump."""
+    """For one kind: the worst steps, and their jumps."""
     worst = played(_worst, paths, jobs, kind)
     found: dict[str, Any] = {"kind": kind}
     for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):
@@ -140,7 +140,7 @@ def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any
 
 
 def jumps_of(by_step: Array) -> Array:
-    """(k,) what is left of changes (k, steps) at a step of zero, each step half of the one before.
+    """(k,) limits of changes (k, steps) at a step of zero, each step half of the previous one.
 
     A slope's change halves with the step, so that nothing is left; a jump's stays.
     """
@@ -190,7 +190,7 @@ def _refined(place: Refinement) -> list[list[float]]:
 def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
     """(len - 1, 2) change of the linear and the angular acceleration from each instant to the next.
 
-    The asked acceleration counts within the robot's own limits, whoever clips it. 0 where a pair
+    The commanded acceleration is clipped to the robot's own limits in all methods. 0 where a pair
     touches: there is no buffer left to be continuous in.
     """
     options = path.options

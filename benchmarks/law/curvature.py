@@ -26,13 +26,13 @@ Array = np.ndarray
 _H = 0.002  # [s] of the differences
 _FIVE = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  # fourth order
 _KINK = 0.05  # [m/s²] and relative: differences of two steps that differ more straddle a kink
-_LEAST_D = 0.02  # [m] below which the term of two fixed points stays as it is there
-_LEAST_ROWS = 5  # of a pair, to say something
+_MIN_D = 0.02  # [m] distance below which the term of two fixed points is constant
+_MIN_ROWS = 5  # of a pair, to say something
 _MODELS = "law", "without_term", "with_term"
 
 
 class Pose(NamedTuple):
-    """A pose of that number and the hand's largest speed [m/s] about it."""
+    """A pose of that number and the end-effector's largest speed [m/s] about it."""
 
     options: Options
     number: int
@@ -57,14 +57,14 @@ def curvature(options: Options, count: int = 400, speed: float = 0.5) -> Report:
     Args:
         options: See `Options`.
         count: Poses inside the buffer.
-        speed: [m/s] of the hand at most.
+        speed: [m/s] largest speed of the end-effector.
     """
     poses = [Pose(options, k, speed) for k in range(count)]
     samples = [each for row in played(_samples, poses, options.jobs, "poses") for each in row]
     rows = []
     for pair in load(options.robot).pair_names:
         errors = [s.errors for s in samples if s.pair == pair and s.errors is not None]
-        if len(errors) >= _LEAST_ROWS:
+        if len(errors) >= _MIN_ROWS:
             rows.append(_row(pair, np.array(errors)))
     smooth = np.array([s.errors for s in samples if s.errors is not None])
     summary = {
@@ -92,7 +92,7 @@ def _row(pair: str, errors: Array) -> dict[str, Any]:
 
 
 def _samples(pose: Pose) -> list[Sample]:
-    """Every pair within the buffer distance; an error is what the row says less what happens."""
+    """Every pair within the buffer distance; an error is the row's value minus the true one."""
     robot = load(pose.options.robot)
     rng = np.random.default_rng([pose.options.seed, pose.number])
     motion = random_motion(robot.model, pose_in_buffer(robot, rng), pose.speed, rng, 1.0)
@@ -119,7 +119,7 @@ def _samples(pose: Pose) -> list[Sample]:
         bias, across = _fixed_points(state, closest)
         without = float(J @ qdd_all) + bias - float(fine[i])
         law = float(J @ qdd_all) + Jdqd - float(fine[i])
-        term = across / max(closest.d, _LEAST_D)
+        term = across / max(closest.d, _MIN_D)
         found.append(Sample(pair.name, (law, without, without + term)))
     return found
 

@@ -1,4 +1,4 @@
-"""Curves beside the base that a hand tracks with its orientation held."""
+"""Curves beside the base that an end-effector tracks with its orientation held."""
 
 from __future__ import annotations
 

@@ -25,13 +25,13 @@ Array = np.ndarray
 KINDS = "towards", "diagonal", "arc"
 _TRIES = 400  # curves drawn before a case is given up
 _DURATION = 2.0, 10.0  # [s]
-_SPEED = 0.25  # [m/s] mean speed of the hand at most
+_SPEED = 0.25  # [m/s] largest mean speed of the end-effector
 _CONE = math.radians(40.0)  # about the way inwards
 _LENGTH = 0.08, 0.30  # [m] of a line towards the base
-_RISE = 0.15  # [m] how far the ends of a curve differ in height at most
+_RISE = 0.15  # [m] largest difference of height between the ends of a curve
 _TURN = 0.3, 1.2  # [rad] of an arc about the base's middle
-_NEAREST = 0.08  # [m] from the base's box to the hand
-_HAND_TURN = 0.5  # [rad] by which the hand points past the way from the mount
+_NEAREST = 0.08  # [m] from the base's box to the end-effector
+_HAND_TURN = 0.5  # [rad] by which the end-effector points past the way from the mount
 _ALONG = np.linspace(0.25, 1.0, 4)  # [-] of a curve, where its reach is looked at
 _GUESSES = 6  # of the search for a posture there
 _REACHED = 1e-4  # [m] and [rad]
@@ -116,7 +116,7 @@ def _gap(robot: str, p: Array) -> float:
 
 
 def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator) -> bool:
-    """Whether a base that stands lets the arm keep the hand's orientation all along."""
+    """Whether a base that stands lets the arm keep the end-effector's orientation all along."""
     state = RobotState(model)
     state.update_kinematics(at_rest(model, q))
     orientation = state.T_world_ee.rotation.copy()
@@ -134,7 +134,7 @@ def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator
 
 
 def _nearest(state: RobotState, target: pin.SE3, guess: Array) -> Array | None:
-    """(n_m,) a posture with the hand at a pose in the world, or None if the search fails."""
+    """(n_m,) a posture for an end-effector pose in the world, or None after a failed search."""
     model = state.model
 
     def residual(q: Array) -> Array:

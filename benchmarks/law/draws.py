@@ -1,4 +1,4 @@
-"""Drawing pulls: the same for the same seed and number, whatever else is drawn."""
+"""Random pulls that depend on the seed and the number of the pull alone."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from benchmarks.law.starts import place_above, place_beside, posture
 Array = np.ndarray
 Interval = tuple[float, float]
 
-_PROJECTS_TRIES = 16  # of the start solver per pitch of the hand, as `dbb run` has it
+_PROJECTS_TRIES = 16  # of the start solver per pitch of the end-effector, as `dbb run` has it
 _TRIES = 200  # places drawn before a case is given up
-_CONE = math.radians(50.0)  # half of the angle about the way inwards in which the hand is led
-_END = -0.15, 0.10  # [m] from the base's box to where the hand is led
+_CONE = math.radians(50.0)  # largest angle between a pull and the direction inwards
+_END = -0.15, 0.10  # [m] from the base's box to where the end-effector is led
 
 
 def named_pull(
@@ -70,7 +70,7 @@ def random_pull(
         rng: Where it is drawn from.
         f_max: [N] of the person.
         stiffness: [N/m] of the person, even in its logarithm.
-        lead: [s] how long the hand is led; else by its speed.
+        lead: [s] how long the end-effector is led; else by its speed.
         speed: [m/s] mean speed of the led hand.
         above: [-] share of the starts over the base.
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.errors import StudyError
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.people import PersonForces
 from app.simulation.session import DT, Session
 from benchmarks.law.motions import Waves, random_waves
@@ -23,8 +23,8 @@ Array = np.ndarray
 
 PLACES = "front", "wheel axis", "lateral"
 _RMS = 6.0  # [N] of the random force
-_SPRING = 40.0  # [N/m] keeps the hand near the border
-_INWARDS = 0.7  # [-] of the named pull, from its start to where the spring draws the hand
+_SPRING = 40.0  # [N/m] keeps the end-effector near the border
+_INWARDS = 0.7  # [-] of the named pull, from its start to where the spring draws the end-effector
 
 
 class Restless(NamedTuple):
@@ -37,7 +37,7 @@ class Restless(NamedTuple):
 
 
 def energy(options: Options, count: int = 2, seconds: float = 20.0) -> Report:
-    """Push the hand about near the border with random forces and count the person's work.
+    """Push the end-effector about near the border with random forces and count the person's work.
 
     Args:
         options: See `Options`.
@@ -69,7 +69,7 @@ def _play(case: Restless) -> dict[str, Any]:
     session = Session(robot.model, robot.data, robot.config, controller=options.controller)
     work = lowest = damped = base_speed = 0.0
     nearest, inside, steps = np.inf, 0, round(case.seconds / DT)
-    with settled(), closing(session):
+    with gc_frozen(), closing(session):
         session.reset(q_m)
         p, given = session.T_world_ee.translation.copy(), np.zeros(3)
         for _ in range(steps):

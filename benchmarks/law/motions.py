@@ -14,7 +14,7 @@ Array = np.ndarray
 
 _BAND = 0.3, 1.5  # [Hz]
 _WAVES = 3  # sines a coordinate
-_SAMPLES = 16  # of a motion, by which its speed is measured
+_SAMPLES = 16  # samples of a motion for measuring its speed
 
 
 class Waves(NamedTuple):
@@ -63,12 +63,13 @@ class Motion(NamedTuple):
 def random_motion(
     model: RobotModel, q: Array, speed: float, rng: np.random.Generator, duration: float
 ) -> Motion:
-    """A motion whose arm passes q (n_m,) at half of its duration [s], its hand at most this fast.
+    """A motion whose arm passes q (n_m,) at half of its duration [s], its end-effector at most this
+    fast.
 
     Args:
         model: The robot.
         q: (n_m,) [rad or m]
-        speed: [m/s] largest speed of the hand in the world.
+        speed: [m/s] largest speed of the end-effector in the world.
         rng: Where it is drawn from.
         duration: [s]
     """
@@ -101,7 +102,7 @@ def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
 
 
 def _fastest(model: RobotModel, motion: Motion, duration: float) -> float:
-    """[m/s] of the hand, with the joints near the middle of their motion."""
+    """[m/s] of the end-effector, with the joints near the middle of their motion."""
     state, fastest = RobotState(model), 1e-9
     for t in np.linspace(0.0, duration, _SAMPLES):
         measured = motion.at(float(t))[0]._replace(q_m=motion.arm.middle)

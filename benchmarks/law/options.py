@@ -1,4 +1,4 @@
-"""What all measurements are asked."""
+"""Options of all measurements."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.config import Config
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.session import Session, Step
 from benchmarks.law.curves import Curve
 from benchmarks.law.draw_curves import task_of
@@ -56,14 +56,14 @@ def play(case: Tracking) -> dict[str, Any]:
 
 
 def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, Any]:
-    """What happens on a curve that is tracked from a posture (n_m,) of the arm."""
+    """The result of tracking a curve from a posture (n_m,) of the arm."""
     robot = load(options.robot)
     session = Session(robot.model, robot.data, robot.config, controller=options.controller)
     n = robot.n_mobile
     worst, worst_t, at_limits, end = 0.0, 0.0, "", 0.0
     nearest, links, contacts = math.inf, math.inf, 0
     shares: list[float] = []
-    with settled(), closing(session):
+    with gc_frozen(), closing(session):
         session.reset(np.array(q_m))
         orientation = session.T_world_ee.rotation.copy()
         while session.t < curve.duration + _AFTER:

@@ -1,4 +1,4 @@
-"""A pull: a person leads the hand along a line, holds it there, and perhaps lets go."""
+"""A pull: a person leads the end-effector along a line, holds it there, and perhaps lets go."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.people import PersonHand
 from app.simulation.session import DT, Session, Step
 from benchmarks.law.robot import load
@@ -28,7 +28,7 @@ class Pull(NamedTuple):
         robot: Name of the robot.
         controller: Name of the controller.
         q_m: (n_m,) [rad or m] the arm's joints at the start; the base stands at the origin.
-        start: (3,) [m] where the hand is then.
+        start: (3,) [m] where the end-effector is then.
         move: (3,) [m] how far the person leads it.
         lead_s: [s] how long, along a cubic in time.
         stiffness: [N/m] of the person.
@@ -46,7 +46,7 @@ class Pull(NamedTuple):
     f_max: float
 
     def target(self, t: float) -> Array:
-        """(3,) [m] where the person leads the hand at time t [s]; never below the floor."""
+        """(3,) [m] where the person leads the end-effector at time t [s]; never below the floor."""
         s = min(max(t / self.lead_s, 0.0), 1.0)
         place = np.array(self.start) + s * s * (3 - 2 * s) * np.array(self.move)
         place[2] = max(place[2], 0.0)
@@ -64,8 +64,8 @@ class Moment(NamedTuple):
 
     Attributes:
         session: After the step.
-        step: What happened.
-        p, v: (3,) [m] and [m/s] the hand, at the step's begin.
+        step: The results of the control step.
+        p, v: (3,) [m] and [m/s] the end-effector, at the start of the step.
         person_speed: [m/s] of the person's own hand; 0 when it has let go.
     """
 
@@ -77,10 +77,10 @@ class Moment(NamedTuple):
 
 
 def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
-    """The steps of a pull, without an end; whoever takes them sends True once it is let go."""
+    """The steps of an endless pull; the caller sends True after the release."""
     robot, config = load(pull.robot), pull.config()
     session = Session(robot.model, robot.data, config, controller=pull.controller)
-    with settled(), closing(session):
+    with gc_frozen(), closing(session):
         session.reset(np.array(pull.q_m))
         shadow, held, before = PersonHand(config.hand, DT), True, np.array(pull.start)
         while True:

@@ -22,7 +22,7 @@ _AUDIT_HELD = 0.36  # [s]
 _AUDIT_STIFFNESS = 2000.0  # [N/m]
 _AUDIT_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
 _ABOVE = 0.2  # [-] share of the random pulls that come from above
-_THROWN = 1.1  # [-] of the person's own speed; a hand that goes along with it is not thrown
+_THROWN = 1.1  # [-] ratio to the person's speed above which the arm is out of control
 _CLAIMED = 80.0  # [N] up to which nothing may overlap
 
 
@@ -34,12 +34,12 @@ class Held(NamedTuple):
 
 
 def pulls(options: Options, count: int = 24, held: float = 1.5, first: int = 0) -> Report:
-    """Pull the hand hard towards the base.
+    """Pull the end-effector hard towards the base.
 
     Args:
         options: See `Options`.
         count: Random pulls, besides the audit's four.
-        held: [s] how long the hand is held at its end.
+        held: [s] how long the end-effector is held at its end.
         first: Number of the first random pull; the audit's come with 0 only.
     """
     rows = played(play, cases(options, count, held, first), options.jobs, "pulls")

@@ -29,7 +29,7 @@ _REST = 10.0  # [s]
 
 
 class Release(NamedTuple):
-    """A pull that ends by letting go, `inside_s` after the hand came into the buffer."""
+    """A pull that ends by letting go, `inside_s` after the end-effector came into the buffer."""
 
     pull: Pull
     inside_s: float
@@ -37,7 +37,7 @@ class Release(NamedTuple):
 
 
 def release(options: Options, count: int = 12, seconds: float = 15.0, first: int = 0) -> Report:
-    """Guide the hand into the buffer, let go there, and watch the base.
+    """Guide the end-effector into the buffer, let go there, and watch the base.
 
     Args:
         options: See `Options`.
@@ -61,7 +61,7 @@ def release(options: Options, count: int = 12, seconds: float = 15.0, first: int
 
 
 def play(case: Release) -> dict[str, Any]:
-    """The row of one release; without a path if the hand never came into the buffer."""
+    """The row of one release; without a path if the end-effector never came into the buffer."""
     pull, d_b = case.pull, Config().border.d_b
     robot = load(pull.robot)
     n = robot.n_mobile

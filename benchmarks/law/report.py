@@ -13,7 +13,7 @@ from benchmarks.law.options import Options
 
 
 class Report(NamedTuple):
-    """What a measurement found.
+    """The result of a measurement.
 
     Attributes:
         name: Of the measurement.
@@ -27,7 +27,7 @@ class Report(NamedTuple):
 
 
 def show(report: Report, options: Options) -> None:
-    """Print it on standard output, in the form that was asked for."""
+    """Print it on standard output, in the chosen format."""
     if options.json:
         print_json(
             {

@@ -17,7 +17,7 @@ Array = np.ndarray
 
 
 class Robot(NamedTuple):
-    """A robot and what surrounds its base.
+    """A robot and the surroundings of its base.
 
     Attributes:
         model: The robot.

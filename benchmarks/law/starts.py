@@ -1,4 +1,5 @@
-"""Where the hand of a case starts: random places around and over the base, and postures there.
+"""Where the end-effector of a case starts: random places around and over the base, and postures
+there.
 
 A posture takes a second to find, so those that were found are kept in the user's cache
 folder, for as long as the start solver and the robot are the same.
@@ -27,13 +28,13 @@ from benchmarks.law.robot import load
 Array = np.ndarray
 Point = tuple[float, float, float]
 
-_GAP = 0.22, 0.45  # [m] from the base's outline to the hand, in plan
-_HEIGHT = 0.15, 0.60  # [m] of a hand beside the base, above the floor
-_RISE = 0.22, 0.45  # [m] from the base's top to a hand over it
+_GAP = 0.22, 0.45  # [m] from the base's outline to the end-effector, in plan
+_HEIGHT = 0.15, 0.60  # [m] of an end-effector beside the base, above the floor
+_RISE = 0.22, 0.45  # [m] from the base's top to an end-effector over it
 
 
 class Place(NamedTuple):
-    """Where a hand may start.
+    """Where an end-effector may start.
 
     Attributes:
         p: (3,) [m] in the base's frame.
@@ -80,15 +81,16 @@ def posture(
     tries: int = 4,
     along: Sequence[Point] = (),
 ) -> Array | None:
-    """(n_m,) the arm with its hand at a place, clear of all buffers, or None if there is none.
+    """(n_m,) the arm with its end-effector at a place, clear of all buffers, or None if there is
+    none.
 
     Args:
         robot: Name of the robot.
         p: (3,) [m] in the base's frame.
         seed: Of the search.
-        turn: [rad] by how much the hand points to the left of straight away from the mount.
-        tries: Of the search per pitch of the hand.
-        along: (3,) [m] each, where the hand comes to afterwards.
+        turn: [rad] angle of the end-effector to the left of straight away from the mount.
+        tries: Of the search per pitch of the end-effector.
+        along: (3,) [m] each, where the end-effector comes to afterwards.
     """
     way = [np.array(each) for each in along]
 
@@ -103,12 +105,12 @@ def posture(
 
 
 def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
-    """What a search finds, from the folder if it has been asked the same before.
+    """The result of a search, cached in a folder.
 
     Args:
         robot: Name of the robot.
-        asked: What is searched, as JSON can say it.
-        search: Gives what JSON can hold.
+        asked: The key of the search, as JSON.
+        search: Returns the result, as JSON.
     """
     key = hashlib.sha256(json.dumps([_digest(robot), *asked]).encode()).hexdigest()[:24]
     path = _folder() / f"{key}.json"

@@ -1,7 +1,8 @@
 """People who wander: does anything touch while two of them take hand and links wherever they like?
 
-The lines of other measurements lead the hand to the base. Here one person takes the hand, another
-any link, both from place to place above and around the base, letting go now and then.
+The lines of other measurements lead the end-effector to the base. Here one person takes the
+end-effector, another any link, both from place to place above and around the base, letting go now
+and then.
 """
 
 from __future__ import annotations
@@ -10,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.people import held_links
-from app.simulation.run import run_planned
-from app.simulation.scenarios.pulled import Pulled, PulledScenario
+from app.simulation.run import run_from_spec
+from app.simulation.scenarios.pulled import PulledScenario, PullEvent
 from app.simulation.session import DT
 from benchmarks.law.options import Options
 from benchmarks.law.report import Report, largest, least
@@ -30,7 +31,7 @@ _LET_GO = 0.25  # [-] of the places, instead of which the person lets go
 
 
 class Walk(NamedTuple):
-    """What two people do, drawn from seed and number alone; each pulls with up to `force` [N]."""
+    """Motions of two people, random by seed and number alone; each pulls with up to `force` [N]."""
 
     options: Options
     number: int
@@ -43,7 +44,7 @@ def wander(options: Options, count: int = 12, force: float = 50.0, first: int = 
     Args:
         options: See `Options`.
         count: Runs.
-        force: [N] of each of the two people at most.
+        force: [N] largest force of each of the two people.
         first: Number of the first run.
     """
     walks = [Walk(options, number, force) for number in range(first, first + count)]
@@ -64,8 +65,8 @@ def play(walk: Walk) -> dict[str, Any]:
     stiffness = float(rng.uniform(*_STIFFNESS))
     config = robot.config.changed({"hand.f_max": force, "hand.stiffness": stiffness})
     scenario = PulledScenario("wander", _DURATION, "two people wander", pulls=tuple(pulls))
-    run = Planned(options.robot, scenario, config, options.controller, None, options.seed)
-    figures = run_planned(run, robot.model, robot.data).figures
+    run = RunSpec(options.robot, scenario, config, options.controller, None, options.seed)
+    figures = run_from_spec(run, robot.model, robot.data).figures
     return {
         "case": f"{number}, {links[1]}",
         "person": f"{force:.0f} N, {stiffness:.0f} N/m",
@@ -79,16 +80,16 @@ def play(walk: Walk) -> dict[str, Any]:
     }
 
 
-def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[Pulled]:
-    """What one person does until nobody holds the robot any more."""
+def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[PullEvent]:
+    """The motion of one person until no person holds the robot."""
     found, t = [], rng.uniform(0.0, 1.0)
     while t < _DURATION - _ALONE:
         angle, r = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, _FARTHEST)
         place = (float(r * np.cos(angle)), float(r * np.sin(angle)), float(rng.uniform(*_HEIGHTS)))
         gone = rng.random() < _LET_GO
-        found.append(Pulled(round(t / DT), who, None if gone else place, link))
+        found.append(PullEvent(round(t / DT), who, None if gone else place, link))
         t += rng.uniform(*_AT_A_PLACE)
-    return [*found, Pulled(round((_DURATION - _ALONE) / DT), who, None)]
+    return [*found, PullEvent(round((_DURATION - _ALONE) / DT), who, None)]
 
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

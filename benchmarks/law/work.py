@@ -17,11 +17,11 @@ def played(play: Callable[[Case], Row], cases: Sequence[Case], jobs: int, text: 
     """The row of each case.
 
     Args:
-        play: Makes a row of a case; a function of a module, and what it takes and gives travels
-            between processes.
-        cases: What is played.
+        play: Makes a row of a case; a function of a module with picklable arguments and
+            result.
+        cases: The cases.
         jobs: Processes; with one it is this one.
-        text: What the progress bar says.
+        text: The text of the progress bar.
     """
     with progress_bar(text, 1.0) as on_progress, Workers(tuple, max(jobs, 1)) as workers:
         return list(workers.map(partial(_row, play), cases, on_progress))

@@ -1,1 +1,1 @@
-"""Other libraries on the same robot and the same hand paths: `python -m benchmarks.peers`."""
+"""Other libraries on the same robot and paths: `python -m benchmarks.peers`."""

@@ -1,4 +1,4 @@
-"""Runs the libraries and our own controllers along the same hand paths, and judges all alike."""
+"""Runs the libraries and our own controllers along the same paths, and evaluates all alike."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _quick(args: Peers) -> int:
 
 
 def machine() -> dict[str, Any]:
-    """What the times depend on."""
+    """The conditions that the times depend on."""
     name = platform.processor() or platform.machine()
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:

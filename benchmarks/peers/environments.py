@@ -24,7 +24,7 @@ def python_of(environment: Path) -> Path:
 
 
 def installed(environment: Path, requirements: Sequence[str]) -> bool:
-    """Whether an environment is there and has what is required."""
+    """Whether an environment exists with the required packages."""
     mark = environment / _MARK
     return (
         python_of(environment).exists()
@@ -34,12 +34,12 @@ def installed(environment: Path, requirements: Sequence[str]) -> bool:
 
 
 def ensure_environment(environment: Path, requirements: Sequence[str]) -> Path:
-    """The interpreter of an environment with what is required, made if it is not there.
+    """The interpreter of an environment with the required packages, made if necessary.
 
     By `uv` where that is on the path, which is faster, else by venv and pip.
 
     Raises:
-        PeerError: It cannot be made; says what the installer said last.
+        PeerError: It cannot be made; has the last message of the installer.
     """
     if installed(environment, requirements):
         return python_of(environment)

@@ -58,11 +58,11 @@ class Evaluator:
         return self._data.oMf[self._hand].copy()
 
     def figures(self, q: Array, p: Array, R: Array, dt: float) -> dict[str, float]:
-        """What a motion comes to; keys end in their unit.
+        """The figures of a motion; keys end in their unit.
 
         Args:
             q: (N + 1, 3 + n_m) configurations every dt.
-            p: (N + 1, 3) [m] where the hand should have been at the same times.
+            p: (N + 1, 3) [m] where the end-effector should have been at the same times.
             R: (3, 3) its orientation.
             dt: [s]
         """
@@ -103,8 +103,8 @@ def along(q: Array, velocity: Array) -> Array:
 def slips(q: Array) -> Array:
     """(N,) [m] how far the base went sideways in each step.
 
-    A step between two headings along any heading in between is none: an arc's chord, and a step of
-    Euler's along the heading at its begin.
+    A step between two headings along any heading in between does not count: an arc's chord, or
+        a step of Euler's along the initial heading.
 
     Args:
         q: (N + 1, 3 + n_m) configurations.

@@ -1,4 +1,4 @@
-"""What is compared: the libraries as they come from PyPI, and our own controllers."""
+"""The compared libraries in their PyPI versions, and our own controllers."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from app.errors import UnknownNameError
 
 
 class Peer(NamedTuple):
-    """Something that follows the hand paths.
+    """Something that follows the paths of the end-effector.
 
     Attributes:
         title: For people.
         driver: Its program among the drivers.
-        requirements: What pip installs for it; nothing for our own.
-        level: What it commands.
+        requirements: Packages for pip; empty for our own.
+        level: The quantity that it commands.
         dt: [s] between two of its steps.
     """
 

@@ -1,4 +1,4 @@
-"""The hand paths that every library follows: from the side, from the front, on the wheel axis."""
+"""The paths of the end-effector: from the side, from the front, on the wheel axis."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ DURATION = 15.0
 """[s] of each path; a cubic in time from rest to rest."""
 
 AXIS_OFFSETS = (0.0, 0.001, 0.010, 0.050)
-"""[m] x of the arm's closest point at the begin, on the paths along the wheel axis."""
+"""[m] initial x of the arm's closest point, on the paths along the wheel axis."""
 
-_HEIGHT = 0.3  # [m] of the hand
+_HEIGHT = 0.3  # [m] of the end-effector
 _LENGTH = 0.2  # [m] of the paths along the wheel axis
 _LINES = {
     "side": ((0.30, 0.68, 0.30), (0.0, -0.2, 0.0)),
     "front": ((0.92, 0.10, 0.30), (-0.3, 0.0, 0.0)),
-}  # [m] where the hand begins, and how far it is led
+}  # [m] where the end-effector begins, and how far it is led
 
 
 def axis_name(offset: float) -> str:
@@ -40,7 +40,7 @@ PATHS = (*_LINES, *_OFFSETS)
 def hand_paths(
     model: RobotModel, data: BorderData, names: Sequence[str] = PATHS
 ) -> dict[str, StartedLine]:
-    """Some of `PATHS`, each with the arm's posture at its begin; the base stands at the origin.
+    """Some of `PATHS`, each with the initial posture of the arm; the base is at the origin.
 
     Raises:
         UnreachableError: The arm has no clear posture there.

@@ -19,7 +19,7 @@ from benchmarks.peers.table import PATH_TITLES, weight_title
 
 _LIBRARY = "#616E7C"
 _ERRORS = LogNorm(1e-4, 1e-1)  # [m] ends of the scale of colours
-_NEARER = 0.9  # [-] of d_min: what comes nearer is marked
+_NEARER = 0.9  # [-] share of d_min; smaller distances are marked
 _HATCH = "////"
 
 

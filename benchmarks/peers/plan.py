@@ -1,4 +1,4 @@
-"""What every driver reads: the model, the paths, the weights, written once for all."""
+"""The common input of all drivers: the model, the paths, the weights."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ D_MIN = 0.05
 """[m] distance that no pair shall undercut; our own runs are given it too."""
 RATE = 20.0
 """[1/s] how fast a pair may close in on it, per distance left; likewise."""
-_HAND_COST = 10.0  # [1/m and 1/rad] of the hand's error; its square weighs in the objective
+_HAND_COST = 10.0  # [1/m and 1/rad] of the end-effector's error; its square weighs in the objective
 _ARM_COST = 0.1  # [1/rad] of a step of each joint of the arm; likewise
 _DETECTION = 0.3  # [m] farther pairs may be left out
 
@@ -56,7 +56,7 @@ def write_plan(
         physics: The plant of our own controllers.
 
     Returns:
-        What the JSON holds, and the common model.
+        The content of the JSON, and the common model.
     """
     limits = Config().admittance
     common = common_model(model, data.pairs.all, (limits.v_max, limits.omega_max))
@@ -95,17 +95,17 @@ def write_plan(
 
 
 def arrays_of(model: RobotModel, paths: Mapping[str, StartedLine]) -> dict[str, Array]:
-    """What `paths.npz` holds.
+    """The content of `paths.npz`.
 
-    For each path `NAME_p`, (N + 1, 3) [m], the hand's target every `DT` from the begin on, and
-    `NAME_R`, (3, 3), the orientation that it keeps.
+    For each path `NAME_p`, (N + 1, 3) [m], the end-effector's target every `DT` from the begin on,
+    and `NAME_R`, (3, 3), the orientation that it keeps.
     """
     state, found = RobotState(model), {}
     for name, line in paths.items():
         zero = np.zeros(model.n_m)
         state.update(Measurement(np.zeros(3), np.zeros(2), np.array(line.q_m), zero))
         count = round(line.duration / DT)
-        found[f"{name}_p"] = np.array([line.position(k * DT)[0] for k in range(count + 1)])
+        found[f"{name}_p"] = np.array([line.place(k * DT) for k in range(count + 1)])
         found[f"{name}_R"] = state.T_world_ee.rotation.copy()
     return found
 

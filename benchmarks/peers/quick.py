@@ -1,4 +1,4 @@
-"""How long one step of pink takes here and now: what our own step is measured against."""
+"""The duration of one step of pink on this machine, as a reference for our own step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from benchmarks.peers.plan import BASE_WEIGHTS, write_plan
 from benchmarks.peers.running import run_driver
 
 ENVIRONMENTS = Path("out/peers/envs")
-"""Where environments are made if nothing else is asked."""
+"""Default folder of the environments."""
 _PATH = "side"
 
 

@@ -1,4 +1,4 @@
-"""One row a peer, path and weighting: what came of it, or why nothing did."""
+"""One row per library, path and weighting: its figures, or the reason of a failure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = np.ndarray
 Row = dict[str, Any]
 
 AGREES = 1e-5
-"""[m] to which a library's distances at the begin agree with the judge's, if it has our model."""
+"""[m] tolerance of a library's initial distances relative to the evaluator's, for our model."""
 
 
 def rows_of(
@@ -34,13 +34,13 @@ def rows_of(
     Args:
         name: Of the peer.
         peer: Which.
-        plan: What the plan's JSON holds.
-        folder: With the plan in `plan`; what the driver writes goes into `runs/NAME`.
+        plan: The content of the plan's JSON.
+        folder: Has the plan in `plan`; the driver writes into `runs/NAME`.
         environments: Folder of the environments.
         judge: On the common model.
 
     Returns:
-        One a run, whatever happens.
+        One row per run, in all cases.
     """
     load = os.getloadavg()[0]
     try:
@@ -117,5 +117,5 @@ def flaw(motion: Motion, count: int, judge: Evaluator) -> str:
         return ""
     off = np.abs(motion.d_start - judge.distances(motion.q[0])).max()
     if not off <= AGREES:
-        return f"it has another model: its distances at the begin are {off:.2e} m off"
+        return f"it has another model: its initial distances differ by {off:.2e} m"
     return ""

@@ -24,12 +24,12 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Motion(NamedTuple):
-    """What a driver wrote of one run.
+    """The data that a driver wrote for one run.
 
     Attributes:
         q: (N + 1, 3 + n_m) x, y [m], yaw [rad] and the arm's joints, every `plan.DT`.
         step_s: (M,) [s] real time of each of its steps.
-        d_start: (pairs,) [m] distances at the begin, as it has them.
+        d_start: (pairs,) [m] initial distances of the library.
         failures: Steps in which it had no solution and went on.
     """
 
@@ -40,7 +40,7 @@ class Motion(NamedTuple):
 
 
 class Done(NamedTuple):
-    """What a driver did.
+    """The result of a driver.
 
     Attributes:
         motions: By the name of the run.
@@ -61,7 +61,7 @@ def run_driver(name: str, peer: Peer, python: Path, plan: Path, out: Path) -> Do
         peer: Which.
         python: Its interpreter.
         plan: Folder of the plan.
-        out: Folder for what it writes; what is in it is deleted.
+        out: Folder of the output; its content is deleted.
 
     Raises:
         PeerError: It did not even begin.

@@ -25,7 +25,7 @@ PATH_TITLES = {
 
 
 def write_table(folder: Path, rows: Sequence[Row], machine: dict[str, Any]) -> dict[str, Any]:
-    """Write the table's three forms; gives what the JSON holds."""
+    """Write the table in three formats; returns the content of the JSON."""
     result = {**machine, "all_ran": all(row["status"] == "ok" for row in rows), "rows": list(rows)}
     text = json.dumps(result, indent=2, allow_nan=False) + "\n"
     (folder / "table.json").write_text(text, encoding="utf-8")
@@ -50,7 +50,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def weight_title(weight: float) -> str:
-    """What a weighting of the base is called."""
+    """The name of a weighting of the base."""
     return (
         f"Base {weight:g} times as costly as the arm"
         if weight != 1
@@ -100,7 +100,7 @@ def _line(name: str, found: dict[str, Row], paths: Sequence[str]) -> Iterable[st
 
 
 def _mm(value: float) -> str:
-    """A length [m] for people; what is nothing but rounding is 0."""
+    """A length [m] in readable form; rounding errors are 0."""
     if abs(value) < 5e-7:
         return "0"
     return f"{1000 * value:.0f} mm" if abs(value) >= 0.01 else f"{1000 * value:.2g} mm"

@@ -1,1 +1,1 @@
-"""How long a control step takes, and what it is made of, beside the bare calls of the libraries."""
+"""Duration of a control step and its stages, beside direct calls of the libraries."""

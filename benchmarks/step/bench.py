@@ -31,7 +31,7 @@ Array = np.ndarray
 
 _PROCESSES = 2
 _REPEATS = 3  # of each control step
-_RESELECTED = (0.10, 0.12, 0.18, 0.20, 0.15)  # [m] d_b that are asked for one after the other
+_RESELECTED = (0.10, 0.12, 0.18, 0.20, 0.15)  # [m] sequence of selected d_b
 
 
 def bench(
@@ -48,10 +48,10 @@ def bench(
     Args:
         model: The robot.
         data: Its pairs and clouds.
-        seed: Of the plant, and of what is synthetic.
+        seed: Seed of the plant, and of synthetic data.
         points: Of the borders for `step_p50_us_by_points`.
         border: Whether to sample a border anew, which takes half a minute.
-        on_stage: Called with what is measured next.
+        on_stage: Takes the name of the next measurement.
     """
     load = os.getloadavg()[0]
     on_stage("recording hand paths")
@@ -89,8 +89,8 @@ def bench(
 def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int) -> dict[str, Any]:
     """The whole step, and after each active one the floor: side by side, in the same conditions.
 
-    Each step is taken again a few times; the quickest is its own time, without what else the
-    machine did just then.
+    Each step is repeated a few times; the quickest excludes other work of the
+        machine.
     """
     floor, loop = Floor(model, data.pairs, seed), ControlLoop(model, data, Config())
     floors: list[float] = []

@@ -64,7 +64,7 @@ class Floor:
 def _make_qp(
     n: int, equalities: int, inequalities: int, rng: np.random.Generator
 ) -> proxqp.dense.QP:
-    """A feasible QP of that size, at whose solution some inequalities are active."""
+    """A feasible QP of that size with some active inequalities at its solution."""
     R, C = rng.normal(size=(n, n)), rng.normal(size=(inequalities, n))
     bound = rng.uniform(0.3, 3.0, inequalities)
     qp = proxqp.dense.QP(n, equalities, inequalities)

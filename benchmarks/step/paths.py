@@ -1,4 +1,4 @@
-"""What controllers are given in each step of some hand paths, recorded once, to be timed again."""
+"""Inputs of controllers in each step of some paths, recorded once, for repeated timing."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def record(
     seed: int,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Path]:
-    """Run all `PATHS` and keep what the controller was given, one list a path.
+    """Run all `PATHS` and record the inputs of the controller, one list per path.
 
     Args:
         model: The robot.
@@ -61,10 +61,10 @@ def record(
         setting = scenario.setting(model, data, Config(), seed)
         session = begin(setting, model, controller="dbb", physics=None, seed=seed)
         try:
-            leader = scenario.leader(session)
+            driver = scenario.driver(session)
             path: Path = []
             for k in range(round(scenario.duration / DT)):
-                lead = leader(session)
+                lead = driver(session)
                 step = session.step(*lead)
                 path.append(Moment(step.measurement, lead.reference))
                 if k % 200 == 0:

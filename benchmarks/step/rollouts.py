@@ -22,7 +22,7 @@ _ROUNDS = 3
 
 
 class Robot(NamedTuple):
-    """What a process loads once."""
+    """The data that a process loads once."""
 
     model: RobotModel
     data: BorderData

@@ -14,7 +14,7 @@ from app.control import controller as controller_module
 from app.control.control_loop import ControlLoop
 from app.control.quantities import ControlStep
 from app.robot.link_pairs import PairDistances
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from benchmarks.step.paths import Moment, Path
 
 Array = np.ndarray
@@ -64,7 +64,7 @@ def time_steps(
 
     Args:
         loop: Starts anew at each path.
-        paths: What it is given.
+        paths: Recorded inputs.
         after: Called after each measured step, outside of its time.
     """
     loop.reset()
@@ -72,7 +72,7 @@ def time_steps(
         loop.step(*moment)
     times, active, tracking = [], [], []
     gc.collect()
-    with settled():
+    with gc_frozen():
         for path in paths:
             loop.reset()
             for moment in path:

@@ -1,4 +1,4 @@
-"""Convex bodies for groups of links: around what can meet others, and as little else as can be."""
+"""Convex bodies of small volume around groups of links that can meet others."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from app.robot.model import RobotModel, kept_per_model
 Array = np.ndarray
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
-"""[-] by which volumes are compared on the arm: around a capsule the closest points never jump."""
+"""[-] weights of volumes on the arm: around a capsule the closest points never jump."""
 BASE_WEIGHTS = {"box": 1.0, "hull": 1.3}
-"""[-] the same on the base."""
-_ONE_BOX = 1.6  # [-] a base whose box has more than this of its hulls' volume gets several
-_WORTH = 0.75  # [-] share of the one box's volume that several bodies may have at most
-_SPOT = 1e-6  # [m³] of points that are too few for a body of links
-_MERGE = 1.15  # [-] two shapes become one if that adds less than this to their volume
+"""[-] weights of volumes on the base."""
+_ONE_BOX = 1.6  # [-] a base whose box exceeds its hulls' volume by more gets several
+_WORTH = 0.75  # [-] largest volume of several bodies relative to the one box
+_SPOT = 1e-6  # [m³] largest volume of points that need no body
+_MERGE = 1.15  # [-] largest growth of volume when two shapes become one
 
 
 class FittedBody(NamedTuple):
     """A body of the description."""
 
     name: str
-    """As in `lm`."""
+    """Name, as in `lm`."""
     frame: str
-    """Link in whose frame the shapes are."""
+    """Link whose frame the shapes use."""
     links: tuple[str, ...]
     units: tuple[int, ...]
-    """Their units' indices."""
+    """Indices of its units."""
     fits: tuple[Fit, ...]
-    """Its shapes, with what they over-cover."""
+    """Its shapes with their excess volume."""
     points: Array
-    """(N, 3) [m] what they had to hold, in the frame."""
+    """(N, 3) [m] the enclosed points, in the frame."""
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """By a link of it, those of bodies nearer to the base that it is built into."""
+    """By its links, the links of bodies nearer to the base that are nested with them."""
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
@@ -66,7 +66,7 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
 
 
 def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
-    """The one shape around parts by their corners, or several where it would be mostly empty."""
+    """One shape around parts, from their corners, or several if it would be mostly empty."""
     if len(corners) < 2 or one.volume <= _ONE_BOX * sum(hull_volume(c) for c in corners):
         return (one,)
     several = _merged(corners)
@@ -74,9 +74,9 @@ def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
 
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
-    """One shape a link, then neighbours together as long as that costs little volume."""
+    """One shape for each link, then neighbours merged while that adds little volume."""
     groups = {k: (c, fit_best(c, BASE_WEIGHTS)) for k, c in enumerate(corners)}
-    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # a pair stays the same
+    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # results of pairs
     new = len(groups)
     while len(groups) > 1:
         for i, j in combinations(groups, 2):
@@ -95,7 +95,7 @@ def _merged(corners: Sequence[Array]) -> list[Fit]:
 
 
 class ArmFitter:
-    """Fits the bodies of an arm for one grouping of its units after the other."""
+    """Fits the bodies of an arm for a sequence of groupings of its units."""
 
     def __init__(
         self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)
@@ -119,11 +119,11 @@ class ArmFitter:
         needed = [self._meetings.needed(k, others) for k in group]
         links = tuple(link for unit in units for link in unit.links)
         fitted = self._smallest(units, needed)
-        if fitted is None:  # it meets nobody, or in a spot that is no body: what it looks like
+        if fitted is None:  # no collision, or too small a region: the links' own shapes
             fitted = self._smallest(units, [np.ones(len(u.surface), dtype=bool) for u in units])
         if fitted is None:
             raise RobotFileError(
-                f"the links {', '.join(links)} have no shapes to fit a body to; give other --bodies"
+                f"the links {', '.join(links)} have no shapes for a body; choose other --bodies"
             )
         fits, joint, points = fitted
         frame = next(u.frame for u in units if u.joint == joint)
@@ -132,9 +132,9 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int, Array] | None:
-        """The smallest fit in the frame of any of the joints, with that joint and the points.
+        """The smallest fit among the frames of the joints, with its joint and points.
 
-        Links at either end that meet nobody do not change it; None where there is no volume to fit.
+        Links at either end without collisions do not change it; None without a volume.
         """
         pieces: dict[tuple[int, int], Array] = {}  # by joint and link
         for unit, mask in zip(units, masks, strict=True):
@@ -165,16 +165,16 @@ class ArmFitter:
         return _split(one, seen), frame, points
 
 
-_STEP = np.radians(10.0)  # [rad] between the turns looked at
-_PASSED = 256  # [-] clouds that are kept as seen through a joint
-_SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] by which a chord lies inside of its circle
+_STEP = np.radians(10.0)  # [rad] between the sampled angles
+_PASSED = 256  # [-] cached clouds that passed a joint
+_SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a circle's radius to that of its chords
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """(N, 3) [m] corners and [m³] volume of the hull of what points fill, in each joint's frame.
+    """(N, 3) [m] corners and [m³] volume of the hull that points sweep, in each joint's frame.
 
-    What lies beyond a joint looks alike from all frames on this side of it, so each is passed once
-    either way.
+    The sweep beyond a joint is the same in all frames on this side of it, so each joint is passed
+    once in each direction.
 
     Args:
         model: The robot.
@@ -192,13 +192,13 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 
 
 def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) -> Array:
-    """Points beyond a joint as all its positions show them on this side of it."""
+    """Points beyond a joint in all its positions, on this side of it."""
     return _passed(model, points.tobytes(), joint, outwards) if len(points) else points
 
 
 @kept_per_model(_PASSED)
 def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array:
-    """The same of the bytes of some points: half of them are asked for by several groupings."""
+    """`_through` for the bytes of points, cached because several groupings need the same ones."""
     points, placement = np.frombuffer(told).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
     axis, turns = _axis(model, joint)

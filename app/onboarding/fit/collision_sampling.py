@@ -1,4 +1,4 @@
-"""Collision sampling: which links that move as one meet which others in random poses of the arm."""
+"""Collision sampling: which units of links meet in random poses of the arm."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 ALWAYS = 0.6
-"""[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
+"""[-] share of the free poses above which a pair in its buffer would activate the task always."""
 MARGIN = 0.015
-"""[m] within which a point counts as met."""
+"""[m] distance at which a point counts as reached."""
 BUILT_IN = 0.5
-"""[-] Close hulls that touch in more of the poses are nested, as a telescope is."""
+"""[-] share of the poses above which close hulls that touch are nested, as in a telescope."""
 NESTED = BUILT_IN**2
-"""[-] share of random poses in which nested links touch at least: in so many do their units, and in
-so many of those do they."""
-_FEWEST = 50  # [-] poses without a collision that say what is near
-_MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
-_OVERLAP = 0.02  # [m] by which meshes of links may overlap that are built side by side
+"""[-] smallest share of random poses in which nested links touch: that of their units times that
+of the links among those poses."""
+_FEWEST = 50  # [-] poses without a collision for finding close pairs
+_MAX_LOOKS = 200  # [-] most poses per pair of units for finding the points
+_OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] by which hulls of two of the arm's links overlap at most that pass each other
-_RARE = 30  # [-] random poses in which a pair meets, below which others are searched for
+_RARE = 30  # [-] random poses of a pair below which more are searched for
 ENOUGH = 600
-"""[-] poses with a collision that tell what share of them is seen, to half a percent."""
-_MORE, _MOST = 1000, 40_000  # [-] poses looked at for them at a time, and altogether
-_PARTS = 4  # [-] of random poses, for each process to have its share
-_FAR = 0.3  # [m] between two units at the nearest, beyond which none are
+"""[-] poses with a collision for a share of seen collisions to half a percent."""
+_MORE, _MAX_POSES = 1000, 40_000  # [-] poses that are sampled at a time, and in total
+_PARTS = 4  # [-] parts of the random poses, for parallel processes
+_FAR = 0.3  # [m] smallest distance of two units beyond which no search is made
 _NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each
-_SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] of a joint's range by which they are varied
+_SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] sizes of the variations relative to a joint's range
 
 
 class Poses(NamedTuple):
@@ -57,45 +57,45 @@ class Poses(NamedTuple):
     q_m: Array
     """(N, n_m) [rad or m]"""
     distances: Array
-    """(N, pairs) [m] signed, of hulls."""
+    """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether no close pair touches, but for those built into each other, which always do:
+    """(N,) whether no close pair touches, except nested ones, which always do:
     joint limits have to prevent the others."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """What random poses brought together."""
+    """Collisions and distances in random poses."""
 
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
-    """Pairs of units, by their indices, that are no neighbours."""
+    """Pairs of units, by their indices, that are not neighbours."""
     close: frozenset[tuple[int, int]]
-    """Pairs that no buffer can watch, as they are built: within it in most poses without a
-    collision, or of the arm and never deeper in one another than a mesh is exact."""
+    """Pairs that no buffer can monitor by design: within it in most poses without a collision, or
+    pairs of the arm that never overlap by more than the meshes' accuracy."""
     apart: frozenset[tuple[int, int]]
-    """Those of the base and a link that moves on it which meet deeper than what is built side by
-    side: limits of joints have to keep them apart."""
+    """Pairs of the base and a link on it that meet deeper than adjacent links:
+    joint limits have to keep them apart."""
     random: Poses
     rare: Poses
-    """Poses around those in which pairs that hardly meet are nearest, where they do."""
+    """Poses around the nearest ones of pairs that rarely meet, with their collisions."""
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
-    """By the pair (u, v): (points of u,) whether v came to that point of u's surface."""
+    """By the pair (u, v): (points of u,) whether v reached a point of u's surface."""
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """The close pairs that are built into one another, as a telescope is: no collisions."""
+        """The close pairs that are nested, as in a telescope: their contacts are no collisions."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
     @property
     def collides(self) -> Array:
-        """(N, pairs) whether the hulls meet; never for the close pairs."""
+        """(N, pairs) whether the hulls overlap; never for the close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
         return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
-        """(N,) whether any of the others can come to each point of a unit's surface."""
+        """(N,) whether any of the others can reach each point of a unit's surface."""
         mask = np.zeros(len(self.units[unit].surface), dtype=bool)
         for other in others:
             if (found := self.met.get((unit, other))) is not None:
@@ -115,11 +115,11 @@ def sample_meetings(
     stopped: bool = False,
     workers: Workers = ALONE,
 ) -> Meetings:
-    """Distances between the hulls of all units that are no neighbours, in random poses.
+    """Distances between the hulls of all units that are not neighbours, in random poses.
 
-    These are `samples`, and more until `enough` of them have a collision: an arm that seldom meets
-    anything is judged by as many as another. With `points`, those that met are looked at, too.
-    `stopped` means that the limits have to keep apart what they can: no such pair is close then.
+    It takes `samples` poses, and more until `enough` of them have a collision, so that arms with
+    rare collisions are judged by as many. With `points`, it finds the points that met, too.
+    `stopped` means that limits keep close pairs apart if possible: such a pair is then not close.
     d_b [m] is the buffer distance; `workers` share the random poses.
     """
     rng, pairs = np.random.default_rng(seed), _distant_pairs(model, units)
@@ -133,7 +133,7 @@ def sample_meetings(
         random = Poses(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
         found = Meetings(units, pairs, close, apart, random, random)
         hits = np.count_nonzero(random.possible & found.collides.any(axis=1))
-        if hits >= enough or len(q_m) >= _MOST:
+        if hits >= enough or len(q_m) >= _MAX_POSES:
             break
     rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
     gaps = hull_distances(model, units, pairs, rare_q)
@@ -153,7 +153,7 @@ def sample_meetings(
 
 
 def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int, int], ...]:
-    """Those of units with a shape that are no neighbours, by their indices."""
+    """Pairs of units with shapes that are not neighbours, by their indices."""
     shaped = [unit for unit in units if unit.parts]
     return tuple(
         (a.index, b.index) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)
@@ -163,9 +163,9 @@ def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int,
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """`close` and `apart` of `Meetings`, and the columns of the pairs that make a pose impossible.
+    """`close` and `apart` of `Meetings`, and the columns of pairs that make a pose impossible.
 
-    Those are the close ones that are not nested.
+    The latter are the close ones that are not nested.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
@@ -188,7 +188,7 @@ def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset
 
 
 class _Looked(NamedTuple):
-    """Arguments of `hull_distances`, as a process of its own takes them."""
+    """Arguments of `hull_distances`, for a separate process."""
 
     model: RobotModel
     units: Sequence[Unit]
@@ -201,15 +201,15 @@ def _look(_: object, part: _Looked) -> Array:
 
 
 def _touch_mostly(distances: Array) -> Array:
-    """(pairs,) whether hulls at distances (N, pairs) [m] touch in so many poses as nested ones."""
+    """(pairs,) whether hulls at distances (N, pairs) [m] touch as often as nested ones."""
     return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
-    """Links of units u and v that are built into one another; none where the units are not.
+    """Nested links of units u and v; none if the units are not nested.
 
-    Units are by what was found, or as neighbours that touch as often. Of their links it is those
-    that touch in most of the poses in which the units do: the others may still collide.
+    Units are nested by the meetings, or as neighbours that touch as often. Nested links are
+    those that touch in most of the poses in which their units do: the others may still collide.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -226,9 +226,9 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
 def nested_touches(
     model: RobotModel, geometry: Mapping[str, LinkGeometry]
 ) -> dict[tuple[str, str], float]:
-    """[-] in what share of random poses the links touch that a description calls nested, by pair.
+    """[-] share of random poses in which the nested links of a description touch, by pair.
 
-    Of those that `nested_links` finds it is `NESTED` at least; of one without a shape it is 0.
+    For links from `nested_links` it is at least `NESTED`; for one without a shape it is 0.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -249,9 +249,10 @@ def _rare_poses(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) poses in which pairs meet that random ones hardly bring together.
+    """(N, n_m) colliding poses of pairs that rarely collide in random ones.
 
-    What meets in one of thousands of poses meets in many around those in which it is nearest.
+    A pair that collides in one of thousands of poses often collides in poses around its nearest
+    one.
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
@@ -282,13 +283,13 @@ def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[
 
 
 def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
-    """Which points of its units met, of a pair by its column."""
+    """The points of a pair's units that met; the pair is given by its column."""
     found, model, k = job
     data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
     column = found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
-    # The shallow ones first: deep ones, where arms pass through each other, come last.
-    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
+    # Shallow ones first: in deep ones the arms pass through each other.
+    met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
     poses = found.random.q_m[met_in]
     if np.count_nonzero(column <= 0.0) < _RARE:
         rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
@@ -307,7 +308,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
 
 
 def _reached(points: Array, unit: Unit) -> Array:
-    """(N,) whether points in a unit's frame lie within the margin of any of its hulls."""
+    """(N,) whether points in a unit's frame are within the margin of any of its hulls."""
     along = points @ directions(2).T
     inside = np.zeros(len(points), dtype=bool)
     for part in unit.parts:

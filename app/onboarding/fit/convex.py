@@ -1,4 +1,4 @@
-"""Convex bodies around points: capsule, box or polytope, none of the points outside."""
+"""Convex bodies that enclose points: capsule, box or polytope."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from app.robot.shapes import Box, Capsule, Hull, Shape
 
 Array = np.ndarray
 
-_UNIT = 1e-4  # [m] to which sizes are rounded up
-_SNAP, _SNAP_COST = 0.005, 1.05  # [m], [-] ends that near to a plane go onto it for that volume
-_THINNEST = 0.002  # [m] of a box's side
+_UNIT = 1e-4  # [m] resolution of sizes, rounded up
+_SNAP, _SNAP_COST = 0.005, 1.05  # [m], [-] ends near a plane move onto it at that cost
+_THINNEST = 0.002  # [m] smallest side of a box
 
 
 class Fit(NamedTuple):
@@ -28,15 +28,15 @@ class Fit(NamedTuple):
     volume: float
     """[m³]"""
     over_cover: float
-    """[-] its volume over that of the points' hull."""
+    """[-] its volume relative to the points' hull."""
     protrusion: float
-    """[m] how far it stands out of the points' hull at most."""
+    """[m] its largest distance outside of the points' hull."""
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
-    """The shape of the least volume around points (N, 3) [m], by the weights [-] of its kinds.
+    """The shape of the smallest weighted volume around points (N, 3) [m]; weights [-] by kind.
 
-    With the volume [m³] of their hull they are taken for its corners.
+    With the volume [m³] of their hull the points are its corners.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -45,18 +45,18 @@ def fit_best(points: Array, weights: dict[str, float], *, volume: float | None =
 
 
 def hull_corners(points: Array) -> Array:
-    """(M, 3) corners of the convex hull; the points themselves where they are flat."""
+    """(M, 3) corners of the convex hull; the points themselves if they are flat."""
     return hull(points)[0]
 
 
 def lean_corners(points: Array) -> Array:
-    """(M, 3) corners of the convex hull or, where they are very many, of a polytope around it.
+    """(M, 3) corners of the convex hull or, if there are many, of a polytope around it.
 
-    That one touches the hull in 642 directions, spread evenly for a cloud that is as wide along all
-    of its main axes. It stands out by some half a percent of the cloud's size along each of them.
+    The polytope touches the hull in 642 directions, evenly spread for a cloud of equal widths along
+    its main axes. Its excess is about half a percent of the cloud's size along each of them.
     """
     corners, D = hull_corners(points), directions(3)
-    if len(corners) <= 2 * len(D):  # what such a polytope has at most
+    if len(corners) <= 2 * len(D):  # the most that such a polytope has
         return corners
     middle = corners.mean(axis=0)
     _, spread, axes = np.linalg.svd(corners - middle, full_matrices=False)
@@ -67,12 +67,12 @@ def lean_corners(points: Array) -> Array:
 
 
 def _polytope(D: Array, reach: Array) -> Array:
-    """(M, 3) [m] corners of what reaches as far from the origin, (K,) [m], along D (K, 3)."""
+    """(M, 3) [m] corners of the polytope with support (K,) [m] along D (K, 3)."""
     return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections
 
 
 def fit_capsule(points: Array) -> Capsule:
-    """The capsule of least volume, as far as a search from the best main axis finds it."""
+    """The capsule of small volume, by a local search from the best main axis."""
     some = _outermost(points)
     centre = some.mean(axis=0)
     axes = np.linalg.svd(some - centre, full_matrices=False)[2]
@@ -104,16 +104,16 @@ def fit_capsule(points: Array) -> Capsule:
         },
     )
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
-    # Ends on the link's planes, where that costs little: an axis that meets a joint's has formulas.
+    # Ends move onto the link's planes at a small cost: axes that meet a joint's have formulas.
     ends = np.array([found.start_m, found.end_m])
     snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
     return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
 
 
 def fit_box(points: Array) -> Box:
-    """The smallest of the boxes with an edge along an axis of the frame or of the points.
+    """The smallest box with an edge along an axis of the frame or of the points.
 
-    It is turned only where that saves a tenth of the volume.
+    It is rotated only if that saves a tenth of the volume.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -128,7 +128,7 @@ def fit_box(points: Array) -> Box:
 def fit_hull(points: Array) -> Hull | Box:
     """A polytope of few faces: the points' support in evenly spread directions.
 
-    Its own frame stands in the middle, z along the points' longest axis.
+    Its own frame is in the middle, with z along the points' longest axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -151,7 +151,7 @@ def fit_hull(points: Array) -> Hull | Box:
 
 
 def support(shape: Shape, D: Array) -> Array:
-    """(K,) [m] how far a capsule, box or hull reaches along unit vectors D (K, 3)."""
+    """(K,) [m] support of a capsule, box or hull along unit vectors D (K, 3)."""
     if isinstance(shape, Capsule):
         ends = np.array([shape.start_m, shape.end_m])
         return (D @ ends.T).max(axis=1) + shape.radius_m
@@ -165,17 +165,17 @@ def support(shape: Shape, D: Array) -> Array:
 
 
 def volume_of(shape: Shape) -> float:
-    """[m³] of a shape, as the collision library has it."""
+    """[m³] volume of a shape, by the collision library."""
     return float(shape.coal_geometry().computeVolume())
 
 
 def hull_volume(points: Array) -> float:
-    """[m³] of the points' convex hull; 0 where they are flat."""
+    """[m³] volume of the points' convex hull; 0 if they are flat."""
     return hull(points)[1]
 
 
 def hull(points: Array) -> tuple[Array, float]:
-    """(M, 3) corners of the convex hull and its volume [m³]; flat points as they are, and 0."""
+    """(M, 3) corners of the convex hull and its volume [m³]; flat points unchanged, and 0."""
     points = np.asarray(points, dtype=float)
     if len(points) < 5:
         return points, 0.0
@@ -188,7 +188,7 @@ def hull(points: Array) -> tuple[Array, float]:
 
 @cache
 def directions(subdivisions: int) -> Array:
-    """(K, 3) unit vectors: 42, 162 or 642 spread evenly, those along the axes too; read-only."""
+    """(K, 3) unit vectors: 42, 162 or 642, evenly spread, including the axes; read-only."""
     spread = np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions).vertices)
     D = np.vstack([spread, np.eye(3), -np.eye(3)])
     D = np.unique(np.round(D / np.linalg.norm(D, axis=1)[:, None], 9), axis=0)
@@ -197,7 +197,7 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """(3, 3) rotation with an axis as its z and x, y along the least rectangle across it."""
+    """(3, 3) rotation with an axis as its z and x, y along the smallest rectangle across it."""
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])
@@ -216,7 +216,7 @@ def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
 
 
 def _distinct(corners: Array) -> Array:
-    """Corners of the hull that are not within a fraction of a millimetre of another."""
+    """Corners of the hull without those within a fraction of a millimetre of another."""
     rounded = np.unique(np.round(corners, 4), axis=0)
     return rounded[ConvexHull(rounded).vertices]
 

@@ -1,9 +1,9 @@
-"""Which links form a body together: the grouping that sees collisions and lets go of free poses.
+"""Grouping of links into bodies that detects collisions and ignores free poses.
 
 The paper's l_1 … l_EE join neighbouring links of a chain. Every way to cut the chain is judged by
-the share of poses in collision that its pairs do not see, the share of free ones that they do, and
-whether a pair stays inside its buffer for good. A pair that does because of how its links are built
-is not watched, as neighbours are not.
+the share of colliding poses that its pairs do not see, the share of free ones that they report,
+and whether a pair stays inside its buffer always. A pair that does so by design of its links is
+not monitored, like neighbours.
 """
 
 from __future__ import annotations
@@ -33,47 +33,47 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-_PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
-_MOST = 6  # [-] bodies
-_MOST_JUDGED = 60  # [-] groupings that are fitted, those that are expected to cost least
-MOST_UNSEEN = 0.01
-"""[-] share of the poses with a collision of links that no pair may see."""
+_PAPER = 4  # [-] bodies of the paper's arm; others are tried only if these do not suffice
+_MAX_BODIES = 6  # [-] most bodies
+_MAX_JUDGED = 60  # [-] most groupings that are fitted, in the order of their expected cost
+MAX_UNSEEN = 0.01
+"""[-] largest share of poses with a collision of links that no pair sees."""
 UNSEEN_POSES = 4000
-"""[-] in which the bodies are tried that were chosen, or more where collisions are rare."""
-_MOST_LOOKED_AT = 300  # [-] poses of those that a rule leaves out in which meshes are compared
-_MOST_NAMED = 4  # [-] pairs of links
-_UNSEEN_SEED = 2**31  # [-] of them; the fit has others
-_MISSED = 0.1 * MOST_UNSEEN  # [-] that a good grouping may miss
-_BODY_COST = 0.03  # [-] of one body more
-_MISSED_COST = 40.0  # [-] of more collisions than that
-_FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
-_SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
-_ALWAYS_COST = 1.0  # [-] of a pair that is always near
-_UNWATCHED_COST = 0.05  # [-] of one that is so as built
+"""[-] poses for testing the chosen bodies, or more if collisions are rare."""
+_MAX_LOOKED_AT = 300  # [-] most excluded poses in which meshes are compared
+_MAX_NAMED = 4  # [-] most named pairs of links
+_UNSEEN_SEED = 2**31  # [-] seed of these poses; the fit has others
+_MISSED = 0.1 * MAX_UNSEEN  # [-] share that a good grouping may miss
+_BODY_COST = 0.03  # [-] cost of one more body
+_MISSED_COST = 40.0  # [-] cost of collisions beyond that share
+_FALSE_COST = 2.0  # [-] cost of free poses with an active task
+_SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet but whose links cannot
+_ALWAYS_COST = 1.0  # [-] cost of a pair that is always near
+_UNWATCHED_COST = 0.05  # [-] cost of a pair that is near by design
 
 
 class Verdict(NamedTuple):
-    """How good a grouping is."""
+    """The quality of a grouping."""
 
     missed: float
-    """[-] share of the poses in which links collide in which no pair of bodies does."""
+    """[-] share of colliding poses in which no pair of bodies overlaps."""
     false: float
-    """[-] share of the poses without any in which one does."""
+    """[-] share of free poses in which a pair of bodies overlaps."""
     spurious: tuple[str, ...]
-    """Pairs of bodies that meet though their links never do."""
+    """Pairs of bodies that overlap although their links never do."""
     always: tuple[str, ...]
-    """Pairs that are inside their buffer nearly always."""
+    """Pairs that are inside their buffer almost always."""
     unwatched: dict[str, bool]
-    """Those that would be and are no pair: whether by links that are close as built, or by the
-    bodies alone, where other pairs see what collides."""
+    """Pairs that would be always near and are not monitored, and whether because of links that are
+    close by design, or of bodies alone if other pairs see their collisions."""
     near: dict[str, float]
-    """[-] share of the poses without a collision of links inside the buffer, by the pair's name."""
+    """[-] share of free poses inside the buffer, by the pair's name."""
     cost: float
-    """The sum that the best grouping has least of."""
+    """The total, which is smallest for the best grouping."""
 
 
 class Grouping(NamedTuple):
-    """The bodies, l_m first, and how good they are."""
+    """The bodies, l_m first, and their quality."""
 
     bodies: list[FittedBody]
     verdict: Verdict
@@ -89,12 +89,12 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where it can
-    meet a link without any pair of bodies that sees it, as around a mast, it belongs to l_m.
+    A part that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If it
+    can meet a link unseen by all pairs of bodies, such as a mast, it belongs to l_m.
 
-    Without a count these are four bodies as the paper has, or two to five where four do not do: a
-    pair always near, one that only the bodies make, too many collisions missed. d_b is in m.
-    `on_progress` is called with the share of the groupings under way that were looked at.
+    The default is four bodies as in the paper, or two to five if four do not suffice: a
+    pair always near, a pair that only the bodies make, too many missed collisions. d_b is in m.
+    `on_progress` takes the share of the groupings that are judged.
 
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.
@@ -109,7 +109,7 @@ def find_grouping(
 def with_nested(
     model: RobotModel, meetings: Meetings, bodies: Sequence[FittedBody]
 ) -> list[FittedBody]:
-    """Bodies with those of their links that are nested with one of a body that is no neighbour."""
+    """Bodies with their links that are nested with links of a body that is no neighbour."""
     found = []
     for k, body in enumerate(bodies):
         inner = [unit for each in bodies[: max(0, k - 1)] for unit in each.units]
@@ -122,7 +122,7 @@ def with_nested(
 
 
 def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether bodies of a pair meet in the poses in which a unit meets another, however rare."""
+    """Whether a pair of bodies overlaps in the poses in which a unit meets another."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
         poses.q_m[np.any(poses.distances[:, own] <= 0.0, axis=1) & poses.possible]
@@ -141,7 +141,7 @@ def _arm_grouping(
     count: int | None,
     on_progress: OnProgress,
 ) -> Grouping:
-    """The best grouping around an l_m of given units."""
+    """The best grouping around an l_m of the given units."""
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
@@ -149,15 +149,15 @@ def _arm_grouping(
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
-        """The one found, or that of less cost of those that are expected to have it."""
-        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MOST_JUDGED]
+        """The found grouping, or a cheaper one among the most promising."""
+        ranked = _ranked(units, counts, meetings, mobile, slides)[:_MAX_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
                 continue
             bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
-            if shapes in judged:  # it differs only in links that meet nobody, or was tried before
+            if shapes in judged:  # it differs only in links without collisions, or was tried before
                 continue
             judged.add(shapes)
             tried = Grouping(bodies, judge(model, bodies, meetings, d_b))
@@ -167,7 +167,7 @@ def _arm_grouping(
 
     chosen = best(None, min(_PAPER, len(units)) if count is None else count)
     if count is None and (chosen is None or not _good(chosen.verdict)):
-        chosen = best(chosen, *(k for k in range(2, _MOST + 1) if k <= len(units)))
+        chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
     if chosen is None:
         parts = sum(bool(meetings.units[unit].parts) for unit in units)
         raise RobotFileError(f"--bodies: the arm has {parts} parts; choose up to that many")
@@ -181,7 +181,7 @@ def _good(verdict: Verdict) -> bool:
 def judge(
     model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
 ) -> Verdict:
-    """How good bodies are, in poses of the meetings."""
+    """The quality of bodies, in the poses of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
     parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
@@ -195,7 +195,7 @@ def judge(
     near = (distances[free] < d_b).mean(axis=0)
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
     kept, unwatched = np.ones(len(names), dtype=bool), {}
-    for k in np.argsort(-near):  # the nearest first: each may see what another does not need to
+    for k in np.argsort(-near):  # the nearest first: one pair may make another needless
         without = kept & (np.arange(len(names)) != k)
         blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
         if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
@@ -223,35 +223,35 @@ def judge(
 class Unseen(NamedTuple):
     """Collisions of links in poses that no step of the fit has seen.
 
-    A pose is seen if the bodies of any pair meet: who keeps all pairs apart never comes there.
+    A pose is seen if the bodies of any pair overlap: avoidance of all pairs excludes it.
     """
 
     looked_at: int
     """Poses."""
     poses: int
-    """How many of them have a collision of links, by their hulls."""
+    """Number of poses in which hulls of links collide."""
     unseen: int
-    """In how many of those no pair of bodies meets, but the links' own meshes do."""
+    """Number of those in which no pair of bodies overlaps, but the links' own meshes do."""
     watched: int
-    """Collisions of links whose bodies are a pair, one a pose and pair."""
+    """Collisions of links whose bodies are a pair, counted by pose and pair."""
     missed: int
-    """How many of those in which these bodies do not meet."""
+    """Number of those in which these bodies do not overlap."""
     deepest: float
-    """[m] the largest distance of bodies in one of those."""
+    """[m] largest distance of bodies in one of those."""
     blind: tuple[str, ...]
-    """Pairs of bodies that see less than half of their links' collisions, also of those that random
-    poses hardly ever bring about."""
+    """Pairs of bodies that see less than half of their links' collisions, including rare
+    collisions."""
     worst: str
     """The links that meet most often in the unseen poses."""
     left_out: int
-    """Poses that do not count, as a rule says: in them links meet that are neighbours, or near as
-    built, and no pair of bodies does."""
+    """Poses that a rule excludes: in them only neighbouring links meet, or links that are near
+    by design, and no pair of bodies overlaps."""
     rule: str
-    """Those links, with the share of the random poses in which they meet, the most often first."""
+    """Those links, with their share of the random poses, the most frequent first."""
 
     @property
     def share(self) -> float:
-        """[-] of the poses with a collision, those that no pair sees."""
+        """[-] share of the colliding poses that no pair sees."""
         return self.unseen / max(1, self.poses)
 
 
@@ -261,10 +261,10 @@ def unseen_collisions(
     d_b: float,
     workers: Workers = ALONE,
 ) -> Unseen:
-    """What the bodies of a description do not see of its links' collisions.
+    """The collisions of links that the bodies of a description do not see.
 
-    Links that may touch by design do not count, nor links of the arm that are within d_b [m] as
-    built; those that are so near to the base and can meet it do. `workers` share the poses.
+    Links that may touch by design do not count, nor links of the arm that are within d_b [m] by
+    design; links that are this near to the base and can meet it do. `workers` share the poses.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -288,7 +288,7 @@ def unseen_collisions(
     q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
     gaps = PairDistances(model, pairs).sampled(q_m)
     unseen = np.all(gaps[:count] > 0.0, axis=1)
-    for k in np.flatnonzero(hits[unseen].any(axis=0)):  # few: there the meshes themselves are asked
+    for k in np.flatnonzero(hits[unseen].any(axis=0)):  # few: the meshes themselves are compared
         rows = np.flatnonzero(unseen & hits[:, k])
         a, b = (units[u] for u in met.pairs[k])
         hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
@@ -321,9 +321,9 @@ def _left_out(
     pairs: Sequence[Pair],
     geometry: Mapping[str, LinkGeometry],
 ) -> tuple[int, str]:
-    """In how many poses only links meet that a rule leaves out, and which they are.
+    """Number of poses in which only excluded links meet, and these links.
 
-    Those that touch in most poses are built into one another, and none of these.
+    Links that touch in most poses are nested and not among them.
     """
     units, q_m = met.units, met.random.q_m
     near = sorted(met.close - met.nested)
@@ -342,9 +342,9 @@ def _left_out(
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
     rows = np.flatnonzero(touch.any(axis=1))
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
-    looked = rows[:: -(-len(rows) // _MOST_LOOKED_AT)] if len(rows) else rows
+    looked = rows[:: -(-len(rows) // _MAX_LOOKED_AT)] if len(rows) else rows
     real = np.zeros((len(looked), touch.shape[1]), dtype=bool)
-    for k, (u, v) in enumerate([*near, *beside]):  # hulls of links side by side overlap in many
+    for k, (u, v) in enumerate([*near, *beside]):  # hulls of adjacent links often overlap
         own = touch[looked, k]
         real[own, k] = meshes_meet(model, units[u], units[v], geometry, q_m[looked[own]])
     scale = len(rows) / max(1, len(looked))
@@ -353,14 +353,14 @@ def _left_out(
         f"{units[u].links[0]} and {units[v].links[0]} ({shares[k]:.1%})"
         for k, (u, v) in enumerate([*near, *beside])
     ]
-    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MOST_NAMED]
+    said = [names[k] for k in np.argsort(-shares, kind="stable") if shares[k] > 0][:_MAX_NAMED]
     return round(float(real.any(axis=1).sum()) * scale), ", ".join(said)
 
 
 def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], q_m: Array
 ) -> tuple[list[str], Array]:
-    """Pairs of bodies that are no neighbours, and their signed distances (N, pairs) [m]."""
+    """Pairs of bodies that are not neighbours, and their signed distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
     shapes = [
@@ -378,10 +378,10 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All cuts of the chain into groups with shapes, the one of the least cost first if bodies meet
-    where links do.
+    """All cuts of the chain into groups with shapes, by their cost for bodies that overlap exactly
+    if their links do.
 
-    With each comes the least cost that it can have.
+    Each comes with a lower bound of its cost.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -393,7 +393,7 @@ def _ranked(
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
             if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
-                continue  # a link fixed to the base does not ride on a slide along it
+                continue  # a link fixed to the base does not move on a slide along it
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]

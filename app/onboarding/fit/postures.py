@@ -1,4 +1,4 @@
-"""Postures of a new robot: the ready pose, and where guiding by hand begins and ends."""
+"""Postures of a new robot: the ready pose, and the lines of guiding."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from app.errors import UnreachableError
 from app.jobs.progress import OnProgress, part_of
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
@@ -30,30 +30,30 @@ RULE = (
     "in front of or beside the base, forwards or down, and joints near their middle"
 )
 _SAMPLES = 6000
-_KEPT = 0.1  # [-] share of a joint's range kept from either limit
-_ENOUGH = 0.15  # [m] beyond the buffer
-_FLOOR = 0.1  # [m] between the arm and the floor
-_BAD = 1e3  # [-] makes the worth of the worst pose more than zero: a pose is always chosen
+_KEPT = 0.1  # [-] margin to either limit relative to a joint's range
+_ENOUGH = 0.15  # [m] clearance beyond the buffer that counts as full
+_FLOOR = 0.1  # [m] smallest distance between the arm and the floor
+_BAD = 1e3  # [-] offset that makes every quality positive: a pose is always chosen
 
 
 class Ready(NamedTuple):
-    """A pose and what is near in it."""
+    """A pose with its distances."""
 
     q_m: Array
     """(n_m,) [rad or m]"""
     clearance: float
-    """[m] least distance of a pair beyond the buffer; negative inside of it."""
+    """[m] smallest distance of a pair beyond the buffer; negative inside of it."""
     nearest: str
     """Name of that pair."""
     manipulability: float
-    """√det(J Jᵀ) of the hand."""
+    """√det(J Jᵀ) of the end-effector."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random poses by the rule, for the pairs that avoidance watches and d_b [m]."""
+    """The best of random poses by the rule, for the monitored pairs and d_b [m]."""
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
-    span = np.minimum(search.span, 2 * np.pi)  # nobody waits with a joint wound up
+    span = np.minimum(search.span, 2 * np.pi)  # the ready pose has no wound-up joint
     poses = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
     best = max(map(judge.manipulability, poses)) or 1.0
 
@@ -73,7 +73,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """What is near in a pose that was given."""
+    """The distances in a given pose."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -84,7 +84,7 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """What is near in a pose."""
+        """The distances in a pose."""
         m = self.manipulability(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
@@ -92,12 +92,12 @@ class _Judge:
         return Ready(q_m, float(clearance), self._names[i] if distances else "", m)
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the hand in a pose, of its place alone with fewer than six joints."""
+        """√det(J Jᵀ) of the end-effector; of its position alone with fewer than six joints."""
         self.search.place(q_m)
         return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
 
     def placed(self) -> float:
-        """[-] how well the hand is placed: up to 1.2, far below 0 where it cannot be used."""
+        """[-] quality of the end-effector's place: up to 1.2, very negative if unusable."""
         at = self.search.state.T_world_ee
         out = at.translation - self._mount
         away = float(np.hypot(*out[:2]))
@@ -112,42 +112,42 @@ class _Judge:
 Point = tuple[float, float, float]
 
 INNER = 0.4
-"""[-] Share of the buffer into which a line has to lead; it should lead to contact."""
+"""[-] share of the buffer into which a line has to lead, preferably to contact."""
 GIVES_WAY = 0.05
-"""[m] by which the base should move then."""
+"""[m] smallest motion of the base in a valid run."""
 CLEARANCE = 0.03
-"""[m] least distance to the base that the arm should keep."""
-_LOWEST = 0.01  # [m] between the arm and the floor on a line
-_MOST_RUNS = 3  # [-] of lines that are tried
-_MOST_STARTS = 40  # [-] of which a posture is searched: a search that finds none takes 0.1 to 0.2 s
-_OTHER = 0.1  # [m] from where a line ends to where another one does
-_FARTHEST, _NEARER = 0.425, 0.025  # [m] from the base's side where a line starts, and by steps
-_OUTSIDE = 0.05  # [m] beyond the buffer it starts at least
-_LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
-_STEP = 0.0125  # [m] along the line
-_OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
-_JUST_OVER = 0.025  # [m] over a part of l_m, where no other height has a line
-_SAME_TOP = 0.1  # [m] less between the tops of two parts is the same height
-_SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
-_NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
-_THERE = 1e-3  # [m] by which the hand may miss it
-_TRIES = 6  # [-] of the nearest of those postures
-_FEW = 2  # [-] tries of a search: to find none by all of them would take long
-_SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
+"""[m] smallest distance to the base in a valid run."""
+_LOWEST = 0.01  # [m] smallest distance between the arm and the floor on a line
+_MAX_RUNS = 3  # [-] most runs of lines
+_MAX_STARTS = 40  # [-] most searches of a posture: one without success takes 0.1 to 0.2 s
+_OTHER = 0.1  # [m] smallest distance between the ends of two lines
+_FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start, and its steps
+_OUTSIDE = 0.05  # [m] smallest distance of a start beyond the buffer
+_LEFT_OVER = (0.125, 0.075, 0.025)  # [m] distance to the base's side at the end, for a base at rest
+_STEP = 0.0125  # [m] step along the line
+_OVER_MOUNT = 0.4  # [m] largest height over the mount of an approached part of l_m
+_JUST_OVER = 0.025  # [m] height over a part of l_m if no other height has a line
+_SAME_TOP = 0.1  # [m] difference of height below which two tops count as equal
+_SHARES = np.linspace(0.1, 1.0, 10)  # [-] shares of the path from a nearby posture
+_NEAR = 0.15  # [m] largest distance from a place to the end-effector of a clear posture
+_THERE = 1e-3  # [m] tolerance of the place
+_TRIES = 6  # [-] number of nearest postures that are tried
+_FEW = 2  # [-] tries of a search; more would take long without success
+_SINGULAR = 1e-9  # [m/(N s)] mobility of an end-effector that is almost fixed in a direction
 
 
 class Place(NamedTuple):
-    """A line of guiding [m], as the scenario has it, and where it comes from in words."""
+    """A line of guiding [m], in the form of a scenario, and its origin in words."""
 
     start: Point
     move: Point
     nearest: float
-    """[m] least distance of the arm to a base that stands still while its hand is pulled."""
+    """[m] smallest distance of the arm to a base at rest during the pull."""
     source: str
     """In words."""
 
     def content(self) -> dict[str, Any]:
-        """As a description has it."""
+        """The form of a description."""
         source = {"start_m": self.source, "move_m": self.source}
         return {"start_m": self.start, "move_m": self.move, "source": source}
 
@@ -163,16 +163,16 @@ def find_place(
 ) -> Place | str:
     """A line towards the base from its side or its front for a scenario, or why there is none.
 
-    From 0.43 m beside what there is of l_m at the line's height (just outside of the buffer where
-    the arm is short) to 0.125 m, as with the paper's robot, or nearer. Without avoidance the arm
-    would come to the base itself there, or well into the inner half of the buffer. Lines to contact
-    go first, of these the ones on which the arm holds its hand best while the base moves, then from
-    far to near, each at the height nearest to 0.8 of a part of l_m; after them the deepest. A side
-    on which the arm does not reach so far has none.
+    It leads from 0.43 m beside l_m's parts at the line's height (just outside of the buffer for a
+    short arm) to 0.125 m, as for the paper's robot, or nearer. Without avoidance the arm would
+    reach the base itself there, or enter the inner half of the buffer. Lines to contact come first.
+    Among them, those on which the arm holds its end-effector best while the base moves come first,
+    then far starts before near ones, each at the height nearest to 0.8 of a part of l_m. The
+    deepest lines come after them. A side that the arm does not reach has none.
 
-    The line is one of which `shows` is true, as `gives_way`; where none is, one is taken `anyway`
-    or not. For the pairs that avoidance watches, of which there has to be one with l_m.
-    `on_progress` is called with the share of places, and of postures, that were looked at.
+    The line satisfies `shows`, such as `gives_way`. If no line does, `anyway` decides whether one
+    is taken. It uses the monitored pairs, at least one of them with l_m. `on_progress` takes the
+    share of places and postures that are checked.
     """
     d_b = model.description.config.border.d_b
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
@@ -187,7 +187,7 @@ def find_place(
 
 
 _Start = tuple[Array, Array]
-"""Where a line starts, x, y and how far out [m] of the box around l_m, and the unit vector (3,)
+"""The start of a line: x, y and the distance [m] from the box around l_m, and the unit vector (3,)
 inwards."""
 
 
@@ -198,10 +198,10 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that leads into the inner part of d_b [m] and shows it.
+    """The first line that enters the inner part of d_b [m] and satisfies `shows`.
 
-    Where there is none, why. None is asked for after the last one that is tried, which are a few;
-    where none of those shows it, the first is taken `anyway` or not.
+    Otherwise the reason why there is none. Only a few lines are tried; if none of them satisfies
+    `shows`, `anyway` decides whether the first is taken.
     """
     shallow: list[Place] = []
     tried: list[Place] = []
@@ -212,15 +212,15 @@ def chosen(
         if shows(line):
             return line
         tried.append(line)
-        if len(tried) == _MOST_RUNS:
+        if len(tried) == _MAX_RUNS:
             break
     if tried and anyway:
         return tried[0]
     if tried:
         return (
-            f"on the lines that were tried the base gives way by less than {GIVES_WAY:g} m, or the "
+            f"on the tried lines the base moves away by less than {GIVES_WAY:g} m, or the "
             f"arm comes nearer than {CLEARANCE:g} m to it or {_LOWEST:g} m to the floor: other "
-            "parts of it meet first, or it cannot hold its hand"
+            "parts of it meet first, or it cannot hold its end-effector"
         )
     if shallow:
         deepest = min(shallow, key=lambda line: line.nearest)
@@ -242,14 +242,14 @@ def gives_way(
     place: Place,
     on_progress: OnProgress = lambda _: None,
 ) -> bool:
-    """Whether the base gives way within d_b, the arm keeping away from it and from the floor.
+    """Whether the base moves away within d_b, with the arm away from it and from the floor.
 
-    The base does not where other parts of the arm meet first, which holds the hand, or where it
-    would take the hand along. It may come back while the hand is held: its place at the end counts.
-    `on_progress` is called now and then with the share of the run that is over.
+    It does not if other parts of the arm meet first, which blocks the end-effector, or if its
+    motion would move the end-effector. It may come back during the hold: its final place counts.
+    `on_progress` takes the finished share of the run from time to time.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
-    run = Planned(model.description.name, line, model.description.config, physics="kinematic")
+    run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
     moved, search = 0.0, PostureSearch(model, data.pairs, model.description.config.border.d_b)
     try:
         with closing(steps_of(run, model, data)) as steps:
@@ -260,7 +260,7 @@ def gives_way(
                     if search.above_floor() < _LOWEST:
                         return False
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
-                    return False  # the rest of the run cannot mend it
+                    return False  # the rest of the run cannot change that
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
     except UnreachableError:
         return False
@@ -268,23 +268,23 @@ def gives_way(
 
 
 class Side(NamedTuple):
-    """From where a line is looked for, as a process of its own does."""
+    """The side of a line, for a separate process."""
 
     name: str
-    """Of the scenario, one of `app.onboarding.SIDES`."""
+    """Its scenario, one of `app.onboarding.SIDES`."""
     model: RobotModel
     data: BorderData
     anyway: bool
-    """Whether one is taken on which the base does not give way."""
+    """Whether a line on which the base does not move away is accepted."""
 
 
 def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -> Place | str:
-    """The line from a side as `find_place` finds it, on which the base gives way.
+    """The line of `find_place` for a side, with a base that moves away.
 
-    Of the progress, the search for lines and each run that there may be count as much.
+    In the progress the search for lines and each possible run have equal shares.
     """
     name, model, data, anyway = side
-    ends = np.linspace(0.0, 1.0, 2 + _MOST_RUNS)
+    ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
     parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
     search = next(parts)
 
@@ -296,7 +296,7 @@ def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -
 
 
 class _Candidate(NamedTuple):
-    """A line as an arm that may start there is led along it, however its hand points."""
+    """A line of an arm that may start there, for any direction of the end-effector."""
 
     start: Point
     inwards: Array
@@ -306,9 +306,9 @@ class _Candidate(NamedTuple):
     left: float
     """[m] from its end to the base's side."""
     nearest: float
-    """[m] least distance of the arm to a base that stands still."""
+    """[m] smallest distance of the arm to a base at rest."""
     carried: float
-    """[-] share of the base's motion of the hand that the arm leaves over within the buffers."""
+    """[-] share of the base's motion that the arm does not compensate within the buffers."""
 
     @property
     def move(self) -> Point:
@@ -316,20 +316,20 @@ class _Candidate(NamedTuple):
         return _point(np.round(self.length * self.inwards, 3))
 
     def is_as(self, other: _Candidate) -> bool:
-        """Whether the two end beside one another: one from farther out may be the same line."""
+        """Whether the ends of the two are close: a line from farther out may be the same."""
         ends = (np.add(each.start, each.move) for each in (self, other))
         return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Contact before none, then where the arm holds its hand, to a tenth; else the deepest, to
-        a millimetre: what differs by less is as it comes.
+        """Contact first, then the best hold to a tenth; without contact the deepest, to a
+        millimetre. Smaller differences do not change the order.
         """
         return round(max(self.nearest, 0.0), 3), round(self.carried, 1)
 
 
 class _Guide:
-    """Leads the hand of a robot along lines, its base standing still at the origin."""
+    """Moves the end-effector of a robot along lines, with its base at rest at the origin."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         self.body = MobileBody(model)
@@ -342,24 +342,24 @@ class _Guide:
     def lines(
         self, tried: Sequence[tuple[_Start, float]], on_progress: OnProgress
     ) -> Iterator[Place]:
-        """Those from starts at heights [m], the most promising first.
+        """Lines from starts at heights [m], the most promising first.
 
-        All are looked at with the arm pulled to their start from a posture nearby, which is quick.
-        What is told of a line is of the posture with which a run begins, which is searched only for
-        those that are asked for; none of them is beside another, and of those that do not lead into
-        the inner part of the buffer there is one at most, where there is no other.
-        `on_progress` is called with the share of starts and postures that were looked at.
+        The quick first step pulls the arm to each start from a nearby posture.
+        The data of a line belong to the posture of the start of a run, which is searched only for
+        requested lines. No two lines are close together, and at most one does not enter the inner
+        part of the buffer, if there is no other. `on_progress` takes the share of starts and
+        postures that are checked.
         """
         found: list[_Candidate] = []
-        most = len(tried) + _MOST_STARTS
+        most = len(tried) + _MAX_STARTS
         for k, (start, z) in enumerate(tried):
             on_progress(k / most)
             if (line := self._look(start, z)) is not None:
                 found.append(line)
         asked: list[_Candidate] = []
         searched = 0
-        for line in sorted(found, key=lambda each: each.rank):  # else as they come
-            if searched == _MOST_STARTS or (asked and line.nearest >= INNER * self._d_b):
+        for line in sorted(found, key=lambda each: each.rank):  # stable order
+            if searched == _MAX_STARTS or (asked and line.nearest >= INNER * self._d_b):
                 return
             if any(map(line.is_as, asked)):
                 continue
@@ -378,7 +378,7 @@ class _Guide:
             yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from one place, if the arm can start there: to contact, or as far as it goes."""
+        """The line from one place, to contact or to its deepest point; None without a start."""
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
@@ -401,10 +401,12 @@ class _Guide:
     def _led(
         self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
     ) -> tuple[Array, float, list[float], float]:
-        """The arm (n_m,) led from a posture along a line from p (3,), from a length [m] to another.
+        """The arm (n_m,), moved from a posture along a line from p (3,), from a length [m] to
+        another.
 
-        With it the least distance [m] to the base, and what it leaves over of the base's motion of
-        the hand [-], step by step within the buffers, and the least distance to the floor [m].
+        With it the smallest distance [m] to the base, the share [-] of the base's motion that it
+        does not compensate at each step within the buffers, and the smallest distance to the floor
+        [m].
         """
         search, least, carried, low = self._search, np.inf, [], np.inf
         n_b, speed = self._model.n_b, self._model.description.config.ee_hold.min_speed
@@ -420,9 +422,9 @@ class _Guide:
         return q_m, float(least), carried, float(low)
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
-        """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
+        """(n_m,) the arm after a slow pull of its end-effector from a posture to a place (3,) [m].
 
-        Only damping D resists a person without avoidance: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
+        Only the damping D resists a person without avoidance: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
         """
         search, D = self._search, np.array(self._search.model.description.arm.joint_damping)
         for _ in range(2):
@@ -435,7 +437,7 @@ class _Guide:
         return q_m
 
     def _free_at(self, p: Array) -> Array | None:
-        """(n_m,) a posture near one of the free ones with its hand at a place (3,) that is free."""
+        """(n_m,) a free posture near a known one with its end-effector at a place (3,)."""
         away = np.linalg.norm(self._hands - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
             return None
@@ -450,7 +452,7 @@ class _Guide:
 
 
 def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
-    """(N, n_m) random postures of which the arm may start, and (N, 3) [m] where the hand is."""
+    """(N, n_m) random postures at which the arm may start, and (N, 3) [m] their end-effectors."""
     postures, hands = [np.zeros((0, search.model.n_m))], [np.zeros((0, 3))]
     for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
         search.place(q_m)
@@ -461,7 +463,7 @@ def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
 
 
 def _is_free(search: PostureSearch) -> bool:
-    """Whether the posture that was placed is above the floor and outside of every buffer."""
+    """Whether the present posture is above the floor and outside of every buffer."""
     return search.above_floor() > 0.0 and min(search.distances()) > search.d_b
 
 
@@ -473,7 +475,7 @@ _LED = (
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] of l_m's parts, the highest first, none above `most` and none nearly twice."""
+    """[m] heights of l_m's parts, the highest first, none above `most`, without near duplicates."""
     found: list[float] = []
     for top in sorted((float(part.upper[2]) for part in body.parts), reverse=True):
         if not found or min(top, most) < found[-1] - _SAME_TOP:
@@ -482,13 +484,13 @@ def _tops(body: MobileBody, most: float) -> list[float]:
 
 
 def _heights(tops: list[float]) -> list[float]:
-    """[m] of lines towards parts of l_m up to these tops, the best ones first."""
+    """[m] heights of lines towards parts of l_m with these tops, the best ones first."""
     ways = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
     return [share * top + over for share, over in ways for top in tops]
 
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
-    """[m] from a point (3,) inwards to l_m; 0 if it is not met, as above its top."""
+    """[m] from a point (3,) inwards to l_m; 0 if the ray misses it, as above its top."""
     size = body.upper - body.lower
     steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
     met = body.distance(p + steps[:, None] * inwards) <= _STEP
@@ -498,10 +500,10 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 def _lateral(
     body: MobileBody, mount: Array, outs: Sequence[float]
 ) -> Iterator[tuple[Array, Array]]:
-    """Starts x, y and how far out they are [m], and the way inwards, left before right.
+    """Starts x, y, their distance [m], and the direction inwards, left before right.
 
-    Beside the mount or near either end: where its axle is a base without sideways motion gives way
-    least.
+    They are beside the mount or near either end: a base without sideways motion moves least at its
+    axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
@@ -511,7 +513,7 @@ def _lateral(
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[tuple[Array, Array]]:
-    """The same, ahead of the mount, at either edge, or where an arm that only moves in plane is."""
+    """`_lateral` for the front: ahead of the mount, at an edge, or in a planar arm's plane."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

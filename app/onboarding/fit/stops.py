@@ -1,7 +1,7 @@
-"""Stops: limits of joints that keep the arm off the base where no buffer can.
+"""Stops: joint limits that keep the arm away from the base where no buffer can.
 
-A UR's upper arm is always nearer to the base than d_b: no force can make room for it. But its lift
-alone decides whether it meets the base, and a limit of the lift keeps it away.
+A UR's upper arm is always nearer to the base than d_b: no force can move it away. But its lift
+joint alone determines whether it meets the base, and a limit of that joint prevents it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-_VALUES = 400  # [-] of a joint that are looked at
-_POSES = 60  # [-] of the other joints, at each of them
+_VALUES = 400  # [-] sampled positions of a joint
+_POSES = 60  # [-] sampled poses of the other joints, at each position
 _ARM = 2  # pinocchio's first joint of the arm
-_ALIKE = 0.05  # [-] of a joint's range by which two ways to limit it are alike
+_ALIKE = 0.05  # [-] difference of a joint's range that counts as equal
 
 
 def with_stops(
@@ -33,11 +33,12 @@ def with_stops(
     meetings: Meetings,
     ready: Sequence[float] | None = None,
 ) -> Limits:
-    """The limits, narrowed until no link that is close to the base as built can come to it.
+    """The limits, narrowed until no link that is close to the base by design can reach it.
 
-    Of the joints between the two, that is narrowed which keeps most of its range. Where none would
-    keep any, as the two touch wherever each of them is, the limits stay: the check counts it.
-    The pose `ready` (n_m,) [rad or m] has to stay within them.
+    Among the joints between the two, the one that retains most of its range is narrowed. If none
+    would retain any, because the two touch in all positions of each, the limits do not change, and
+    the check counts the collisions. The pose `ready` (n_m,) [rad or m] has to stay within the
+    limits.
 
     Raises:
         RobotFileError: In that pose they touch.
@@ -58,7 +59,7 @@ def with_stops(
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
-            # Links built side by side never are as far apart: then half of what they are.
+            # Adjacent links never are this far apart: then half of their distance counts.
             for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:

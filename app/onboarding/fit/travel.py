@@ -1,4 +1,4 @@
-"""The room that links beside the arm's chain, such as fingers, can fill."""
+"""The space that links beside the arm's chain, such as fingers, can fill."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from app.onboarding.read.links import LinkGeometry, swept_shape
 from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 
 Positions = Mapping[str, float]
-"""Of joints, by their names [rad or m]."""
+"""Positions of joints, by their names [rad or m]."""
 
-_STEP = np.radians(10.0)  # [rad] between the turns looked at
+_STEP = np.radians(10.0)  # [rad] between the sampled angles
 
 
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which hand and telescopes fill all the room that they can reach."""
+    """Geometry in which end-effector and telescopes fill all the space that they can reach."""
     found = with_travel(tree, geometry, chain[-1].child)
     own = [joint.name for joint in chain]
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
@@ -29,7 +29,7 @@ def filled(
 
 
 def _is_part(slide: Joint, joint: Joint) -> bool:
-    """Whether a joint lets a part of a telescope slide along on it."""
+    """Whether a joint slides a part of a telescope along another part."""
     return joint.moves and parallel(slide, joint)
 
 
@@ -39,10 +39,10 @@ def with_travel(
     carrier: str,
     without: Sequence[str] = (),
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which links on a carrier fill all that the joints on it let them reach.
+    """Geometry in which links on a carrier fill the whole range of their joints.
 
-    It is in the frames that the links have at rest. Joints that follow another do so. Links on the
-    joints named in `without` keep their geometry.
+    It is in the frames of the links at rest. Joints that follow another do so. Links on the
+    joints in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -58,7 +58,7 @@ def with_travel(
 
 
 def held_at(joint: Joint) -> float:
-    """[rad or m] where a joint beside the arm stands: at zero, or at the limit nearest to it."""
+    """[rad or m] fixed position of a joint beside the arm: zero, or the limit nearest to it."""
     low, high = joint.lower or 0.0, joint.upper or 0.0
     return 0.0 if low >= high else float(np.clip(0.0, low, high))
 
@@ -78,7 +78,7 @@ def _positions(joints: Sequence[Joint]) -> Iterator[Positions]:
 
 
 def _range(joint: Joint) -> list[float]:
-    """Positions of a joint through its range, its ends among them."""
+    """Positions of a joint through its range, including both ends."""
     low, high = joint.lower, joint.upper
     if low is None or high is None or low >= high:
         low, high = (0.0, 0.0) if joint.kind == "prismatic" else (-np.pi, np.pi)
@@ -87,9 +87,9 @@ def _range(joint: Joint) -> list[float]:
 
 
 def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
-    """Positions with those of the joints that follow others."""
+    """Positions including those of joints that follow others."""
     found = dict(at)
-    for _ in joints:  # one may follow another that follows a third
+    for _ in joints:  # joints may follow in a chain
         for joint in joints:
             if joint.mimic is not None:
                 leader, multiplier, offset = joint.mimic
@@ -98,7 +98,7 @@ def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
 
 
 def _placed(tree: Tree, links: Sequence[str], carrier: str, at: Positions) -> dict[str, pin.SE3]:
-    """T_carrier_link of links on a carrier, each after the one that carries it."""
+    """T_carrier_link of links on a carrier, parents before children."""
     found = {carrier: pin.SE3.Identity()}
     for link in links:
         joint = tree.joint_of[link]

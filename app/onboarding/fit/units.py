@@ -1,4 +1,4 @@
-"""Units: links that move as one, their hulls, and how far those are from each other in poses."""
+"""Units: links that move as one, their hulls, and the distances between these in poses."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from app.robot.shapes import convex_hull
 Array = np.ndarray
 Pairs = Sequence[tuple[int, int]]
 
-_ALONG = 0.999  # [-] cosine between two lines that count as parallel
-_THIN_OUT = 500  # [-] points on a unit's surface that are looked at, beside the outermost
-_EXACT = 0.5  # [m] up to which distances are computed where there are many shapes
-_MANY = 150  # [-] pairs of shapes, from which on it is faster to look at their spheres first
+_ALONG = 0.999  # [-] smallest cosine between parallel lines
+_THIN_OUT = 500  # [-] most points on a unit's surface, beside the outermost
+_EXACT = 0.5  # [m] largest exact distance if there are many shapes
+_MANY = 150  # [-] pairs of shapes from which a test of spheres saves time
 
 
 class Part(NamedTuple):
@@ -32,7 +32,7 @@ class Part(NamedTuple):
 
     link: str
     corners: Array
-    """(N, 3) [m] of its hull, in the joint's frame."""
+    """(N, 3) [m] corners of its hull, in the joint's frame."""
     reach: Array
     """(K,) [m] its support along `directions(2)`."""
 
@@ -41,10 +41,10 @@ class Unit(NamedTuple):
     """Links that move as one."""
 
     index: int
-    """0 the base, 1 the links fixed to it below the arm, then those of each joint of the arm, after
-    the ones that hang beside it."""
+    """0 for the base, 1 for links fixed to it below the arm, then those of each joint of the arm,
+    after the units beside it."""
     frame: str
-    """The link whose frame is the joint's; the floor point for the first two."""
+    """The link in whose frame the joint is; the floor point for the first two."""
     links: tuple[str, ...]
     joint: int
     """pinocchio's."""
@@ -52,9 +52,9 @@ class Unit(NamedTuple):
     surface: Array
     """(N, 3) [m] points on the hulls, in the joint's frame."""
     owners: Array
-    """(N,) the index of the link that each point belongs to."""
+    """(N,) the index of the link of each point."""
     beside: bool = False
-    """Whether another joint lies between it and the arm's link, as of a head on a torso."""
+    """Whether another joint separates it from the arm's link, such as a head on a torso."""
 
 
 def make_units(
@@ -77,9 +77,9 @@ def make_units(
 def units_of_links(
     model: RobotModel, geometry: Mapping[str, LinkGeometry]
 ) -> dict[str, list[Unit]]:
-    """The links that each body of a description stands for, by joint, by the body's name.
+    """The links that each body of a description encloses, by joint, by the body's name.
 
-    The units' indices are those of all of them in a row.
+    The units are numbered consecutively.
     """
     found: dict[str, list[Unit]] = {}
     for body in model.description.bodies:
@@ -93,7 +93,7 @@ def units_of_links(
             for k, (joint, links) in enumerate(by_joint.items())
         ]
     last = {unit.joint: name for name, each in found.items() for unit in each}
-    return {  # a body of its own before that which the joint moves hangs beside it
+    return {  # a body before that of the joint is beside the arm
         name: [u._replace(beside=u.joint > 1 and last[u.joint] != name) for u in each]
         for name, each in found.items()
     }
@@ -117,7 +117,7 @@ def _unit(
         surface.append(moved(geometry[link].surface, T))
         owners.append(np.full(len(surface[-1]), k))
     points, owner = np.vstack(surface), np.concatenate(owners)
-    if len(points) > _THIN_OUT:  # the outermost ones stay: a body has to hold fingertips too
+    if len(points) > _THIN_OUT:  # keeps the outermost ones: a body has to enclose fingertips
         some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
         kept = np.union1d(some, (points @ D.T).argmax(axis=0))
         points, owner = points[kept], owner[kept]
@@ -125,16 +125,16 @@ def _unit(
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
-    """(N, 3) points of a frame as seen from the one in which it stands at T."""
+    """(N, 3) points of a frame, transformed to the frame in which its pose is T."""
     return points @ T.rotation.T + T.translation
 
 
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether two units may touch by design.
 
-    One joint or none lies between them, but none if one hangs beside; or only joints that slide
-    along one line: the parts of a telescope stand in each other, and only its joints' limits can
-    keep them apart.
+    They may if at most one joint separates them, or no joint if one is beside the arm; or if only
+    joints that slide along one line do: the parts of a telescope are nested, and only its joints'
+    limits can keep them apart.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -148,13 +148,13 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
 
 
 Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
-"""A shape: pinocchio's joint that carries it, where it stands on that, and the shape."""
+"""A shape: pinocchio's joint that moves it, its pose on that joint, and the shape."""
 
 
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] as `group_distances`, between groups of shapes that no model has."""
+    """(N, pairs) [m] as `group_distances`, between groups of shapes outside of a model."""
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
         first = geometry.ngeoms
@@ -173,11 +173,11 @@ def group_distances(
 ) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes, each as near as its nearest shape.
 
-    With many shapes, of those above 0.5 m only that is certain: the spheres around them are so far
-    apart.
+    With many shapes, distances above 0.5 m are only lower bounds from the spheres around them.
 
-    Groups are indices of shapes, pairs those of groups, q_m (N, n_m) [rad or m] the arm's joints,
-    the base at the origin. The geometry has no collision pairs yet: those of the groups are added.
+    Groups are indices of shapes, pairs those of groups, q_m (N, n_m) [rad or m] the joint
+    positions; the base is at the origin. The geometry has no collision pairs: this adds those of
+    the groups.
     """
     starts, shapes = [], []
     for a, b in pairs:
@@ -240,7 +240,7 @@ def meshes_meet(
 
 
 def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
-    """A mesh as coal takes it."""
+    """A mesh in coal's format."""
     made = coal.BVHModelOBBRSS()
     made.beginModel(len(mesh.faces), len(mesh.vertices))
     made.addVertices(np.asarray(mesh.vertices, dtype=float))
@@ -261,7 +261,7 @@ def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
 
 
 def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
-    """The hulls of each link that has some."""
+    """The hulls of each link with a shape."""
     shapes: dict[str, list[Placed]] = {}
     for unit in units:
         for part in unit.parts:

@@ -1,4 +1,4 @@
-"""How a link looks and what it weighs: hulls of its shapes and its inertia, in its frame."""
+"""Geometry and inertia of a link: hulls of its shapes and its inertia, in its frame."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
 
 Array = np.ndarray
 
-_LARGEST = 10.0  # [m] size of a shape
-_DENSEST = 30_000.0  # [kg/m³] of a link; gold has 19,300
-_HEAVIEST = 100.0  # [kg] of a link that may be denser, as its shape may stand for a part of it
+_LARGEST = 10.0  # [m] largest size of a shape
+_DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300
+_HEAVIEST = 100.0  # [kg] a lighter link may be denser, because its shape may cover a part of it
 MOST_FACES = 40_000
-"""[-] triangles of a mesh; of one with more a lighter one is made that reaches as far."""
-_CELL = 3e-4  # [m] within which vertices of such a mesh become one
-_MANY = 10_000  # [-] points, beyond which the outermost stand for all
-_HEAVY = 4_000_000  # [bytes] of a file whose vertices are not joined when it is read
+"""[-] triangles of a mesh; a larger one is simplified without reducing its extent."""
+_CELL = 3e-4  # [m] cell in which vertices of such a mesh are merged
+_MANY = 10_000  # [-] points above which only the outermost are used
+_HEAVY = 4_000_000  # [bytes] a larger file's vertices are not merged while reading
 _SPACING = 0.03  # [m] between points on a hull's surface
-_MOST_POINTS = 1500  # [-] on the surface of one hull
-_MOST_MESHES = 5  # [-] places of a moving shape at which its triangles are compared
+_MAX_POINTS = 1500  # [-] points on the surface of one hull
+_MAX_MESHES = 5  # [-] most places of a moving shape for comparing its triangles
 ARM_DENSITY = 1200.0
 """[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
 """[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
-_MOST_MOMENT = 1e4  # [-] of m r², above which the unit is another; careless guesses have 1e3
-_ROUNDING = 1e-5  # [-] by which two moments of inertia have to be more than the third
-_TINY = 1e-9  # [kg] or [kg m²] of nothing
+_MAX_MOMENT = 1e4  # [-] multiple of m r² above which the unit is wrong; careless guesses have 1e3
+_ROUNDING = 1e-5  # [-] smallest excess of two moments of inertia over the third
+_TINY = 1e-9  # [kg] or [kg m²] counts as zero
 
 
 class LinkShape(NamedTuple):
     """One shape of a link."""
 
     mesh: trimesh.Trimesh
-    """As it is, in the link's frame [m]."""
+    """The original shape, in the link's frame [m]."""
     hull: trimesh.Trimesh
     """Its convex hull, in the link's frame [m]."""
     surface: Array
@@ -55,11 +55,11 @@ class LinkShape(NamedTuple):
     kind: str
     """box, cylinder, sphere or mesh."""
     radius: float | None
-    """[m] of a cylinder or sphere, else None."""
+    """[m] radius of a cylinder or sphere, otherwise None."""
 
 
 class LinkGeometry(NamedTuple):
-    """The collision shapes of a link, or the visual ones, `seen_only`, where it has none."""
+    """The collision shapes of a link, or the visual ones (`seen_only`) if it has none."""
 
     shapes: tuple[LinkShape, ...]
     seen_only: bool
@@ -76,7 +76,7 @@ class LinkGeometry(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """[m³] of all hulls."""
+        """[m³] volume of all hulls."""
         return sum(abs(float(s.hull.volume)) for s in self.shapes)
 
 
@@ -84,16 +84,16 @@ def read_geometry(tree: Tree) -> dict[str, LinkGeometry]:
     """The geometry of every link, by its name; a link may have none.
 
     Raises:
-        RobotFileError: A mesh is missing or cannot be read, or a size is no metre's.
+        RobotFileError: A mesh is missing or unreadable, or a size is not in metres.
     """
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, of the first of the tags that it has.
+    """The geometry of one link, from the first of the tags that it has.
 
     Raises:
-        RobotFileError: As `read_geometry`.
+        RobotFileError: As for `read_geometry`.
     """
     for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
@@ -127,7 +127,7 @@ def _shape(element: Element, where: str) -> LinkShape:
 
 
 def swept_shape(shape: LinkShape, ways: Sequence[pin.SE3]) -> LinkShape:
-    """A shape in all places to which it can move, by its motions in the link's frame."""
+    """The hull of a shape in all its places, from its motions in the link's frame."""
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in ways]))
     mesh = trimesh.util.concatenate(
@@ -137,15 +137,15 @@ def swept_shape(shape: LinkShape, ways: Sequence[pin.SE3]) -> LinkShape:
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
-    """The triangles of a mesh file, parts joined, of the link that is called `where`.
+    """The triangles of a mesh file with all its parts, of the link with the name `where`.
 
     Raises:
-        RobotFileError: It cannot be read, or has none.
+        RobotFileError: The file cannot be read, or has no triangles.
     """
     name = f"{where}: mesh {path}"
     end, joined = path.suffix[1:].lower() or "stl", path.stat().st_size < _HEAVY
     try:
-        with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
+        with path.open("rb") as file:  # a file, not a path, so that no texture is read
             begin = file.read(1 << 16)
             if end not in _ARCHIVES:
                 refuse_placeholder(begin, name)
@@ -161,7 +161,7 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
         raise
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
-    except Exception as error:  # the readers of the many formats have no common base of errors
+    except Exception as error:  # the readers' errors have no common base class
         why = " ".join(str(error).split())
         raise RobotFileError(f"{name}: it cannot be read: {why}") from None
     if mesh is None:
@@ -186,7 +186,7 @@ _UP = re.compile(rb"<up_axis>\s*[XY]_UP")
 
 
 def _unit(asset: bytes, where: str) -> float:
-    """[m] the unit that a COLLADA file states; a metre where it states none."""
+    """[m] the unit that a COLLADA file states; default: a metre."""
     found = _UNIT.search(asset)
     stated = floats(found[1].decode("latin-1"), 1) if found else (1.0,)
     if not stated or stated[0] <= 0.0:
@@ -208,7 +208,7 @@ def is_foreign(path: Path) -> bool:
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
     """A mesh of fewer triangles that keeps the outermost vertices.
 
-    Before it is simplified, vertices in one cell of that size, in its unit, become one.
+    First, vertices in one cell of the given size, in its unit, are merged.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
@@ -217,7 +217,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
         keys = (keys << 21) + ((column - column.min()) / cell).astype(np.int64)
     _, first, own = np.unique(keys, return_index=True, return_inverse=True)
     vertices, faces = np.asarray(mesh.vertices)[first], own[np.asarray(mesh.faces)]
-    del mesh, keys, first, own  # of millions of triangles, hundreds of megabytes
+    del mesh, keys, first, own  # hundreds of megabytes for millions of triangles
     faces = faces[np.all(faces != np.roll(faces, 1, axis=1), axis=1)]
     light = trimesh.Trimesh(vertices, faces, process=False)
     if len(faces) > MOST_FACES:
@@ -227,7 +227,7 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """Those that reach farthest in 642 (3) or 2,562 (4) directions; all where there are few."""
+    """The points farthest in 642 (3) or 2,562 (4) directions; all if there are few."""
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
@@ -235,21 +235,21 @@ def _outermost(points: Array, fineness: int) -> Array:
 
 
 load_mesh = lru_cache(maxsize=64)(read_mesh)
-"""`read_mesh`, once for a file."""
+"""`read_mesh`, cached by file."""
 
 
 def _surface(hull: trimesh.Trimesh) -> Array:
-    """Corners, then points spread evenly over the faces; always the same ones."""
-    count = int(np.clip(hull.area / _SPACING**2, 50, _MOST_POINTS))
+    """Corners, then evenly spread points on the faces; reproducible."""
+    count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
     spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
     corners = np.asarray(hull.vertices)
-    if len(corners) > _MOST_POINTS:
-        corners = corners[:: -(-len(corners) // _MOST_POINTS)]
+    if len(corners) > _MAX_POINTS:
+        corners = corners[:: -(-len(corners) // _MAX_POINTS)]
     return np.vstack([corners, np.asarray(spread)])
 
 
 class LinkInertia(NamedTuple):
-    """What a link weighs, and why that is not the URDF's, or an empty string."""
+    """The inertia of a link, and why it is not the URDF's, or an empty string."""
 
     inertia: pin.Inertia
     assumed: str
@@ -260,10 +260,10 @@ def read_inertias(
 ) -> dict[str, LinkInertia]:
     """The inertia of every link below the base, by its name.
 
-    With `assume`, an arm without any mass gets that of its volume.
+    With `assume`, an arm without any mass gets masses by volume.
 
     Raises:
-        RobotFileError: No link of the arm has a mass, or one is no possible one, as in grams.
+        RobotFileError: No link of the arm has a mass, or a mass is impossible, as in grams.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     for link, each in stated.items():
@@ -286,7 +286,7 @@ def read_inertias(
         return _chosen(inertia, geometry[link], density)
 
     found = {link: chosen(link, inertia) for link, inertia in stated.items()}
-    for links in arm.segments[1:]:  # a joint has to move something
+    for links in arm.segments[1:]:  # each joint has to move a mass
         if sum(found[link].inertia.mass for link in links) <= _TINY:
             found |= {link: chosen(link, None) for link in links}
     return found
@@ -295,21 +295,21 @@ def read_inertias(
 def _check_moments(
     stated: Mapping[str, pin.Inertia | None], geometry: Mapping[str, LinkGeometry]
 ) -> None:
-    """Refuse a robot whose moments of inertia are in another unit, as most of its links show."""
+    """Refuse a robot if most links show that its moments of inertia are in another unit."""
     ratios = [
         np.abs(each.inertia).max()
         / (each.mass * np.linalg.norm(geometry[link].corners - each.lever, axis=1).max() ** 2)
         for link, each in stated.items()
         if each and each.mass > _TINY and geometry[link].volume > _FLAT
     ]
-    if (most := float(np.median(ratios)) if ratios else 0.0) > _MOST_MOMENT:
+    if (most := float(np.median(ratios)) if ratios else 0.0) > _MAX_MOMENT:
         raise RobotFileError(
             f"the links' moments of inertia are {most:.1g} times m r² (median; r: the farthest "
             "point of the link), which looks like kg mm²; a URDF's are in kg m²"
         )
 
 
-_FLAT = 1e-10  # [m³] of a hull that has no inertia
+_FLAT = 1e-10  # [m³] volume of a hull without inertia
 
 
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
@@ -328,7 +328,7 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
-    """Of hulls filled evenly; where they overlap, of the hull around all of them if it is less."""
+    """The inertia of filled hulls, or of the hull around all if that has less volume."""
     hulls = [shape.hull for shape in geometry.shapes if abs(shape.hull.volume) > _FLAT]
     around = hull_mesh(geometry.corners)
     if around.volume < sum(hull.volume for hull in hulls):
@@ -344,7 +344,7 @@ def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The URDF's, if it states one that can be."""
+    """The URDF's inertia, if it states a possible one."""
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None
@@ -365,9 +365,9 @@ def _stated(link: Element) -> pin.Inertia | None:
 
 
 def _possible(tensor: Array) -> Array:
-    """The same moments where two of a body's are more than the third; else the least change to it.
+    """The moments if they satisfy the triangle inequality; otherwise the smallest change to them.
 
-    No mass has others, and pybullet takes those that miss it by rounding for zero.
+    No mass violates it, and pybullet sets moments to zero that violate it by rounding.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.0)

@@ -1,6 +1,6 @@
-"""A robot's package as a zip that a stranger may have made: unpacked within bounds, and read.
+"""An untrusted robot package as a zip: unpacked within bounds, and read.
 
-Nothing of it is executed: a xacro, whose expressions are Python, is refused.
+Nothing in it is executed: a xacro, whose expressions are Python, is refused.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from app.robot.assets import refuse_entities
 from app.system import temporary_folder
 
 FOLDER = "package"
-"""Where a package lies in the robot's own folder."""
+"""Folder of a package within the robot's own folder."""
 LARGEST_URDF = 10_000_000
-"""[bytes] of a URDF in a package."""
+"""[bytes] largest URDF in a package."""
 LARGEST_ARCHIVE = 100_000_000
-"""[bytes] of the zip."""
+"""[bytes] largest zip."""
 LARGEST_CONTENT = 500_000_000
-"""[bytes] of all its files, expanded."""
+"""[bytes] largest expanded size of all files."""
 MOST_FILES = 2000
-"""[-] in it."""
+"""[-] most files."""
 KEPT = (".urdf", ".xml", *FORMATS[:-1])
-"""Ends of the names of files that are written; others, such as programs, stay in the zip."""
+"""Endings of the files that are written; others, such as programs, stay in the zip."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
-_LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] of a zip's list of files; each takes 46 and a name
+_LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest directory; an entry takes 46 and a name
 _LONGEST_NAME = 200  # [characters]
 _CHUNK = 1 << 20  # [bytes]
 _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# Of these a chunk is expanded at a time; bzip2 and LZMA expand all that they read.
+# These formats expand one chunk at a time; bzip2 and LZMA expand everything that they read.
 _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -57,11 +57,12 @@ _UNREADABLE = (
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
-    """Write the URDFs, meshes and licences of a zip into a folder; gives the names of all files.
+    """Write the URDFs, meshes and licences of a zip into a folder; returns the names of all files.
 
     Raises:
-        RobotFileError: It is no plain zip, too large, or holds a path that leads elsewhere, a link,
-            a password, a file packed by another method than deflate, or a name twice; says which.
+        RobotFileError: It is not a plain zip, is too large, or has a path that leads out of it, a
+            link, a password, a file with another compression than deflate, or a duplicate name;
+            names it.
     """
     where = archive.name
     _check_size(archive)
@@ -81,7 +82,7 @@ def unpack(archive: Path, folder: Path) -> list[str]:
 
 
 def _check_size(archive: Path) -> None:
-    """Before anything of it is believed: the file itself, and its list of files."""
+    """Check the file itself and its directory before reading its content."""
     size = archive.stat().st_size
     if size > LARGEST_ARCHIVE:
         raise RobotFileError(
@@ -93,7 +94,7 @@ def _check_size(archive: Path) -> None:
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or len(tail) < at + 22:
         raise RobotFileError(f"{archive.name}: not a zip; zip the URDF together with its meshes")
-    if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would stand in for the record that is read
+    if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would replace the record that is read
         raise RobotFileError(
             f"{archive.name}: a ZIP64, the form for archives of over 4 GB; zip it as a plain zip"
         )
@@ -129,7 +130,7 @@ def _checked(
 
 
 def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
-    """Where an entry may go; only plain files and folders below the top."""
+    """The target of an entry; only plain files and folders below the top."""
     name = info.orig_filename
     if not info.flag_bits & _UTF8 and not name.isascii():
         name = _as_stored(name.encode("cp437"))
@@ -161,7 +162,7 @@ def _wanted(path: PurePosixPath) -> bool:
 
 
 def _copy(source: IO[bytes], sink: IO[bytes], most: int, where: str) -> int:
-    """Copy what is really there, whatever the zip's list says of its size; [bytes]."""
+    """Copy the real content, independent of the size in the zip's directory; [bytes]."""
     written = 0
     while chunk := source.read(_CHUNK):
         written += len(chunk)
@@ -172,13 +173,13 @@ def _copy(source: IO[bytes], sink: IO[bytes], most: int, where: str) -> int:
 
 
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
-    """Unpack a zip; gives its URDF, whose meshes are then named by paths that stay inside.
+    """Unpack a zip; returns its URDF, whose meshes then have paths inside of the package.
 
-    It is put below the robot's own folder. The `file`, its path in the zip, may be left out where
+    It is unpacked below the robot's own folder. `file`, the path in the zip, is optional if
     there is one URDF only.
 
     Raises:
-        RobotFileError: The zip cannot be trusted (`unpack`), has no such URDF, or it refers to
+        RobotFileError: The zip is not safe (`unpack`), lacks that URDF, or the URDF refers to
             files outside of the package.
     """
     root = (folder / FOLDER).resolve()
@@ -193,7 +194,7 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
 
 
 def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
-    """The path of the one URDF of a zip that is meant."""
+    """The path of the selected URDF of a zip."""
     found = _urdfs(names)
     if file is not None:
         if file not in found:
@@ -217,7 +218,7 @@ def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
 
 
 def _urdfs(names: list[str]) -> list[str]:
-    """Those of some files that are URDFs; hidden files and what macOS adds to a zip are none."""
+    """The URDFs among some files, without hidden files and macOS's additions."""
     paths = [PurePosixPath(name) for name in names if name.lower().endswith(".urdf")]
     return sorted(
         str(path)
@@ -233,12 +234,12 @@ def _read_bounded(path: Path) -> Element:
 
 
 def _tie_meshes(path: Path, root: Path) -> None:
-    """Write a URDF again with each mesh, inside of the root, by its path relative to it."""
+    """Write a URDF again with the relative path of each mesh inside of the root."""
     robot = _read_bounded(path)
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         if Path(reference).suffix.lower() not in FORMATS:
-            continue  # which is looked at when the robot is read
+            continue  # checked when the robot is read
         found = _inside(reference, path.parent, root)
         if found.suffix.lower() == ".dae":
             refuse_entities(found.read_bytes(), found)
@@ -247,14 +248,14 @@ def _tie_meshes(path: Path, root: Path) -> None:
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
-    """The file of the zip that a mesh in a URDF of a folder names."""
+    """The file of the zip for a mesh's name in a URDF of a folder."""
     scheme, path = split_address(reference)
     own = scheme == "" and not path.startswith("/")
     named = spellings(path.lstrip("/")) if own or scheme in ("package", "model") else []
     named += [_as_stored(each) for name in named for each in _encoded(name)]
     places = [
         place.resolve()
-        for each in filter(str.isprintable, dict.fromkeys(named))  # as all names in a zip are
+        for each in filter(str.isprintable, dict.fromkeys(named))  # like all names in a zip
         for place in ([folder / each] if own else _in_packages(each, root))
     ]
     kept = [place for place in places if place.is_relative_to(root)]
@@ -273,7 +274,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """A name in each of Python's encodings that has its characters; a zip may not say its own."""
+    """A name in each of Python's encodings that has its characters; a zip may lack its encoding."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)
@@ -285,49 +286,49 @@ def _as_stored(name: bytes) -> str:
 
 
 def _in_packages(path: str, root: Path) -> list[Path]:
-    """Where `package://PACKAGE/PATH` may be: in a folder of that name, or in the zip's top."""
+    """Candidates for `package://PACKAGE/PATH`: a folder of that name, or the top of the zip."""
     package, _, inner = path.partition("/")
     return [place / inner for place in _package_folders(package, root)]
 
 
 @lru_cache(maxsize=1024)
 def _package_folders(package: str, root: Path) -> list[Path]:
-    """Where a package may lie in an unpacked zip; looked for once."""
+    """Possible folders of a package in an unpacked zip; cached."""
     named = sorted(each for each in root.rglob("*") if each.is_dir() and each.name == package)
     tops = [each.parent for each in sorted(root.rglob("package.xml"))]
     return [*named, *tops, root]
 
 
-_MOST_URDFS = 20  # [-] that are looked into
-_MOST_NAMES = 500  # [-] links or joints in a list
+_MAX_URDFS = 20  # [-] most URDFs that are read
+_MAX_NAMES = 500  # [-] most links or joints in a list
 
 
 class Contents(NamedTuple):
     """Names in a URDF."""
 
     links: tuple[str, ...]
-    """All, in the order of the file."""
+    """All names, in the order of the file."""
     endless: tuple[str, ...]
-    """Joints that turn without end."""
+    """Joints that turn without limits."""
     root: str
-    """The first link that no joint moves: perhaps the base."""
+    """The first link that no joint moves: probably the base."""
     last: str
-    """The link that is farthest from the root by joints: perhaps the tip."""
+    """The link with the most joints from the root: probably the tip."""
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The URDFs of a zip, by their path in it; nothing is kept.
+    """The URDFs of a zip, by their path in it; no file remains.
 
     Raises:
-        RobotFileError: The zip cannot be trusted, or no URDF in it can be read.
+        RobotFileError: The zip is not safe, or no URDF in it can be read.
     """
     with temporary_folder() as folder:
         names = unpack(archive, folder)
         found = _urdfs(names)
         if not found:
-            _chosen_urdf(names, archive.name, None)  # says why
+            _chosen_urdf(names, archive.name, None)  # raises the error
         contents, problem = {}, ""
-        for name in found[:_MOST_URDFS]:
+        for name in found[:_MAX_URDFS]:
             try:
                 contents[name] = _contents(folder / name)
             except RobotFileError as error:
@@ -339,13 +340,13 @@ def look_into(archive: Path) -> dict[str, Contents]:
 
 def _contents(path: Path) -> Contents:
     robot = _read_bounded(path)
-    for tag, least in (("link", 1), ("joint", 0)):  # no more than a list in the page can show
+    for tag, least in (("link", 1), ("joint", 0)):  # the most that a list in the page can show
         count = len(robot.findall(tag))
-        if not least <= count <= _MOST_NAMES:
+        if not least <= count <= _MAX_NAMES:
             raise RobotFileError(
-                f"{path.name}: it has {count} {tag}s; {least} to {_MOST_NAMES} are taken"
+                f"{path.name}: it has {count} {tag}s; {least} to {_MAX_NAMES} are taken"
             )
-    tree = make_tree(robot)  # what is wrong with the whole is told before anything is asked
+    tree = make_tree(robot)  # reports errors of the whole file first
     endless = tuple(joint.name for joint in tree.joints.values() if joint.kind == "continuous")
     last = max(tree.links, key=lambda link: len(tree.chain(tree.root, link)))
     return Contents(tuple(tree.links), endless, tree.root, last)

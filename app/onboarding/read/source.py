@@ -26,18 +26,18 @@ from app.robot.assets import (
 from app.strict import LARGEST_TEXT
 
 MESHES = (".stl", ".dae", ".obj")
-"""Ends of the names of meshes that pybullet reads."""
+"""Endings of mesh files that pybullet reads."""
 FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
-"""Those that are read; of the others `new-robot` writes an STL. Of some the name has no end."""
+"""Endings of readable meshes; for the others `new-robot` writes an STL. Some files have none."""
 _SCHEMES = ("package", "model", "file", "")
-_ABOVE = 2  # [-] folders above the URDF's in which a relative path counts too
+_ABOVE = 2  # [-] folders above the URDF's for relative paths
 
 
 def locate(source: str) -> Path:
     """The file of a path or a `package://…` address.
 
     Raises:
-        RobotFileError: There is no such file.
+        RobotFileError: The file does not exist.
         AssetError: The package is not installed.
     """
     path = resolve_package_uri(source) if source.startswith("package://") else Path(source)
@@ -51,12 +51,12 @@ def locate(source: str) -> Path:
 def read_robot(
     path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
 ) -> tuple[Element, list[str]]:
-    """The `<robot>` of `read_source`, each mesh by an address that `mesh_path` takes.
+    """The `<robot>` of `read_source`, with an address for `mesh_path` in place of each mesh.
 
-    The second value holds sentences on left-out shapes.
+    The second value has sentences on left-out shapes.
 
     Raises:
-        RobotFileError: As `read_source`, or a mesh is not found.
+        RobotFileError: As for `read_source`, or a mesh is not found.
     """
     robot = read_source(path, packages, **arguments)
     said = _left_out(robot)
@@ -72,9 +72,9 @@ def read_robot(
 
 
 def _left_out(robot: Element) -> list[str]:
-    """Take shapes out that are none, or that no library reads and nobody needs; says which.
+    """Remove placeholder shapes and unreadable ones that are not needed; returns their names.
 
-    A placeholder has a size of 0. A visual mesh may have a format that is not read, if the link has
+    A placeholder has a size of 0. A visual mesh may have an unreadable format if the link has
     a collision shape.
     """
     said = []
@@ -89,7 +89,7 @@ def _left_out(robot: Element) -> list[str]:
 
 
 def _needless(shape: Element, link: Element, tag: str) -> str:
-    """Why a shape is left out, or nothing."""
+    """Why a shape is left out, or empty."""
     sizes = [shape.get(key) for key in ("size", "radius", "length", "scale")]
     stated = [floats(size, len(size.split())) for size in sizes if size is not None]
     if not all(all(each or (1.0,)) for each in stated):
@@ -106,7 +106,7 @@ def read_source(
 ) -> Element:
     """The `<robot>` of a URDF, or of a xacro with its arguments by name.
 
-    Folders of ROS packages that are given by name come before all others.
+    Named folders of ROS packages have precedence over all others.
 
     Raises:
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
@@ -119,14 +119,13 @@ def read_source(
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     if left := _unexpanded(robot):
         raise RobotFileError(
-            f"{path}: {left} is xacro that nobody expanded; rename it to .xacro, or: "
-            "xacro FILE -o robot.urdf"
+            f"{path}: {left} is unexpanded xacro; rename it to .xacro, or: xacro FILE -o robot.urdf"
         )
     return robot
 
 
 def _without_namespace(robot: Element) -> Element:
-    """The elements of the root's own namespace by their bare names, as other readers take them."""
+    """Remove the root's own namespace from the names of elements, as other readers do."""
     own = robot.tag.rpartition("}")[0] + "}"
     for each in robot.iter() if len(own) > 1 else ():
         if isinstance(each.tag, str):
@@ -135,7 +134,7 @@ def _without_namespace(robot: Element) -> Element:
 
 
 def _unexpanded(robot: Element) -> str:
-    """The first of a xacro's macros or expressions among what a robot is made of, or nothing."""
+    """The first macro or expression of a xacro in a robot, or empty."""
     for each in robot:
         namespace, _, tag = str(each.tag).rpartition("}")
         if namespace.endswith("xacro"):
@@ -148,12 +147,12 @@ def _unexpanded(robot: Element) -> str:
 
 
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
-    """A mesh that a URDF in a folder names: by `package://…` if it is installed, else by its path.
+    """The address of a mesh: `package://…` if its package is installed, otherwise its path.
 
-    Escapes such as `%20`, backslashes and accents count as other writers mean them.
+    Escapes such as `%20`, backslashes and accents are read in the sense of other programs.
 
     Raises:
-        RobotFileError: There is no such file.
+        RobotFileError: The file does not exist.
     """
     for spelling in spellings(reference):
         found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
@@ -167,7 +166,7 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
 
 
 def spellings(reference: str) -> list[str]:
-    """An address, its forms without escapes and backslashes, and Unicode's normal forms of them."""
+    """An address, without escapes and backslashes, and in Unicode's normal forms."""
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
     meant = (plain, unquote(plain), slashed, unquote(slashed))
@@ -176,7 +175,7 @@ def spellings(reference: str) -> list[str]:
 
 
 def split_address(reference: str) -> tuple[str, str]:
-    """Scheme and path of an address; a drive of Windows is no scheme, two slashes are one."""
+    """Scheme and path of an address; a Windows drive is no scheme, two slashes are one."""
     scheme, mark, rest = reference.partition(":")
     if not mark or len(scheme) == 1:
         return "", reference
@@ -185,7 +184,7 @@ def split_address(reference: str) -> tuple[str, str]:
 
 
 def _places(reference: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    """Where a mesh may be: in its package, or beside the URDF, or beside a folder above it."""
+    """Possible places of a mesh: its package, beside the URDF, or beside a folder above it."""
     scheme, path = split_address(reference)
     if scheme in ("package", "model"):
         package, _, inner = path.lstrip("/").partition("/")
@@ -195,7 +194,7 @@ def _places(reference: str, folder: Path, packages: Mapping[str, Path]) -> Itera
 
 
 def _missing(reference: str, folder: Path, packages: Mapping[str, Path]) -> str:
-    """Why no file is found for an address, and what helps."""
+    """Why no file is found for an address, with a correction."""
     scheme, path = split_address(reference)
     if scheme in ("package", "model"):
         package, _, inner = path.lstrip("/").partition("/")
@@ -227,7 +226,7 @@ def _installed_address(path: Path) -> str | None:
 
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
-    """Where a package was looked for that a file in a folder names, and what helps."""
+    """The places where a package was searched for a file's reference, with a correction."""
     holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
     found = "FOLDER" if holder is None else f"{holder}, which holds a file of that path"
     return (
@@ -238,7 +237,7 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
 
 
 def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    """The folder given, or those upwards, of ROS's search paths and installed, as they count."""
+    """The named folder, then those upwards, of ROS's search paths, and installed ones."""
     if package in packages:
         yield packages[package]
         return
@@ -255,7 +254,7 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
 
 
 def _ros_folders() -> list[Path]:
-    """Folders of packages that ROS_PACKAGE_PATH (ROS 1) and AMENT_PREFIX_PATH (ROS 2) name."""
+    """Folders of packages in ROS_PACKAGE_PATH (ROS 1) and AMENT_PREFIX_PATH (ROS 2)."""
     first, second = (
         [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
         for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
@@ -264,7 +263,7 @@ def _ros_folders() -> list[Path]:
 
 
 def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
-    """A xacro file's URDF; packages are looked for as those of meshes are."""
+    """A xacro file's URDF; packages are searched as for meshes."""
     if find_spec("xacrodoc") is None:
         raise RobotFileError(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
@@ -273,7 +272,7 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
     known = _around(path) | {name: str(at) for name, at in packages.items()}
     try:
         return within_budget(_urdf_of, path, known, dict(arguments), size=LARGEST_TEXT)
-    except Exception as error:  # xacro has no common base of its errors
+    except Exception as error:  # xacro's errors have no common base class
         why = " ".join(str(error).split())
         if missing := re.search(r"Package not found: (\S+)", why):
             if missing[1] not in packages and (roots := package_roots(missing[1])):
@@ -282,13 +281,13 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
             inner = re.search(named, path.read_text(encoding="utf-8"))
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
-        lacking = "substitution arg" in why  # a property, or old syntax, no option can mend
+        lacking = "substitution arg" in why  # no option can correct a property or old syntax
         helps = "give it by --xacro NAME=VALUE" if lacking else "mend it until xacro FILE takes it"
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
 def _urdf_of(path: Path, packages: Mapping[str, str], arguments: Mapping[str, str]) -> str:
-    """A xacro's URDF by its library; macros can make any amount of text, and compute for ever."""
+    """A xacro's URDF by its library; macros can produce unlimited text, and compute for ever."""
     from xacrodoc import XacroDoc
     from xacrodoc import packages as known
 
@@ -298,7 +297,7 @@ def _urdf_of(path: Path, packages: Mapping[str, str], arguments: Mapping[str, st
 
 
 def _around(path: Path) -> dict[str, str]:
-    """Folders that may be the packages a xacro names: those beside any folder above it first."""
+    """Folders that may be packages of a xacro: those beside the folders above it, nearest first."""
     found: dict[str, str] = {}
     for parent in [*list(path.parents)[1:5], *_ros_folders(), *share_folders()]:
         for folder in sorted(parent.iterdir()):

@@ -13,10 +13,10 @@ from app.onboarding.read.tree import MOVING, Joint, make_tree
 
 
 def as_one_slide(robot: Element, base: str, tip: str) -> list[str]:
-    """Join the telescopes of a robot's arm, in its XML; gives a sentence on each.
+    """Join the telescopes of a robot's arm, in its XML; returns a sentence on each.
 
-    The joint that is followed then carries the last part, by the sum of all ways. The parts between
-    ride on the last one, on slides that let them reach all their places.
+    The leading joint then moves the last part, by the sum of all travels. The parts between
+    are children of the last one, on slides that let them reach all their places.
     """
     tree = make_tree(robot)
     if not {base, tip} <= tree.links.keys():
@@ -30,13 +30,13 @@ def as_one_slide(robot: Element, base: str, tip: str) -> list[str]:
         _join(elements, run, parts, leader)
         said.append(
             f"{', '.join(joint.name for joint in parts)} slide as one (<mimic>): {leader.name} is "
-            "the sum of their ways here"
+            "the sum of their travels here"
         )
     return said
 
 
 def _telescopes(chain: Sequence[Joint]) -> Iterator[tuple[Joint, Joint, list[Joint]]]:
-    """First and last joint of each run of slides that one motor moves along a line, and all."""
+    """First and last joint, and all joints, of each run of slides of one motor along a line."""
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
         own = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
@@ -84,7 +84,7 @@ def _write(
     limits: dict[str, float],
     end: pin.SE3 | None = None,
 ) -> None:
-    """A slide at T in its parent; the line is along, (3,) in the frame of the first parent."""
+    """A slide at T in its parent; `along` (3,) is in the frame of the first parent."""
     name = str(element.get("name"))
     element.clear()
     element.attrib |= {"name": name, "type": "prismatic"}

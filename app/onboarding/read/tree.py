@@ -1,4 +1,4 @@
-"""The links and joints of a URDF as a tree that was checked, and the arm in it."""
+"""The links and joints of a URDF as a checked tree, and the arm in it."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Array = np.ndarray
 
 MOVING = ("revolute", "continuous", "prismatic")
 FREE = ("planar", "floating")
-"""Kinds of joints of a whole base's own motion."""
+"""Kinds of joints for the motion of a whole base."""
 ARM_ON_BASE = "arm_on_base"
-"""The joint by which an arm of a file of its own is fixed to the base."""
-_MOST_NAMES = 40  # [-] that a message lists
-_LONGEST = 6.0  # [m] of an arm, joint by joint
-_PARALLEL = 0.999  # [-] cosine between two lines that count as parallel
+"""The joint that fixes a separate arm to the base."""
+_MAX_NAMES = 40  # [-] most names in a message
+_LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
+_PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF, its pose at zero, its limits None where the URDF states none."""
+    """One joint of a URDF: its pose at zero; limits are None if the URDF states none."""
 
     name: str
     kind: str
@@ -43,11 +43,11 @@ class Joint(NamedTuple):
     effort: float | None
     velocity: float | None
     mimic: tuple[str, float, float] | None
-    """The joint that it follows, by a multiplier and an offset [rad or m]; None if by itself."""
+    """The joint that it follows, with multiplier and offset [rad or m]; None if independent."""
 
     @property
     def moves(self) -> bool:
-        """Whether it is a motor's: it moves, by itself."""
+        """Whether a motor moves it: it is movable and independent."""
         return self.kind in MOVING and self.mimic is None
 
     def motion(self, q: float) -> pin.SE3:
@@ -59,7 +59,7 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True)
 class Tree:
-    """A robot's XML, its links and joints by name, and the joint above each link by the link's."""
+    """A robot's XML, its links and joints by name, and the parent joint of each link."""
 
     robot: Element
     links: dict[str, Element]
@@ -68,14 +68,14 @@ class Tree:
 
     @property
     def root(self) -> str:
-        """The link that hangs on no joint."""
+        """The link without a parent joint."""
         return next(link for link in self.links if link not in self.joint_of)
 
     def link(self, name: str, option: str) -> str:
-        """The name, if there is such a link.
+        """The name, if that link exists.
 
         Raises:
-            RobotFileError: There is none; names the option and what there is.
+            RobotFileError: It does not exist; names the option and the existing links.
         """
         if name not in self.links:
             raise RobotFileError(
@@ -99,7 +99,7 @@ class Tree:
         """The joints from one link out to another.
 
         Raises:
-            RobotFileError: The tip does not hang on the base.
+            RobotFileError: The tip is not a descendant of the base.
         """
         chain, link = [], tip
         while link != base:
@@ -115,7 +115,7 @@ class Tree:
     def below(
         self, link: str, *, without: Collection[str] = (), moving: bool = True
     ) -> tuple[str, ...]:
-        """A link and all that hangs on it by joints, or fixed ones only, other than `without`."""
+        """A link and its descendants, or only those by fixed joints, without `without`."""
         found = [link]
         for name in found:
             found += [
@@ -134,18 +134,18 @@ class Tree:
 
 
 def _some(names: Iterable[str]) -> str:
-    """Names in a row, the first ones of many."""
+    """The first of many names in a row."""
     names = list(names)
-    rest = len(names) - _MOST_NAMES
-    return ", ".join(names[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+    rest = len(names) - _MAX_NAMES
+    return ", ".join(names[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def make_tree(robot: Element) -> Tree:
     """Check and read a URDF's structure.
 
     Raises:
-        RobotFileError: A link or joint stands twice, a joint names a link that there is not, the
-            links form a closed chain or do not hang together, or the lengths are not in metres.
+        RobotFileError: A name is not unique, a joint refers to a missing link, the
+            links form a closed chain or are not connected, or the lengths are not in metres.
     """
     _once(robot, "link")
     _once(robot, "joint")
@@ -213,7 +213,7 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         value = None if word is None else floats(word, 1)
         if word is not None and value is None:
             raise RobotFileError(
-                f"joint {name!r}: {key}={word!r} should be a finite number; leave it out where "
+                f"joint {name!r}: {key}={word!r} should be a finite number; leave it out if "
                 "there is no limit"
             )
         return None if value is None else value[0]
@@ -251,25 +251,25 @@ class Arm(NamedTuple):
     base: str
     tip: str
     mount: str
-    """Link at whose origin the arm stands."""
+    """Link whose origin is the arm's mount."""
     joints: tuple[Joint, ...]
     """The joints that move it, from the base outwards."""
     base_links: tuple[str, ...]
-    """All that is fixed to the base or hangs on it, but not the arm; wheels too."""
+    """All links that are fixed to the base or descend from it, except the arm; includes wheels."""
     rigid_links: tuple[str, ...]
-    """Those of them that do not move against the base."""
+    """Those of them that do not move relative to the base."""
     segments: tuple[tuple[str, ...], ...]
-    """(n_m + 1) links that move as one: what is fixed below the first joint, then what each joint
-    carries, joints beside the chain (fingers) held at zero."""
+    """(n_m + 1) segments of links that move as one: first the links below the first joint, then
+    those of each joint, with joints beside the chain (fingers) fixed at zero."""
     beside: tuple[tuple[str, ...], ...]
-    """Of each segment but the last, what hangs on it by joints that are not the arm's: a head."""
+    """For each segment except the last, its links on other joints than the arm's: a head."""
 
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
-    """The arm between two links, standing at `mount` or the link that carries its first joint.
+    """The arm between two links, with its mount at `mount` or at the parent of its first joint.
 
     Raises:
-        RobotFileError: A link is not there, or no joint moves between them; names the option.
+        RobotFileError: A link does not exist, or no joint moves between them; names the option.
     """
     tree.link(base, "--base")
     tree.link(tip, "--tip")
@@ -319,7 +319,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
-    """Links of a segment below joints that move, but are neither the chain's nor a telescope's."""
+    """Links of a segment below movable joints outside of the chain and of telescopes."""
     slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
     hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
     roots = [
@@ -331,15 +331,15 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 
 
 def parallel(a: Joint, b: Joint) -> bool:
-    """Whether a slide b whose parent is moved by a slide a goes along the same line."""
+    """Whether a slide b whose parent moves on a slide a has the same line."""
     line = b.T_parent_child.rotation @ b.axis
     return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > _PARALLEL
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Only frames may be fixed above the base, and nothing else may hang there.
+    """Check that only frames are fixed above the base, without other descendants.
 
-    Above a joint by which the base moves as a whole is the world, which is left out.
+    Links above a joint for the motion of the whole base are the world, which is left out.
     """
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:

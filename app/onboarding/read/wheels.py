@@ -1,4 +1,4 @@
-"""What moves a base: its driven wheels, found by their shape, and a car-like base's steering."""
+"""The drive of a base: its driven wheels, found by their shape, and a car-like base's steering."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from app.onboarding.request import Request
 
 Array = np.ndarray
 
-_LEVEL = np.cos(np.radians(2.0))  # an axle may lean by 2 degrees
-_ROUND = 0.08  # [-] by how much the two widths of a wheel may differ
-_ALIKE = 0.03  # [-] by how much the radii of the wheels may differ
-_SAME_PLACE = 0.01  # [m] by which mirrored wheels may be off
-_UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may lean by 10 degrees
+_LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
+_ROUND = 0.08  # [-] largest difference of the two widths of a wheel
+_ALIKE = 0.03  # [-] largest difference of the wheels' radii
+_SAME_PLACE = 0.01  # [m] largest asymmetry of mirrored wheels
+_UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may be tilted by 10 degrees
 _STEERING_RATE = 1.5  # [rad/s]
-_IN_LINE = 0.02  # [m] by which steered wheels may be ahead of each other
-_ON_FLOOR = 0.02  # [m] above the base's lowest point
-_TRAVEL = 0.5  # [-] of a wheel's radius that its suspension may travel
+_IN_LINE = 0.02  # [m] largest offset of the steered wheels along x
+_ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
+_TRAVEL = 0.5  # [-] travel of a rigid suspension relative to the wheel's radius
 
 
 class Wheels(NamedTuple):
@@ -34,30 +34,30 @@ class Wheels(NamedTuple):
     right: tuple[str, ...]
     r: float
     b: float
-    """[m] half of the distance between the sides."""
+    """[m] half of the distance between the sides (half track)."""
     T_base_floor: pin.SE3
     """The point on the floor below the middle between the wheels, x forward."""
     joint_velocity: float | None
-    """[rad/s] limit of the wheels, or None where the URDF states none."""
+    """[rad/s] speed limit of the wheels, or None if the URDF states none."""
     how: str
-    """Where the radius comes from."""
+    """Source of the radius."""
 
 
 class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
     wheelbase: float
-    """[m] from the rear axle to theirs."""
+    """[m] wheelbase from the rear axle."""
     limit: float
-    """[rad] how far they turn to either side."""
+    """[rad] largest angle to either side."""
     rate: float
-    """[rad/s] how fast."""
+    """[rad/s] largest rate."""
     rolling: tuple[str, ...]
     """Joints of the wheels on them."""
     joints: tuple[str, ...]
     """Joints that turn with the steering."""
     sources: tuple[str, str, str]
-    """Of the first three."""
+    """Sources of the first three fields."""
 
 
 class _Wheel(NamedTuple):
@@ -69,9 +69,9 @@ class _Wheel(NamedTuple):
 
 
 def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> Arm:
-    """The arm's base with what short slides carry counted as rigid, if wheels are on them.
+    """The arm's base with links on short slides counted as rigid, if they have wheels.
 
-    A slide is short if it travels less than `_TRAVEL` of the radius of each wheel below it.
+    A slide is short if its travel is less than `_TRAVEL` of the radius of each wheel below it.
     """
     taken = {joint.name for joint in arm.joints}
     rigid = list(arm.rigid_links)
@@ -95,11 +95,11 @@ def find_drive(
 ) -> tuple[Wheels, Steering | None]:
     """The wheels that the kind of base needs, and its steering.
 
-    A base whose URDF has no wheels, as a holonomic one needs none, stands on a floor below its
+    A base whose URDF has no wheels, such as a holonomic one, stands on a floor below its
     shapes and faces its link's x.
 
     Raises:
-        RobotFileError: The URDF has not what the kind needs; names the option that helps.
+        RobotFileError: The URDF lacks the parts of that kind; names the helpful option.
     """
     given = request.wheel_radius is not None and request.half_track is not None
     if request.kind == "holonomic" or given:
@@ -119,7 +119,7 @@ def find_drive(
 def _lowest(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], links: Sequence[str]
 ) -> float | None:
-    """[m] the height of the lowest point of links' shapes in the base's frame, None if none has."""
+    """[m] height of the lowest point of links' shapes in the base's frame, None without shapes."""
     places = [
         (tree.pose(link, arm.base), geometry[link].corners)
         for link in links
@@ -130,9 +130,9 @@ def _lowest(
 
 
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> bool:
-    """Whether what is fixed below the arm reaches as low as the base: then it is the base's own.
+    """Whether the fixed part below the arm reaches as low as the base; then it belongs to the base.
 
-    That is so where --base is a bare point on the floor below the link of wheels and arm.
+    This is so if --base is a bare point on the floor below the link of wheels and arm.
     """
     low = _lowest(tree, arm, geometry, arm.segments[0])
     floor = _lowest(tree, arm, geometry, arm.base_links)
@@ -142,9 +142,9 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) 
 def _find_wheels(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], given: tuple[str, str] | None
 ) -> Wheels:
-    """The given wheels and those like them, or else the ones that stand on the floor in pairs.
+    """The named wheels and similar ones, or otherwise the wheels that stand on the floor in pairs.
 
-    Without `given`, they are the round links on level axles fixed to the base.
+    Without `given`, wheels are the round links on level axles fixed to the base.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
@@ -173,7 +173,7 @@ def _find_wheels(
 
 
 def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wheel]:
-    """The one pair of equal wheels that stand lowest."""
+    """The lowest pair of equal wheels."""
     if not pairs:
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {where}"
@@ -192,7 +192,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The whole drive: both sides with what is like the two wheels."""
+    """The whole drive: all wheels of both sides that are similar to the two."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
@@ -222,7 +222,7 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
 def _named(
     tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
-    """The wheel of a joint or link of that name, or why it is none."""
+    """The wheel of a joint or link by its name, or an error with the reason."""
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is not None and joint.name in found:
         return found[joint.name]
@@ -239,13 +239,13 @@ def _named(
 
 
 def turns_round(joint: Joint) -> bool:
-    """Whether it turns without end, or by more than two turns."""
+    """Whether it turns without limits, or by more than two turns."""
     span = (joint.upper or 0.0) - (joint.lower or 0.0)
     return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
 
 
 def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
-    """Whether it turns without end about a level axis."""
+    """Whether it turns without limits about a level axis."""
     level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
     return turns_round(joint) and bool(level)
 
@@ -261,14 +261,14 @@ def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Jo
         raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
     try:
         r, how = _radius(touched, joint)
-    except RobotFileError:  # a wheel may collide as a box: then what is seen counts
+    except RobotFileError:  # a wheel may collide as a box: then its visual shape counts
         looks = [link_geometry(tree.links[link], ("visual", "collision")) for link in links]
         r, how = _radius([s for each in looks for s in each.shapes], joint)
     return _Wheel(joint, T.translation.copy(), axis, r, how)
 
 
 def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
-    """Radius about the joint's axis, and where it comes from."""
+    """Radius about the joint's axis, and its source."""
     stated = [s.radius for s in shapes if s.radius is not None]
     if stated:
         kind = next(s.kind for s in shapes if s.radius is not None)
@@ -286,8 +286,8 @@ def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
-    """Left and right wheels across from each other; left is where y of the base's link is larger,
-    or for axles along its x axis where x is smaller.
+    """Opposite left and right wheels; left is where y of the base's link is larger,
+    or, for axles along its x axis, where x is smaller.
     """
     pairs = []
     for i, a in enumerate(wheels):
@@ -303,7 +303,7 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
 
 
 def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3) -> Steering:
-    """Upright joints on the base, each with a wheel on it; what is given counts before them."""
+    """Upright joints on the base, each with a wheel on it; options override the results."""
     taken = {joint.name for joint in arm.joints}
     found: list[Joint] = []
     rolling: list[str] = []
@@ -341,7 +341,7 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
 
 
 def _tightest(joints: Sequence[Joint]) -> float:
-    """[rad] the smallest way of any of them to either side."""
+    """[rad] the smallest range of any of them to either side."""
     ways = [min(-(j.lower or 0.0), j.upper or 0.0) for j in joints if j.kind == "revolute"]
     if not ways or not 0.0 < min(ways) < np.pi / 2:
         raise RobotFileError(

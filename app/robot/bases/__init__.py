@@ -1,1 +1,1 @@
-"""Kinds of mobile base, one a file: what each can do, and what its border's score is made of."""
+"""Kinds of mobile base, one per file: their motions, and their measure in the border's score."""

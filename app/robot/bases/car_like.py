@@ -5,11 +5,10 @@ velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w
 The front wheels point along it, so it stays in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
 
-A force wants (v, ω) of its own, as that of a differential base. Of the velocities in the cone the
-base takes the one nearest to that, in the metric of its kinetic energy m v² + I ω². Outside of the
-cone that is one on its edge, where v = (m v + I κ ω) / (m + I κ²): the base moves along its
-tightest arc as a force F_x + κ τ moves an inertia m + I κ², ahead with κ towards τ, or backwards
-with -κ.
+The force of a differential base would give (v, ω). Of the velocities in the cone the base takes the
+one nearest to it, in the metric of its kinetic energy m v² + I ω². Outside of the cone this is on
+an edge, with v = (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia
+m + I κ² under a force F_x + κ τ, ahead with κ towards τ, or backwards with -κ.
 """
 
 from __future__ import annotations
@@ -40,8 +39,8 @@ from app.strict import Positive
 Array = np.ndarray
 
 _STEADY = 1.5
-"""[-] how much more energy the opposite direction must have before the base turns back."""
-_HELD = 0.005  # [m/s] of the front axle below which the steering stays where it is
+"""[-] energy ratio from which the base reverses its direction."""
+_HELD = 0.005  # [m/s] speed of the front axle below which the steering does not change
 
 
 def nearest_in_cone(
@@ -49,15 +48,16 @@ def nearest_in_cone(
 ) -> tuple[float, float]:
     """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), by v² + ρ² ω².
 
-    Where both edges of the cone are about as near, the base keeps its direction of motion; at rest
-    it rather backs up, which brings the arm ahead of the rear axle, where the score is better.
+    If both edges of the cone are about equally near, the base keeps its direction of motion; at
+    rest it prefers backwards, which brings the arm ahead of the rear axle, where the score is
+    better.
 
     Args:
-        v: [m/s] wanted.
-        w: [rad/s] wanted.
+        v: [m/s] desired.
+        w: [rad/s] desired.
         kappa: [1/m] κ_max.
         radius: [m] ρ, √(I/m).
-        before: [m/s] the base's speed so far, whose sign is its direction of motion.
+        before: [m/s] present speed of the base; its sign is the direction of motion.
 
     Returns:
         [m/s] and [rad/s].
@@ -79,27 +79,27 @@ class CarLikeBase(BaseKind):
 
     The measure in (10) is the square of the area that the velocities of a point on the two tightest
     arcs span, at unit speed: 2 κ_max x, with the sign of x. It is 0 on the rear axle's line, where
-    all arcs move a point the same way, positive ahead of it and negative behind.
+    all arcs move a point in the same direction, positive ahead of it and negative behind.
 
-    The drive follows a command with its speed v and its steering angle δ: δ goes to that of the
-    command's arc, v to the speed nearest to the command along the arc of the present δ.
+    The drive follows a command with its speed v and its steering angle δ: δ approaches the angle of
+    the command's arc, v the speed nearest to the command along the arc of the present δ.
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
 
     kind: Literal["car-like"]
     wheelbase_m: Positive
-    """[m] L, from the rear axle to the front one."""
+    """[m] L, wheelbase."""
     steering_limit_rad: Annotated[Positive, Field(lt=math.pi / 2)]
-    """[rad] δ_max of the wheel in the middle of the front axle."""
+    """[rad] δ_max of a wheel at the middle of the front axle."""
     steering_rate_radps: Positive
-    """[rad/s] how fast it can be steered, at standstill too."""
+    """[rad/s] steering rate, also at standstill."""
     wheel_radius_m: Positive
-    """[m] of the wheels; drawn only."""
+    """[m] radius of the wheels; for drawing only."""
     wheel_joints: tuple[str, ...]
-    """Joints of the URDF that roll; drawn only."""
+    """Joints of the URDF that roll; for drawing only."""
     steering_joints: tuple[str, ...]
-    """Joints of the URDF that turn with the steering; drawn only."""
+    """Joints of the URDF that turn with the steering; for drawing only."""
 
     @property
     def J_m(self) -> Array:
@@ -125,12 +125,12 @@ class CarLikeBase(BaseKind):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """The traction at the front axle."""
+        """The torque of the traction at the front axle."""
         return self.traction_limit_n * self.wheelbase_m
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """What rolls, and what is steered."""
+        """The rolling wheels, and the steered ones."""
         return (
             Wheels("rolling", "wheel_joints", self.wheel_joints),
             Wheels("steering", "steering_joints", self.steering_joints),
@@ -146,7 +146,7 @@ class CarLikeBase(BaseKind):
         return Measure(0.0, 4.0 * self.curvature_max**2)
 
     def acceleration(self, force: BaseForce) -> Array:
-        """What the force wants, before the cone; see `admissible`."""
+        """The acceleration by the force, before the cone; see `admissible`."""
         return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
@@ -201,11 +201,11 @@ class CarLikeBase(BaseKind):
     def _goal(
         self, speed: float, angle: float, v_cmd: Sequence[float] | Array
     ) -> tuple[float, float]:
-        """Speed [m/s] and steering angle [rad] that a command asks for now.
+        """Speed [m/s] and steering angle [rad] for a command.
 
-        While the wheels are still steered the speed is the one nearest to the command, in the
-        metric of kinetic energy, along the present arc; never one against the command, and the less
-        the more that arc bends to the other side than the command's.
+        During steering the speed is the one nearest to the command, in the metric of kinetic
+        energy, along the present arc. It never opposes the command, and is smaller if the arc bends
+        to the other side than the command's.
         """
         top = self.max_linear_velocity_mps
         v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)

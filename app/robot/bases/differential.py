@@ -1,4 +1,4 @@
-"""The paper's base: two sides of wheels with speeds of their own, no motion sideways."""
+"""The paper's base: two sides of wheels with separate speeds, no motion sideways."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = np.ndarray
 def mobile_jacobian(r: float, b: float) -> Array:
     """J_m of the differential base: (v, ω) = J_m (θ̇_r, θ̇_l).
 
-    Paper: Eq. (19), with the signs of the second column mended: the printed matrix has rank 1 and
+    Paper: Eq. (19), with corrected signs of the second column: the printed matrix has rank 1 and
     contradicts (6).
 
     Args:
@@ -35,7 +35,7 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 
     Args:
         x: [m] from the base's centre to the control point, along the world's x axis.
-        y: [m] the same along the world's y axis.
+        y: [m] distance along the world's y axis.
         phi: [rad] heading of the base.
         r: [m] radius of the wheels.
         b: [m] distance between a wheel and the base's centre.
@@ -71,7 +71,7 @@ def free_acceleration(force: BaseForce, m: float, I: float) -> Array:
     Paper: Eq. (17), (18).
 
     Args:
-        force: What acts on the base, in its frame.
+        force: Force and torque on the base, in its frame.
         m: [kg] mass of the base.
         I: [kg m²] moment of inertia of the base.
 
@@ -97,9 +97,9 @@ class DifferentialBase(TurningBase):
     half_track_m: Positive
     """[m] b of (6), distance between a wheel and the base's centre."""
     left_wheel_joints: tuple[str, ...]
-    """Wheel joints of the URDF turning with the left side; drawn only, the drive is at r and b."""
+    """Wheel joints of the URDF on the left side; for drawing only, the drive uses r and b."""
     right_wheel_joints: tuple[str, ...]
-    """The same for the right side."""
+    """Wheel joints on the right side."""
 
     @property
     def J_m(self) -> Array:
@@ -112,7 +112,7 @@ class DifferentialBase(TurningBase):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """The right side, then the left, as q̇_b."""
+        """The right side, then the left, like q̇_b."""
         return (
             Wheels("right", "right_wheel_joints", self.right_wheel_joints),
             Wheels("left", "left_wheel_joints", self.left_wheel_joints),

@@ -16,10 +16,11 @@ SIDEWAYS = Axis("v_y", False, way="left")
 
 
 class HolonomicBase(TurningBase):
-    """A base with three velocities of its own: no place of it is singular, the arm's reach is all.
+    """A base with three independent velocities: it has no singular place, so the score is the
+    reach.
 
-    ν = q̇_b = (v_x, v_y, ω). In (10) the measure is 1 everywhere and so S = R. In the place of (17)
-    and (18) stand m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.
+    ν = q̇_b = (v_x, v_y, ω). In (10) the measure is 1 everywhere and thus S = R. (17) and (18)
+    become m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (AHEAD, SIDEWAYS, TURN)
@@ -32,7 +33,7 @@ class HolonomicBase(TurningBase):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """The traction at the radius of gyration."""
+        """The torque of the traction at the radius of gyration."""
         return self.traction_limit_n * math.sqrt(self.inertia_kgm2 / self.mass_kg)
 
     @property

@@ -1,9 +1,9 @@
-"""What a kind of mobile base says of itself: all that the method needs to know of it.
+"""The interface of a kind of mobile base: all its data that the method uses.
 
-A base has velocity axes ν (n_b,). `T` makes its twist (v_x, v_y, ω_z) of them, in its own frame:
-origin on the floor, x forward. `J_m` makes ν of the reduced coordinates q̇_b (n_b,), the wheels'
-speeds or whatever moves it. The method knows no kind from another; onboarding does, which reads
-wheels, and so do the plant with wheels in contact and the dashboard's words.
+A base has velocity axes ν (n_b,). `T` maps them to its twist (v_x, v_y, ω_z), in its own frame:
+origin on the floor, x forward. `J_m` maps the reduced coordinates q̇_b (n_b,), such as the wheels'
+speeds, to ν. The method does not distinguish kinds. Only onboarding, which reads wheels, the plant
+with wheels in contact, and the dashboard's words do.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ class Axis(NamedTuple):
     """One of the velocity axes ν."""
 
     symbol: str
-    """As people read it, such as "v"."""
+    """Displayed name, such as "v"."""
     angular: bool
-    """Whether it turns the base; its unit is rad/s then, else m/s."""
+    """Whether it turns the base; its unit is then rad/s, otherwise m/s."""
     way: Literal["forward", "left"] = "forward"
-    """Along which the base moves by it in its own frame, if it is not angular."""
+    """Direction of the motion in the base's own frame, if it is not angular."""
 
 
 FORWARD = Axis("v", False)
@@ -36,7 +36,7 @@ TURN = Axis("ω", True)
 
 
 def acceleration_symbol(axis: Axis) -> str:
-    """As in v̇, v̇_x, ω̇: the dot stands over the first letter."""
+    """As in v̇, v̇_x, ω̇: the dot is over the first letter."""
     return axis.symbol[:1] + "\u0307" + axis.symbol[1:]
 
 
@@ -49,7 +49,7 @@ class Planar(NamedTuple):
 
 
 def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:
-    """What values along the axes (n_b,) come to in the base's frame."""
+    """The motion in the base's frame for values along the axes (n_b,)."""
     return Planar(*(twist_map(axes) @ np.asarray(values, dtype=float)).tolist())
 
 
@@ -61,7 +61,7 @@ def twist_map(axes: Sequence[Axis]) -> Array:
 
 
 class BaseForce(NamedTuple):
-    """What acts on a base in the plane, in its own frame."""
+    """Planar force and torque on a base, in its own frame."""
 
     x: float
     """[N] sum of the forces."""
@@ -72,61 +72,61 @@ class BaseForce(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """How well a base moves a point at x ahead of its centre: constant + per_square_metre x |x|."""
+    """Quality of the motion of a point x ahead: constant + per_square_metre x |x|."""
 
     constant: float
-    """[-] where every point is moved equally well."""
+    """[-] quality that is independent of the point."""
     per_square_metre: float
     """[1/m², times the measure's unit]"""
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
-"""[m²/rad⁴] (7) of the paper's robot 1 m ahead of its axis: what the gain of (13) goes with."""
+"""[m²/rad⁴] (7) of the paper's robot 1 m ahead of its axis: the reference of the gain of (13)."""
 
 
 class Channel(NamedTuple):
-    """One of the motions by which a base gives way, independent of those beside it."""
+    """One of the independent motions by which a base moves away."""
 
     twist: tuple[float, float, float]
     """v_x, v_y [m/s] and ω [rad/s] at unit speed."""
     a_max: float
-    """[m/s² or rad/s²] its largest acceleration."""
+    """[m/s² or rad/s²] largest acceleration."""
     v_max: float
-    """[m/s or rad/s] its largest speed."""
+    """[m/s or rad/s] largest speed."""
     delay: float = 0.0
-    """[s] until it can begin."""
+    """[s] delay of its start."""
 
 
 class Wheels(NamedTuple):
-    """Wheels that turn by one angle; drawn only."""
+    """Wheels that turn by the same angle; for drawing only."""
 
     name: str
     """Which ones."""
     field: str
-    """Of the description, that names the joints."""
+    """Field of the description with the names of the joints."""
     joints: tuple[str, ...]
-    """Of the URDF."""
+    """Names of the joints in the URDF."""
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
-"""From the velocity (n_b,) so far, the drive as `BaseKind.drive_at_rest` and the velocity command
-(n_b,) to velocity and drive one period later; it changes neither of those given."""
+"""From the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the velocity
+command (n_b,) to velocity and drive one period later; it does not change its arguments."""
 
 
 class BaseKind(Sourced, ABC):
     """A base: its numbers, its limits and its drive; a kind derives from it.
 
-    A kind states `axes`, its fields and the abstract methods; the others suit a base whose axes
-    follow their commands independently of each other.
+    A kind defines `axes`, its fields and the abstract methods; the other methods suit a base whose
+    axes follow their commands independently of each other.
     """
 
     axes: ClassVar[tuple[Axis, ...]]
     """The velocity axes ν, in order."""
 
     kind: str
-    """Which kind it is."""
+    """Name of the kind."""
     link: str
-    """URDF link that moves with the base and in whose frame the base is described, x forward."""
+    """URDF link that moves with the base and defines its frame, x forward."""
     mass_kg: Positive
     """[kg] m of (17)."""
     inertia_kgm2: Positive
@@ -138,11 +138,11 @@ class BaseKind(Sourced, ABC):
     traction_limit_n: Positive
     """[N] largest force of the wheels on the floor."""
     drive_time_constant_s: Positive
-    """[s] of the drive's first-order response to a velocity command."""
+    """[s] time constant of the drive's first-order response to a velocity command."""
 
     @property
     def n_b(self) -> int:
-        """How many velocity axes it has."""
+        """Number of velocity axes."""
         return len(self.axes)
 
     @property
@@ -158,12 +158,12 @@ class BaseKind(Sourced, ABC):
     @property
     @abstractmethod
     def max_velocity(self) -> tuple[float, ...]:
-        """(n_b,) [m/s or rad/s] the largest of each axis."""
+        """(n_b,) [m/s or rad/s] largest velocity of each axis."""
 
     @property
     @abstractmethod
     def max_acceleration(self) -> tuple[float, ...]:
-        """(n_b,) [m/s² or rad/s²] the largest of each axis."""
+        """(n_b,) [m/s² or rad/s²] largest acceleration of each axis."""
 
     @property
     @abstractmethod
@@ -172,23 +172,23 @@ class BaseKind(Sourced, ABC):
 
     @property
     def wheels(self) -> tuple[Wheels, ...]:
-        """What is drawn turning, in the order of the angles."""
+        """The drawn wheels, in the order of the angles."""
         return ()
 
     @property
     def score_unit(self) -> float:
-        """Unit of `measure` in (13): it makes the measure as large as that of the paper's robot."""
+        """Unit of `measure` in (13), which makes it as large as that of the paper's robot."""
         return 1.0
 
     @property
     @abstractmethod
     def measure(self) -> Measure:
-        """How well the base moves a point: what stands for the determinant of (7)."""
+        """Quality of the motion of a point, in place of the determinant of (7)."""
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The measure at points, with the sign of the side that is better.
+        """The measure at points, with the sign of the better side.
 
-        It stands in (10) in the place of sign(x) det(J_c J_cᵀ).
+        It replaces sign(x) det(J_c J_cᵀ) in (10).
 
         Args:
             p: (…, 3) [m] points in the base's frame.
@@ -204,9 +204,9 @@ class BaseKind(Sourced, ABC):
 
     @abstractmethod
     def acceleration(self, force: BaseForce) -> Array:
-        """ẍ_m: what a force does to the base as it can move, (n_b,) [m/s² or rad/s²].
+        """ẍ_m: acceleration by a force within the base's motions, (n_b,) [m/s² or rad/s²].
 
-        It stands in the place of (17) and (18), and is linear in the force.
+        It replaces (17) and (18), and is linear in the force.
         """
 
     @property
@@ -215,27 +215,27 @@ class BaseKind(Sourced, ABC):
         return np.column_stack([self.acceleration(BaseForce(*e)) for e in np.eye(3).tolist()])
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
-        """Ways to give way, one of which is taken; each is made of independent channels."""
+        """Alternative motions away from the arm; each consists of independent channels."""
         limits = zip(self.T.T.tolist(), self.max_acceleration, self.max_velocity, strict=True)
         return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """The velocity nearest to the wanted one that the base can have.
+        """The feasible velocity nearest to the desired one.
 
         Args:
-            wanted: (n_b,) within the limits of each axis.
-            before: (n_b,) the velocity command so far.
+            wanted: (n_b,) desired velocity, within the limits of each axis.
+            before: (n_b,) present velocity command.
         """
         del before
         return wanted
 
     def drive_at_rest(self) -> Array:
-        """(n_d,) what the drive has beside its velocity, such as a steering angle, at a reset."""
+        """(n_d,) states of the drive besides its velocity, such as a steering angle, at a reset."""
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:
-        """How the drive follows a command, which it clamps to the limits, for one period dt [s]."""
-        # Exact for a command held over the step, so that any dt is stable.
+        """Response of the drive to a command, clamped to the limits, for one period dt [s]."""
+        # Exact for a constant command during the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
         limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
 
@@ -250,7 +250,7 @@ class BaseKind(Sourced, ABC):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """What the drive does now with a command, (n_b,): clip((v_cmd - v)/τ, ±limits)."""
+        """Present response of the drive to a command, (n_b,): clip((v_cmd - v)/τ, ±limits)."""
         del drive
         gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
         limits = self.max_velocity, self.max_acceleration
@@ -266,7 +266,7 @@ class BaseKind(Sourced, ABC):
 
 
 class TurningBase(BaseKind):
-    """A base that turns independently of how it moves; a kind derives from it."""
+    """A base that turns independently of its translation; a kind derives from it."""
 
     max_angular_velocity_radps: Positive
     """[rad/s]"""
@@ -287,5 +287,5 @@ class TurningBase(BaseKind):
 
 
 def clamp(value: float, limit: float) -> float:
-    """The value within ±limit; `min` and `max` cost several times as much."""
+    """The value within ±limit; `min` and `max` are several times slower."""
     return limit if value > limit else -limit if value < -limit else value

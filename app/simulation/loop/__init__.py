@@ -1,1 +1,1 @@
-"""The live loop: real time, commands in, snapshots out."""
+"""The live loop: it keeps real time, takes commands and publishes snapshots."""

@@ -1,8 +1,8 @@
-"""Commands to the live loop: immutable records that are valid once they exist, and their mailbox.
+"""Commands to the live loop: immutable records, valid by construction, and their mailbox.
 
-A record that can never be obeyed cannot be made: its maker gets a ConfigError, for a name an
-UnknownNameError, for a place a TargetError; its types are the type checker's. What only the
-session knows is refused later, by a snapshot's `refusal`.
+An invalid record cannot be made: its constructor raises a ConfigError, an UnknownNameError for a
+name, or a TargetError for a place; the type checker checks its types. The session refuses other
+commands later, by a snapshot's `refusal`.
 """
 
 import math
@@ -19,43 +19,43 @@ from app.strict import check_range
 
 Point = tuple[float, float, float]
 
-SPEEDS = 0.1, 4.0  # [-] slowest and fastest, in times of real time
+SPEEDS = 0.1, 4.0  # [-] smallest and largest multiple of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")
-"""What robots that are compared have in common: where people pull to, or how strongly."""
-MOST_GHOSTS = 2  # robots that run beside the one that is led
-MOST = 64
-"""Commands that may wait at once; as those of a kind replace one another, far more than there are
-kinds."""
+"""The common input of compared robots: the path of the pulls, or their force."""
+MAX_GHOSTS = 2  # robots that run beside the main one
+MAX_WAITING = 64
+"""Most waiting commands: far more than there are kinds, because commands of a kind replace one
+another."""
 
 
 class Command:
-    """What the live loop is asked for."""
+    """A command to the live loop."""
 
 
 class Adjustment(Command):
-    """Something is set; of several only the newest counts, at the place of the first."""
+    """Sets a value; of several only the newest counts, at the place of the first."""
 
 
 class Beginning(Command):
-    """The robot is put somewhere; of several only the newest counts, whatever their kinds."""
+    """Places the robot anew; of several kinds only the newest command counts."""
 
 
 @dataclass(frozen=True)
 class Pull(Command):
-    """A person takes the robot and pulls it to `target`.
+    """A person holds the robot and pulls it to `target`.
 
-    Taking the end-effector ends a scenario that leads it; a pull elsewhere disturbs it.
+    Holding the end-effector ends a scenario that moves it; a pull elsewhere disturbs the scenario.
     """
 
     target: Point
-    """[m] where to, in the world."""
+    """[m] target, in the world."""
     link: str | None = None
     """One of the loop's `links`; None is the end-effector."""
     point: Point | None = None
-    """[m] where the person holds, in the link's frame; None is its origin."""
+    """[m] the held point, in the link's frame; None is its origin."""
     who: int = 0
-    """Number of the person; each has one hand, and their forces add up."""
+    """Number of the person; each has one hand, and their forces add."""
 
     def __post_init__(self) -> None:
         checked_target(self.target)
@@ -67,7 +67,7 @@ class Pull(Command):
 
 @dataclass(frozen=True)
 class Release(Command):
-    """A person lets go, if he holds the robot; a scenario goes on."""
+    """A person releases the robot, if they hold it; a scenario continues."""
 
     who: int
 
@@ -91,21 +91,21 @@ class Choose(Adjustment):
 
 @dataclass(frozen=True)
 class Pause(Adjustment):
-    """Stop (True) or go on (False)."""
+    """Pause (True) or continue (False)."""
 
     paused: bool
 
 
 @dataclass(frozen=True)
 class Watch(Adjustment):
-    """Somebody is there (True), or nobody: then no step is taken, and all stays as it is."""
+    """Whether a viewer is connected; without one no step is taken, and nothing changes."""
 
     watched: bool
 
 
 @dataclass(frozen=True)
 class Speed(Adjustment):
-    """Run at `factor` times real time, within `SPEEDS`, as far as the machine can."""
+    """Run at `factor` times real time, within `SPEEDS` and the machine's ability."""
 
     factor: float
 
@@ -115,7 +115,7 @@ class Speed(Adjustment):
 
 @dataclass(frozen=True)
 class StepOnce(Command):
-    """Pause, if it runs, and advance to the next snapshot, `seconds` [s] later, within `STEPS`."""
+    """Pause, and advance to the next snapshot, `seconds` [s] later, within `STEPS`."""
 
     seconds: float = 0.02
 
@@ -125,10 +125,10 @@ class StepOnce(Command):
 
 @dataclass(frozen=True)
 class Reset(Beginning):
-    """Begin anew at the free start, or at a posture, without a scenario."""
+    """Start again at the free start, or at a posture, without a scenario."""
 
     q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] the arm's joints; none are the free start's."""
+    """(n_m,) [rad or m] joint positions of the arm; empty for those of the free start."""
     base_pose: Point = (0.0, 0.0, 0.0)
     """[m] [m] [rad] x, y and heading of the base."""
 
@@ -139,16 +139,16 @@ class Reset(Beginning):
 
 @dataclass(frozen=True)
 class Restart(Beginning):
-    """Begin anew where the last beginning was: at the scenario's start, or at the free one."""
+    """Start again at the last start: the scenario's or the free one."""
 
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Begin anew at a scenario's start, go on, and let it lead the hand to its end or a pull."""
+    """Start a scenario; it moves the end-effector to its end, or until a person pulls it."""
 
     scenario: Scenario
     until: float = 0.0
-    """[s] to which it goes on as fast as it can, and then stands still; at 0 it just begins."""
+    """[s] time up to which it runs as fast as possible, then pauses; 0 means no fast run."""
 
     def __post_init__(self) -> None:
         check_range("the time to stop at", self.until, 0.0, self.scenario.duration, "s")
@@ -156,16 +156,16 @@ class Play(Beginning):
 
 @dataclass(frozen=True)
 class Compare(Command):
-    """Begin anew where the robot stands or the scenario starts, with others beside it."""
+    """Start again, at the present state or the scenario's start, with compared robots."""
 
     controllers: tuple[str, ...] = ()
-    """Of the others, at most two; none ends the comparison, and the robot just goes on."""
+    """Of the compared robots, at most two; empty ends the comparison, and the robot continues."""
     same: str = "path"
-    """What people have in common at all of them: "path", where they pull to, or "force"."""
+    """The common input of all robots: "path" of the pulls or their "force"."""
 
     def __post_init__(self) -> None:
-        if len(self.controllers) > MOST_GHOSTS:
-            raise ConfigError(f"at most {MOST_GHOSTS} controllers are compared")
+        if len(self.controllers) > MAX_GHOSTS:
+            raise ConfigError(f"at most {MAX_GHOSTS} controllers are compared")
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         check_name("comparison", self.same, SAMES)
@@ -174,41 +174,41 @@ class Compare(Command):
 class Mailbox:
     """Takes commands from any thread; one thread fetches them.
 
-    However many are sent, what waits is bounded and so is the work of obeying it: of those that
-    replace one another only the newest is kept. A parameter keeps the place of the command that it
-    replaces, so that a beginning sent meanwhile has the newest. What happens rather than is set,
-    such as a pull, takes its place at the end.
+    The number of waiting commands is bounded, and so is the work of executing them: if commands
+    replace one another, only the newest waits. A setting takes the place of the command that it
+    replaces, so that a start that was sent in between uses the newest one. An event, such as a
+    pull, takes its place at the end.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[Hashable, Command] = {}
         self._lock = threading.Lock()
         self.filled = threading.Event()
-        """Set while something waits."""
+        """Set while commands wait."""
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Leave a command; the arm can be held at `links`.
+        """Add a command; the arm can be held at `links`.
 
         Raises:
-            UnknownNameError: A pull's link is none of `links`.
-            LoopError: Too many different ones wait.
+            UnknownNameError: A pull's link is not in `links`.
+            LoopError: Too many different commands wait.
         """
         if isinstance(command, Pull) and command.link is not None:
-            check_name("link", str(command.link), links)  # whatever a page has sent
+            check_name("link", str(command.link), links)  # a page may send any name
         key = _key(command)
         with self._lock:
-            if len(self._waiting) >= MOST and key not in self._waiting:
-                raise LoopError(f"more than {MOST} commands wait; send fewer at once")
+            if len(self._waiting) >= MAX_WAITING and key not in self._waiting:
+                raise LoopError(f"more than {MAX_WAITING} commands wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
-                return  # what begins anew already would only begin once more
+                return  # one restart is sufficient
             if not isinstance(command, Adjustment):
                 self._waiting.pop(key, None)
             self._waiting[key] = command
             self.filled.set()
 
     def take(self) -> list[Command]:
-        """All that wait, in order; they wait no longer."""
-        if not self._waiting:  # a glance without the lock: it is done a thousand times a second
+        """All waiting commands, in order; the mailbox is then empty."""
+        if not self._waiting:  # without the lock, because it is called a thousand times a second
             return []
         with self._lock:
             commands = list(self._waiting.values())
@@ -218,7 +218,7 @@ class Mailbox:
 
 
 def _key(command: Command) -> Hashable:
-    """Commands of equal keys replace one another."""
+    """Commands with equal keys replace one another."""
     if isinstance(command, (Pull, Release)):
         return Pull, command.who
     return Beginning if isinstance(command, Beginning) else type(command)

@@ -1,4 +1,4 @@
-"""Ensemble: the robot that a scenario or a person leads, and compared robots beside it."""
+"""Ensemble: the robot that a scenario or a person moves, and compared robots beside it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from app.config import Config
 from app.errors import TargetError
-from app.simulation.case import Planned, RunCase
+from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
-from app.simulation.scenarios.leading import SHORTEST, Lead, Leader, Scenario, Setting
-from app.simulation.scenarios.pulled import Pulled
+from app.simulation.scenarios.leading import SHORTEST, Driver, Scenario, Setting, StepInput
+from app.simulation.scenarios.pulled import PullEvent
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
@@ -22,76 +22,74 @@ from app.simulation.trace.snapshot import GhostReading, Score
 from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
-_SAID = 1.0  # [s] for which a case is said
-MOST_PULLS = 8  # people who can hold the robot at once
+_SAID = 1.0  # [s] for which snapshots have a new case
+MAX_PULLS = 8  # people who can hold the robot at once
 _NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
-_TOGETHER = 100  # control steps that are looked at together, which is far quicker
+_TOGETHER = 100  # control steps that are evaluated together, which is far quicker
 
 
 class Ensemble:
-    """All that the loop steps; commands begin it anew at a scenario's start or at the free one."""
+    """All robots of the loop; commands restart it at a scenario's start or at the free one."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Begin at the free start, the arm at `q_start` (n_m,) [rad or m].
+        """Start at the free start, with the arm at `q_start` (n_m,) [rad or m].
 
-        The free session's parameters, plant and seed hold in all scenarios.
+        The parameters, plant and seed of the free session apply to all scenarios.
         """
         self._free = free
         self._led = Runner(free, None)
         self.scenario: Scenario | None = None
-        """The one at whose start the last beginning was, or None."""
+        """The scenario of the last start, or None for the free one."""
         self.ends: float | None = None
-        """[s] when it ends, while it leads, else None."""
+        """[s] end of the scenario while it moves the robot, otherwise None."""
         self._config = free.config
         self.ghosts: list[Runner] = []
-        """Runners of the same input with other controllers."""
+        """Robots with the same input and other controllers."""
         self.comparison = Compare()
-        """What was asked to be compared last."""
+        """The last requested comparison."""
         self._holds: dict[int, Hold] = {}
-        self._pulled: list[Pulled] | None = None
-        """While people may pull as they like: what they did."""
+        self._pulled: list[PullEvent] | None = None
+        """Recorded pulls during free motion."""
         self._case: tuple[float, RunCase] | None = None
-        """The newest case, and [s] when it became one."""
+        """The newest case, and [s] the time at which it appeared."""
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
 
     @property
     def main(self) -> Session:
-        """The session of the robot that is led.
+        """The session of the main robot.
 
-        The free one serves all scenarios but those whose hand holds something: these have one of
-        their own.
+        The free session serves all scenarios except those in which the end-effector holds an
+        object; these have their own session.
         """
         return self._led.session
 
     @property
     def leading(self) -> str:
-        """Name of the scenario that leads the hand now, or empty."""
+        """Name of the scenario that moves the end-effector now, or empty."""
         return "" if self.scenario is None or self.ends is None else self.scenario.name
 
     @property
     def changing(self) -> str:
-        """What of the parameters is on its way to what was configured, or empty."""
+        """A sentence on a parameter that is changing to its configured value, or empty."""
         now, wanted = self.main.controller.d_b, self.main.config.border.d_b
         change = f"Buffer d_b: {now:.3f} m, changing to {wanted:.3f} m"
         return "" if abs(now - wanted) < 1e-6 else change
 
     @property
     def case(self) -> RunCase | None:
-        """What it takes to play again what has begun in the last second, or, of what people may
-        pull as they like, has ended; else None.
-        """
+        """Repeatable case of a run that started, or free pulls that ended, in the last second."""
         since, case = self._case or (-math.inf, None)
         return case if self.main.t < since + _SAID else None
 
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Begin anew at the free start, or at a posture of the arm (n_m,) and base (3,).
+        """Start again at the free start, or at a posture of the arm (n_m,) and base (3,).
 
         Raises:
-            TargetError: It is no posture of this arm; then nothing has changed.
+            TargetError: The posture does not belong to this arm; then nothing has changed.
         """
         begun = self._start
         if len(q_m) not in (0, len(begun.q_m)):
@@ -102,10 +100,10 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Begin anew where the last beginning was.
+        """Start again at the last start.
 
         Raises:
-            DbbError: The scenario cannot begin there with what has been configured since.
+            DbbError: The scenario cannot start there with the present configuration.
         """
         if self.scenario is None:
             self._enter(self._begun, None)
@@ -113,17 +111,17 @@ class Ensemble:
             self.play(self.scenario)
 
     def play(self, scenario: Scenario) -> None:
-        """Begin anew at a scenario's start.
+        """Start again at a scenario's start.
 
         Raises:
-            DbbError: It cannot begin there; then nothing has changed.
+            DbbError: The scenario cannot start there; then nothing has changed.
         """
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, which the scenario may adapt, from the next step on."""
+        """Use other parameters, adapted by the scenario, from the next step on."""
         if self._pulled is not None and config != self._config:
-            self._let_go()  # what is recorded has one configuration
+            self._let_go()  # a recording has one configuration
         self._config = config
         for runner in (self._led, *self.ghosts):
             runner.session.configure(self._adapted(self.scenario))
@@ -135,13 +133,13 @@ class Ensemble:
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
-        """Begin anew with these controllers beside the present one, or end a comparison.
+        """Start again with these controllers beside the present one, or end a comparison.
 
-        The beginning is the scenario's start while it leads or its door is held, else where the
-        robot stands now, at rest.
+        The start is the scenario's while it moves the robot or its door is held; otherwise it is
+        the present state, at rest.
 
         Raises:
-            DbbError: It cannot begin so; then nothing has changed.
+            DbbError: It cannot start there; then nothing has changed.
         """
         before, self.comparison = self.comparison, comparison
         try:
@@ -158,13 +156,13 @@ class Ensemble:
             raise
 
     def pull(self, pull: Pull) -> None:
-        """Somebody takes the robot; at the end-effector a scenario leads no longer.
+        """A person holds the robot; holding the end-effector ends the scenario's motion.
 
         Raises:
-            TargetError: As many as can hold it do so.
+            TargetError: The largest number of people already holds it.
         """
-        if pull.who not in self._holds and len(self._holds) >= MOST_PULLS:
-            raise TargetError(f"{MOST_PULLS} people hold the robot already")
+        if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
+            raise TargetError(f"{MAX_PULLS} people hold the robot already")
         if pull.link is None and self._pulled is None:
             self._let_go()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
@@ -174,12 +172,12 @@ class Ensemble:
         self._record(pull.who)
 
     def release(self, who: int) -> None:
-        """Somebody lets go, if he holds the robot."""
+        """A person releases the robot, if they hold it."""
         if self._holds.pop(who, None) is not None:
             self._record(who)
 
     def step(self) -> Step:
-        """One control step, led by the scenario until it ends; people pull."""
+        """One control step, moved by the scenario until its end; people pull."""
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
         holds = tuple(self._holds.values())
@@ -190,9 +188,10 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Of the robot and its ghosts since the comparison began; none without ghosts.
+        """Scores of the robot and its ghosts since the start of the comparison; empty without
+        ghosts.
 
-        They are complete once a scenario leads no longer: what a person does then is not its.
+        They are complete when the scenario ends: later pulls do not belong to it.
         """
         if not self.ghosts:
             return ()
@@ -206,20 +205,20 @@ class Ensemble:
             self.main.close()
 
     def _record(self, who: int) -> None:
-        """What a person does from the next control step on."""
+        """Record the motion of a person's hand from the next control step on."""
         if self._pulled is not None:
             held = self._holds.get(who)
             step = round(self.main.t / DT)
             if held is None:
-                self._pulled.append(Pulled(step, who, None))
+                self._pulled.append(PullEvent(step, who, None))
             else:
                 x, y, z = held.target.tolist()
-                self._pulled.append(Pulled(step, who, (x, y, z), held.link, held.point))
+                self._pulled.append(PullEvent(step, who, (x, y, z), held.link, held.point))
 
     def _keep_case(self, scenario: Scenario) -> None:
         main, robot = self.main, self._free.model.description.name
         run = robot, scenario, self._config, main.controller.name, main.kind, main.seed
-        self._case = main.t, RunCase.of(Planned(*run))
+        self._case = main.t, RunCase.of(RunSpec(*run))
 
     def _let_go(self) -> None:
         if self._pulled is not None and self.scenario is not None:
@@ -234,7 +233,7 @@ class Ensemble:
         return self._config if scenario is None else scenario.adapted(self._config)
 
     def _setting_of(self, scenario: Scenario) -> Setting:
-        """Where a scenario begins; looked for once as long as nothing else is played."""
+        """The start of a scenario, cached until another one is played."""
         if self._found is None or self._found[:2] != (scenario, self._config):
             free = self._free
             setting = scenario.setting(free.model, free.data, self._config, free.seed)
@@ -242,7 +241,7 @@ class Ensemble:
         return self._found[2]
 
     def _enter(self, setting: Setting, scenario: Scenario | None) -> None:
-        """Put the robot and its ghosts at the beginning of a setting."""
+        """Move the robot and its ghosts to the start of a setting."""
         setting = setting._replace(config=self._adapted(scenario))
         session = self._session_for(setting)
         others = self._other_sessions(setting)
@@ -250,11 +249,11 @@ class Ensemble:
             each.configure(setting.config)
             each.reset(setting.q_m, setting.base_pose)
         led, *ghosts = [
-            Runner(each, scenario and scenario.leader(each)) for each in (session, *others)
+            Runner(each, scenario and scenario.driver(each)) for each in (session, *others)
         ]
         if session is not self.main and self.main is not self._free:
             self.main.close()
-        # From here on nothing fails: a name never stands beside the end of another scenario.
+        # From here on nothing fails, so a name never appears with the end of another scenario.
         self._led, self.scenario = led, scenario
         self.ends = scenario and scenario.duration
         self._holds.clear()
@@ -265,7 +264,7 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Let these be the ghosts; sessions that none of them has are closed."""
+        """Replace the ghosts; close sessions that none of them uses."""
         kept = {id(ghost.session) for ghost in ghosts}
         for ghost in self.ghosts:
             if id(ghost.session) not in kept:
@@ -275,7 +274,7 @@ class Ensemble:
             runner.scored = bool(ghosts)
 
     def _other_sessions(self, setting: Setting) -> list[Session]:
-        """A session for each ghost, those that are there used again where they can be."""
+        """A session for each ghost, reusing existing ones if possible."""
         usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
         sessions: list[Session] = []
         for name in self.comparison.controllers:
@@ -284,8 +283,8 @@ class Ensemble:
         return sessions
 
     def _session_for(self, setting: Setting) -> Session:
-        """The free session if it can be that setting's, else a new one, as pybullet's solver keeps
-        more of a door that was held than a reset undoes. The controller in use stays in use.
+        """The free session if it is suitable for the setting, otherwise a new one with the present
+        controller: pybullet's solver remembers more of a held door than a reset removes.
         """
         name = self.main.controller.name
         if setting.door is None and setting.model is self._free.model:
@@ -299,27 +298,27 @@ class Ensemble:
 
 
 class Runner:
-    """A robot with what leads it and its score, in a plant of its own; its memory is bounded."""
+    """A robot with its driver and score, in its own plant; its memory is bounded."""
 
-    def __init__(self, session: Session, leader: Leader | None) -> None:
-        """Stand at the beginning of a session, led by a reader of its own sensors or by nothing."""
-        self.session, self._leader, self.scored = session, leader, False
-        """`scored` says whether it is compared, and its steps count."""
+    def __init__(self, session: Session, driver: Driver | None) -> None:
+        """Start at the beginning of a session, with a driver that reads its sensors or without."""
+        self.session, self._driver, self.scored = session, driver, False
+        """`scored` says whether its steps count for a comparison."""
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._rows, self._complete = 0, False
-        self._clearance = math.inf  # [m] least distance of the pairs of L_m at the last step
+        self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
 
     def let_go(self) -> None:
-        """Nothing leads it any more; its score is that of being led."""
-        if self._leader is not None and self.scored:
+        """Remove its driver; its score is that of the driven motion."""
+        if self._driver is not None and self.scored:
             self._look()
             self._complete = True
-        self._leader = None
+        self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """One control step, with who holds the robot, or with their forces on another one."""
-        lead = Lead() if self._leader is None else self._leader(self.session)
+        """One control step, with the people who hold the robot, or with another robot's forces."""
+        lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
             self._recorder.add(self.session, step)
@@ -328,7 +327,7 @@ class Runner:
         return step
 
     def reading(self) -> GhostReading:
-        """How it stands after the last step; shares no memory with it, and is read-only."""
+        """Its state after the last step, in separate, read-only memory."""
         self._look()
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
@@ -346,7 +345,7 @@ class Runner:
         return self._score._replace(controller=self.session.controller.name)
 
     def _look(self) -> None:
-        """Add up the rows since the last look; changes are from its last row on."""
+        """Evaluate the rows since the last call; changes count from its last row on."""
         if not len(self._recorder):
             return
         block = self._recorder.taken()

@@ -1,7 +1,7 @@
-"""Live loop: a thread owns the session, keeps to real time, obeys commands, publishes snapshots.
+"""Live loop: a thread owns the session, keeps real time, executes commands, publishes snapshots.
 
-Whoever draws sees only `LoopHandle`: commands in, immutable snapshots out, nothing shared. So the
-thread may live in another process without a change on the other side.
+The dashboard sees only `LoopHandle`: commands in, immutable snapshots out, no shared data. Thus the
+thread may run in another process without a change of the dashboard.
 """
 
 import threading
@@ -22,29 +22,29 @@ from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapsho
 from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
 from app.strict import Array
 
-_IDLE = 0.25  # [s] between two signs of life while no step is taken
+_IDLE = 0.25  # [s] between two heartbeats while no step is taken
 
 
 class LoopHandle(Protocol):
-    """What the dashboard knows of the simulation."""
+    """The dashboard's interface to the simulation."""
 
     error: BaseException | None = None
-    """Why the loop ended, if it did."""
+    """The error that ended the loop, if any."""
     links: tuple[str, ...] = ()
-    """Names of the arm's frames that can be pulled, once it has started."""
+    """Names of the arm's frames that can be pulled, known after the start."""
 
     @property
     def silence(self) -> float:
-        """[s] since its last sign of life; one that hangs gives none, one that is paused does."""
+        """[s] since its last heartbeat; a paused loop sends heartbeats, a hanging one does not."""
         ...
 
     def send(self, command: commands.Command) -> None:
-        """Leave a command; it is obeyed before one of the next control steps.
+        """Send a command; it is executed before one of the next control steps.
 
-        Of commands that replace one another, such as two pulls, only the newest is obeyed.
+        If commands replace one another, such as two pulls, only the newest is executed.
 
         Raises:
-            UnknownNameError: A pull's link is none of `links`.
+            UnknownNameError: A pull's link is not in `links`.
             LoopError: Too many commands wait.
         """
         ...
@@ -59,21 +59,21 @@ class LoopHandle(Protocol):
 
 
 class LiveLoop(LoopHandle):
-    """A loop that runs elsewhere: a mailbox for it, and what it publishes."""
+    """A loop that runs elsewhere: its mailbox, and its published snapshots."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """Nothing has been sent or published; `kept` snapshots will be remembered."""
+        """No command and no snapshot yet; `kept` is the number of stored snapshots."""
         self._mailbox, self._history = commands.Mailbox(), History(kept)
         self._ready = threading.Event()
         self._begun = False
-        self._alive = monotonic()  # [s] last sign of life
+        self._alive = monotonic()  # [s] last heartbeat
 
     def begin(self) -> None:
-        """Begin to make the session; `start` waits for it."""
+        """Start making the session; `start` waits for it."""
         self._begun = True
 
     def start(self) -> None:
-        """Begin, if it has not begun, and wait for the first snapshot.
+        """Begin, if necessary, and wait for the first snapshot.
 
         Raises:
             LoopError: The session could not be made.
@@ -104,12 +104,12 @@ class SimulationLoop(LiveLoop):
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, kept: int = SNAPSHOTS_KEPT
     ) -> None:
-        """Prepare; `start` begins.
+        """Prepare the loop; `start` starts it.
 
         Args:
             make_session: Called once, in the loop's own thread, which then owns the session.
             q_start: (n_m,) arm configuration at the start and after each reset.
-            kept: How many snapshots `history` goes back.
+            kept: Number of snapshots in `history`.
         """
         super().__init__(kept)
         self._make_session, self._q_start = make_session, np.array(q_start)
@@ -117,7 +117,7 @@ class SimulationLoop(LiveLoop):
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
         self._paused, self._watched, self._speed = False, True, 1.0
         self._runs = 0
-        self._until = 0.0  # [s] to which no step waits for real time
+        self._until = 0.0  # [s] up to which no step waits for real time
         self._refusal: Refusal | None = None
 
     def begin(self) -> None:
@@ -133,7 +133,7 @@ class SimulationLoop(LiveLoop):
 
     @property
     def silence(self) -> float:
-        """What takes long and says so is no silence."""
+        """No silence during an announced long operation."""
         return 0.0 if self.latest().busy else super().silence
 
     def _run(self) -> None:
@@ -151,7 +151,7 @@ class SimulationLoop(LiveLoop):
                     self._advance(ensemble)
                 else:
                     self._mailbox.filled.wait(_IDLE)
-        except BaseException as error:  # handed to the user by whoever holds the loop
+        except BaseException as error:  # the owner of the loop reports it
             self.error: BaseException | None = error
         finally:
             self._ready.set()
@@ -181,7 +181,7 @@ class SimulationLoop(LiveLoop):
         self._history.add(make_snapshot(ensemble.main, step, self._pacer, **course))
 
     def _course(self, ensemble: Ensemble) -> dict[str, Any]:
-        """What a snapshot says beyond the session."""
+        """The values of a snapshot that are not from the session."""
         return {
             "run": self._runs,
             "paused": self._paused,
@@ -228,7 +228,7 @@ class SimulationLoop(LiveLoop):
             self._begin_anew(command, ensemble)
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
-        """Pause, and publish the step that comes so much after the newest snapshot."""
+        """Pause, and publish the step at that time after the newest snapshot."""
         self._paused = True
         due = self._history.latest.t + seconds
         step = ensemble.step()
@@ -259,7 +259,7 @@ class SimulationLoop(LiveLoop):
         self._history.add(replace(self._history.latest, busy=with_what))
 
     def _refresh(self, ensemble: Ensemble) -> None:
-        """Publish a change that must be seen although no step follows while paused."""
+        """Publish a visible change although no step follows while paused."""
         main, latest = ensemble.main, self._history.latest
         compared = bool(ensemble.ghosts)
         self._history.add(

@@ -1,4 +1,4 @@
-"""Pacing: steps of a fixed period in real time, or a multiple of it, and how well it is kept."""
+"""Pacing: steps of a fixed period in real time, or in a multiple of it, with statistics."""
 
 import gc
 from collections import deque
@@ -6,38 +6,37 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter, sleep
 
-_CATCH_UP = 0.2  # [s] of delay that is made good; more is given up
-_WINDOW = 1.0  # [s] over which figures are taken
-_COARSE = 2e-4  # [s] a shorter sleep is not worth a switch of threads
+_CATCH_UP = 0.2  # [s] largest delay that faster steps make up for
+_WINDOW = 1.0  # [s] window of the statistics
+_COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 
 
 class Pacer:
-    """Lets a loop of fixed period keep to the wall clock.
+    """Synchronises a loop of fixed period with the wall clock.
 
-    A late step is followed at once by the next ones until the delay is made good; a delay of more
-    than 0.2 s is given up and shows in the real-time factor.
+    After a late step the next ones follow at once until the delay is made up for. A delay of more
+    than 0.2 s is abandoned and reduces the real-time factor.
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
-        """Begin now; a step is a `period` [s], at `speed` [-] simulated over real time."""
+        """Start now; `period` [s] of a step; `speed` [-], simulated time over real time."""
         self._period, self._speed = period, speed
         self.overruns = 0
-        """Steps that missed their period: their own work took longer, or they began after it was
-        over."""
+        """Number of steps that missed their period: they took longer, or started after its end."""
         self._marks: deque[tuple[float, int]] = deque()
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self._steps = 0
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new schedule now, as after a pause."""
+        """Start a new schedule now, as after a pause."""
         self._begun = perf_counter()
         self._due = self._begun + self._real
         self._marks.clear()
 
     @property
     def speed(self) -> float:
-        """[-] wanted simulated time over real time; another one begins a new schedule."""
+        """[-] desired ratio of simulated to real time; a change starts a new schedule."""
         return self._speed
 
     @speed.setter
@@ -47,15 +46,15 @@ class Pacer:
 
     @property
     def _real(self) -> float:
-        """[s] of real time in a step."""
+        """[s] real time of a step."""
         return self._period / self._speed
 
     def worked(self, duration: float) -> None:
-        """Note the real time [s] that the controller took in this step."""
+        """Record the real time [s] of the controller in this step."""
         self._works.append(duration)
 
     def wait(self) -> None:
-        """Sleep until the step's period is over."""
+        """Sleep until the end of the step's period."""
         now = perf_counter()
         self._steps += 1
         self._marks.append((now, self._steps))
@@ -73,7 +72,7 @@ class Pacer:
 
     @property
     def realtime_factor(self) -> float:
-        """[-] simulated over real time in the last second; as wanted before it is known."""
+        """[-] ratio of simulated to real time in the last second; the desired one before that."""
         if len(self._marks) < 2:
             return self._speed
         (begin, first), (end, last) = self._marks[0], self._marks[-1]
@@ -86,12 +85,12 @@ class Pacer:
 
 
 @contextmanager
-def settled() -> Iterator[None]:
-    """Let the garbage collector leave alone what is there already.
+def gc_frozen() -> Iterator[None]:
+    """Exclude existing objects from garbage collection during the `with`.
 
-    A run's own objects are few, a robot's border is not: looking through it again takes
-    milliseconds. Within another one it changes nothing. At the end all is looked at again: else
-    solvers held in cycles would be reported as leaks.
+    A run has few objects, but a robot's border has many, and scanning it again takes milliseconds.
+    A nested call changes nothing. At the end all objects are scanned again, because solvers in
+    cycles would otherwise be reported as leaks.
     """
     outermost = gc.get_freeze_count() == 0
     if outermost:

@@ -1,7 +1,7 @@
-"""The live loop in a child process, where no drawing and no browser's traffic holds it up.
+"""The live loop in a child process, where drawing and network traffic cannot delay it.
 
-Python runs one thread at a time: in the server's process a drawing thread that the system has put
-aside keeps the simulation waiting. Commands go out by a pipe, snapshots come back by another.
+Python runs one thread at a time: in the server's process a suspended drawing thread would delay
+the simulation. Commands and snapshots use two pipes.
 """
 
 import gc
@@ -19,44 +19,44 @@ import numpy as np
 from app.errors import LoopError
 from app.jobs.process import Child, Outcome, portable
 from app.simulation.loop.loop import LiveLoop, SimulationLoop
-from app.simulation.loop.pacing import settled
+from app.simulation.loop.pacing import gc_frozen
 from app.simulation.session import Session
 from app.strict import Array
-from app.system import come_first
+from app.system import raise_priority
 
-_PATIENCE = 5.0  # [s] for a thread, or for the process, to end by itself
-_SEND_EVERY = 0.002  # [s] between two posts of commands
-_POST_EVERY = 0.01  # [s] between two looks for a new snapshot; there is one every 0.02 s
-_BEAT_EVERY = 0.25  # [s] between two signs of life while there is none
-_HUNG = 0.5  # [s] without a sign of life of the loop's own thread
-_SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one that posts
-_NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
+_PATIENCE = 5.0  # [s] timeout for a thread, or for the process, to end
+_SEND_EVERY = 0.002  # [s] between two transmissions of commands
+_POST_EVERY = 0.01  # [s] between two checks for a snapshot; there is one every 0.02 s
+_BEAT_EVERY = 0.25  # [s] between two heartbeats without a snapshot
+_HUNG = 0.5  # [s] without a heartbeat of the loop's own thread
+_SWITCH = 2e-4  # [s] after which the posting thread yields to the loop's thread
+_NICENESS = -10  # [-] desired; browsers use -8 for drawing
 
 
 def loop_child() -> Child:
-    """A process that waits for a session to simulate; it does so once.
+    """A process that waits for one session to simulate.
 
-    Its imports take a second or two. Whoever knows early that there will be a simulation begins the
-    process before anything else, and gives it to the `ProcessLoop` later. It takes how to make the
-    session and the arm's start, then commands; it gives the outcome of starting, which is where the
-    arm can be held, then snapshots, None in between as a sign of life, and the outcome at the end.
+    Its imports take a second or two, so it can be started early and passed to the `ProcessLoop`
+    later. It receives the function that makes the session and the arm's start, then commands. It
+    sends the outcome of the start, which is the tuple of frames at which the arm can be held, then
+    snapshots, with None in between as a heartbeat, and the outcome at the end.
     """
     return Child(_run_loop)
 
 
 class ProcessLoop(LiveLoop):
-    """Runs a session in a child process; to others it is what `SimulationLoop` is."""
+    """Runs a session in a child process, with the interface of `SimulationLoop`."""
 
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
-        """Prepare; `start` begins.
+        """Prepare the loop; `start` starts it.
 
         Args:
-            make_session: Called once in the child; it must be possible to pickle it, as is
+            make_session: Called once in the child; must be picklable, such as
                 `functools.partial(Session, model, data, config)`.
             q_start: (n_m,) arm configuration at the start and after each reset.
-            child: A process that waits; one of its own if not given.
+            child: A waiting process; default: a new one.
         """
         super().__init__()
         self._stopping = threading.Event()
@@ -84,10 +84,10 @@ class ProcessLoop(LiveLoop):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Hand commands on to the child; a flood waits here, where it shrinks, not in the pipe."""
+        """Send commands to the child; a flood waits here, where it shrinks, not in the pipe."""
         try:
             child.sender.send(self._task)
-            self._task = None  # it holds the robot and its border
+            self._task = None  # frees the robot and its border
             while not self._stopping.is_set():
                 self._mailbox.filled.wait()
                 for command in self._mailbox.take():
@@ -95,7 +95,7 @@ class ProcessLoop(LiveLoop):
                 self._stopping.wait(_SEND_EVERY)
         except OSError:
             pass  # the child's end, which `_receive` reports
-        except Exception as error:  # what cannot be pickled
+        except Exception as error:  # an unpicklable session
             self.error = error
         finally:
             child.sender.close()
@@ -117,12 +117,12 @@ class ProcessLoop(LiveLoop):
             if isinstance(received, Outcome):
                 try:
                     self.links = received.value()
-                except BaseException as error:  # handed to the user by whoever holds the loop
+                except BaseException as error:  # the owner of the loop reports it
                     self.error = error
                     return
             elif received is not None:
                 if self._ready.is_set() and received.config == self.latest().config:
-                    # One configuration in memory, not one with each snapshot.
+                    # All snapshots share one configuration in memory.
                     received = replace(received, config=self.latest().config)
                 self._history.add(received)
                 self._ready.set()
@@ -131,29 +131,29 @@ class ProcessLoop(LiveLoop):
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
     """Main function of the child: run a loop until the parent's end of `commands` is closed."""
     sys.setswitchinterval(_SWITCH)
-    come_first(_NICENESS)
+    raise_priority(_NICENESS)
     try:
         make_session, q_start = commands.recv()
     except (EOFError, OSError):
-        return  # the parent is gone, or nothing was to be simulated after all
-    loop = SimulationLoop(make_session, q_start, kept=1)  # the parent keeps the others
+        return  # the parent has ended, or needs no simulation
+    loop = SimulationLoop(make_session, q_start, kept=1)  # the parent stores the others
     try:
         with suppress(LoopError):  # posted below
             loop.start()
             snapshots.send(Outcome(loop.links))
-        gc.collect()  # what is garbage already would stay with the rest
-        with settled(), suppress(EOFError, OSError):
+        gc.collect()  # otherwise present garbage would remain
+        with gc_frozen(), suppress(EOFError, OSError):
             _post(loop, commands, snapshots)
     finally:
         loop.stop()
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
-    """Hand on commands and snapshots.
+    """Forward commands and snapshots.
 
     Raises:
         EOFError: The parent has closed its end.
-        OSError: The parent is gone.
+        OSError: The parent has ended.
     """
     posted, beat = None, monotonic()
     while loop.error is None:
@@ -165,7 +165,7 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
             snapshots.send(None)
             beat = monotonic()
         if commands.poll(_POST_EVERY):
-            with suppress(LoopError):  # too many at once, on top of those that the parent held
+            with suppress(LoopError):  # too many at once, in addition to those of the parent
                 loop.send(commands.recv())
     trace = "".join(traceback.format_exception(loop.error))
     snapshots.send(Outcome((), portable(loop.error), trace))

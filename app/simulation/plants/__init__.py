@@ -12,22 +12,22 @@ if TYPE_CHECKING:
     from app.simulation.plants.door import OpenDoor
     from app.simulation.plants.interface import Physics
 
-PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names that `make_physics` knows
+PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names for `make_physics`
 
 _FORMERLY = {"contact": "mujoco-contact"}
 _DOORS = "planar, mujoco or mujoco-contact"
 
 
 def default_plant() -> str:
-    """planar, which is pybullet's, where that is installed; else mujoco."""
+    """The plant planar of pybullet, if that is installed; otherwise mujoco."""
     return "planar" if find_spec("pybullet") else "mujoco"
 
 
 def chosen_plant(name: str | None) -> str:
-    """One of `PLANTS` by its name, or by one that it had formerly; the default without a name.
+    """The plant of `PLANTS` by its present or former name; the default without a name.
 
     Raises:
-        UnknownNameError: No such plant.
+        UnknownNameError: The plant does not exist.
     """
     name = _FORMERLY.get(name, name) if name else default_plant()
     check_name("physics", name, PLANTS)
@@ -44,19 +44,19 @@ def make_physics(
     """The plant of that name, at rest in the robot's ready position.
 
     Args:
-        kind: As `chosen_plant` takes it.
+        kind: A name for `chosen_plant`.
         model: The robot.
         dt: [s] one step.
-        door: A door that the hand holds from each reset on, or None.
+        door: A door that the end-effector holds from each reset on, or None.
 
     Raises:
-        UnknownNameError: No such plant.
+        UnknownNameError: The plant does not exist.
         ConfigError: That plant has no doors, does not suit the kind of base, or needs a library
             that is not installed.
         AssetError: pybullet cannot load the robot.
     """
     kind = chosen_plant(kind)
-    # Imported here: each has to work where the others' libraries are not installed.
+    # Imported here, because each must work without the others' libraries.
     if kind == "planar" and not find_spec("pybullet"):
         raise ConfigError(
             "the plant planar needs pybullet, which is not installed and has no wheels for every "

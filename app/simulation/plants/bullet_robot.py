@@ -1,6 +1,6 @@
 """A robot in pybullet on planar joints with velocity motors and a torque-controlled arm.
 
-Its hand can hold the door of a refrigerator, which stands free.
+Its end-effector can hold the door of a refrigerator, which stands on the floor.
 """
 
 from collections.abc import Sequence
@@ -19,10 +19,10 @@ from app.simulation.plants.door import Cabinet, Door, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 from app.strict import Array
 
-_AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at the origin hits it
+_AWAY = (100.0, 0.0)  # [m] where it is loaded, away from robots that settle at the origin
 _SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
 _SEAL_DAMPING = 500.0  # [N s/m]
-_GRASP_FORCE = 1000.0  # [N] that the grasp can hold
+_GRASP_FORCE = 1000.0  # [N] largest force of the grasp
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _DOOR = 0  # pybullet's index of the door's link, and of its hinge
 
@@ -31,7 +31,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
     """In pybullet."""
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
-        """Load it.
+        """Load the robot.
 
         Raises:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
@@ -45,7 +45,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._hand, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
-        # pybullet puts a holding motor on every joint: torque control needs it off, once.
+        # pybullet puts a holding motor on every joint, which torque control must disable once.
         self.client.setJointMotorControlArray(
             self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
         )
@@ -90,7 +90,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return contacts._replace(door_base=self.door.touches_base())
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        order = np.argsort(np.argsort(self.moving))  # pybullet's is that of the indices
+        order = np.argsort(np.argsort(self.moving))  # pybullet's order is that of the indices
         ordered = np.empty((2, len(q)))
         ordered[:, order] = q, v
         q_own, v_own = ordered.tolist()
@@ -100,11 +100,11 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return M[np.ix_(order, order)], h[order]
 
     def _press(self, link: int, point: Sequence[float], force: Array) -> None:
-        """Force (3,) [N] in the world on a point [m] of a link's frame, which is its joint's."""
+        """Apply a force (3,) [N] in the world to a point [m] of a link's (its joint's) frame."""
         fx, fy, fz = np.asarray(force).tolist()
         if fx == fy == fz == 0.0:
             return
-        # Without fresh kinematics both the point and the lever would be those of a step ago.
+        # Without fresh kinematics both the point and the lever would be those of the previous step.
         state = self.client.getLinkState(self.robot, link, computeForwardKinematics=1)
         place, _ = pybullet.multiplyTransforms(state[4], state[5], point, (0, 0, 0, 1))
         self.client.applyExternalForce(self.robot, link, (fx, fy, fz), place, pybullet.WORLD_FRAME)
@@ -113,11 +113,11 @@ class BulletRobot(BulletWorld, PlanarWorld):
 class BulletDoor(HeldDoor):
     """The refrigerator's part of a pybullet plant. Only the base's links can touch the door.
 
-    The hinge has dry friction and no stop. The body stands on the floor by its weight.
+    The hinge has dry friction and no stop. The body rests on the floor by its weight.
     """
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
-        """Put the refrigerator there; each reset opens its door as far as at the start."""
+        """Place the refrigerator; each reset opens its door to the angle of the start."""
         self.door, self._start = start
         self._client, self._robot = client, robot = world.client, world.robot
         arm = model.description.arm
@@ -146,13 +146,13 @@ class BulletDoor(HeldDoor):
                 client.setCollisionFilterPair(robot, self.body, link, part, int(may))
 
     def release(self) -> None:
-        """Let go of the door, if the hand holds it."""
+        """Release the door, if the end-effector holds it."""
         if self._grasp is not None:
             self._client.removeConstraint(self._grasp)
             self._grasp = None
 
     def reset(self) -> None:
-        """The refrigerator at its place, its door at rest at the start; the hand takes hold."""
+        """The refrigerator in place, its door at rest at the start; the end-effector grasps it."""
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
@@ -164,7 +164,7 @@ class BulletDoor(HeldDoor):
         return -self.door.side * self._client.getJointState(self.body, _DOOR)[0]
 
     def wrench(self) -> Wrench:
-        assert self._grasp is not None, "the hand does not hold the door"
+        assert self._grasp is not None, "the end-effector does not hold the door"
         rows = self._client.getConstraintState(self._grasp)
         if not rows:  # before the first step
             return Wrench(np.zeros(3), np.zeros(3))
@@ -177,7 +177,7 @@ class BulletDoor(HeldDoor):
         return any(map(touches, contacts))
 
     def _take_hold(self) -> None:
-        """Fix the hand to the door as the two are now; the frames stand at the end-effector."""
+        """Fix the end-effector to the door in their present poses, at the end-effector's frame."""
         self.release()
         T_ee = self._hand_pose()
         links = (self._robot, self._hand), (self.body, _DOOR)
@@ -193,7 +193,7 @@ class BulletDoor(HeldDoor):
         self._client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
     def _com_pose(self, body: int, link: int) -> pin.SE3:
-        """Pose of a link's centre of mass, in which pybullet states the frames of a constraint."""
+        """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
         return pin.XYZQUATToSE3([*state[0], *state[1]])
 
@@ -203,7 +203,7 @@ class BulletDoor(HeldDoor):
 
 
 def _plant_urdf(description: RobotDescription) -> str:
-    """The robot on two prismatic joints and a revolute one; wheels fixed, nothing to draw."""
+    """The robot on two prismatic joints and a revolute one; wheels fixed, without visuals."""
     tree = ElementTree.fromstring(planar_urdf(description))
     for link in tree.iterfind("link"):
         for visual in link.findall("visual"):  # pybullet would load its mesh
@@ -217,12 +217,12 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Make one link of those that are fixed to one another, if they may touch the same.
+    """Merge links that are fixed to one another, if they may touch the same parts.
 
-    That is if one body covers them, and they are nested with the same.
+    This holds if one body covers them, and they are nested with the same links.
 
-    To pybullet each link is a joint: it steps all of them, and has room for the state of 128. A
-    link keeps its own if it bears the end-effector, in whose frame the hand is pulled.
+    To pybullet each link is a joint: it steps all of them, and has space for the state of 128. A
+    link is not merged if it has the end-effector, because people pull in its frame.
     """
     nested = description.nested
     touched = {
@@ -251,7 +251,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
 
 
 def _origin(element: Element) -> pin.SE3:
-    """The `<origin>` of a link's part or of a joint; the identity where there is none."""
+    """The `<origin>` of a link's part or of a joint; the identity if it has none."""
     at = element.find("origin")
     words = {} if at is None else at.attrib
     xyz, rpy = (np.array(words.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
@@ -265,7 +265,7 @@ def _place(element: Element, T: pin.SE3) -> None:
 
 
 def _inertia(link: Element) -> pin.Inertia:
-    """What a link weighs, in its own frame."""
+    """The inertia of a link, in its own frame."""
     inertial = _part(link, "inertial")
     moments = _part(inertial, "inertia")
     xx, xy, xz, yy, yz, zz = (float(moments.get(key, 0.0)) for key in _MOMENTS)
@@ -275,7 +275,7 @@ def _inertia(link: Element) -> pin.Inertia:
 
 
 def _weigh(link: Element, inertia: pin.Inertia) -> None:
-    """Write what a link weighs along its principal axes: pybullet finds others only nearly."""
+    """Write a link's inertia along its principal axes, because pybullet finds them inexactly."""
     moments, axes = np.linalg.eigh(inertia.inertia)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     inertial = _part(link, "inertial")

@@ -1,4 +1,4 @@
-"""One pybullet client: a robot over a floor, and nothing touching that is not meant to."""
+"""One pybullet client: a robot over a floor; only selected pairs touch."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from app.system import decimal_points, flush_c_output
 
 @contextmanager
 def silence(*descriptors: int) -> Iterator[None]:
-    """Drop what is printed to the process's file descriptors meanwhile, by C code too.
+    """Discard output to the process's file descriptors during the `with`, also that of C code.
 
     1 is standard output, 2 standard error. It acts on the whole process: keep it short. C's buffers
-    are flushed at both ends, or what was printed inside would come out after it.
+    are flushed at both ends, because inner output would otherwise appear later.
     """
     _flush()
     kept = {fd: os.dup(fd) for fd in descriptors}
@@ -50,7 +50,7 @@ def _flush() -> None:
 
 
 class _NotHere:
-    """Stands for pybullet where it is not installed: whatever is asked of it says so."""
+    """A substitute for pybullet if it is not installed: each use raises an error that says so."""
 
     def __getattr__(self, name: str) -> Any:
         raise ConfigError(
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     import pybullet
 else:
     try:
-        with silence(1, 2):  # it prints the time of its build
+        with silence(1, 2):  # pybullet prints the time of its build
             import pybullet
     except ModuleNotFoundError:
         pybullet = _NotHere()
@@ -73,7 +73,7 @@ _UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
 
 
 class Client:
-    """pybullet's functions, each for the same client; `id` is that client's."""
+    """pybullet's functions, all for the same client; `id` is that client's."""
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
@@ -85,16 +85,16 @@ class Client:
 
 
 class BulletWorld:
-    """A robot in a client of its own; all indices below are pybullet's."""
+    """A robot in its own client; all indices below are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot from its URDF, meshes by absolute path; `dt` [s] is one step.
+        """Load a robot from its URDF, with absolute paths of meshes; `dt` [s] is one step.
 
         Raises:
             AssetError: pybullet cannot load the URDF.
         """
         self.client, self._open = Client(), True
-        # What is loaded has no name, only a number that another file may have had before.
+        # pybullet caches files by number, which another file may have had before.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
             self.robot = self.load(urdf, self_collision=True)
@@ -111,9 +111,9 @@ class BulletWorld:
             info = client.getJointInfo(self.robot, i)
             self.joints[info[1].decode()] = self.links[info[12].decode()] = i
         client.setGravity(0, 0, -GRAVITY)
-        # The solver's early exit would leave errors of 1e-5 rad/s a step in the arm.
+        # The solver's early exit would leave errors of 1e-5 rad/s per step in the arm.
         client.setPhysicsEngineParameter(fixedTimeStep=dt, solverResidualThreshold=0)
-        self._contact_of: dict[tuple[int, ...], str] = {}  # by bodies and links, either way round
+        self._contact_of: dict[tuple[int, ...], str] = {}  # by bodies and links, in both orders
         self._at_load: int | None = None
 
     def load(
@@ -121,14 +121,14 @@ class BulletWorld:
     ) -> int:
         """Index of a new body without damping, from the text of its URDF.
 
-        Its root stands at `place` (3,) [m]. With `self_collision` it is a robot, whose root is
+        Its root is at `place` (3,) [m]. With `self_collision` it is a robot, whose root is
         fixed and whose links can touch.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        # Of a file without a name nothing is left wherever this process is ended.
+        # A file without a name disappears with this process.
         with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # without warnings
             file.write(urdf.encode())
             file.seek(0)
@@ -143,7 +143,7 @@ class BulletWorld:
         return body
 
     def allow_contacts(self, pairs: ContactPairs) -> None:
-        """Let only these links touch, and report when they do; others pass through each other."""
+        """Let only these links touch, and report their contacts; others pass through each other."""
         places = {name: (self.robot, i) for name, i in self.links.items()}
         places[FLOOR] = self.floor, -1
         for a, b in combinations(places, 2):
@@ -161,7 +161,7 @@ class BulletWorld:
         return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
-        """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
+        """[m] depth of the contacts of the last step, by the fields of `Contacts`."""
         deepest: dict[str, float] = {}
         for c in self.client.getContactPoints(self.robot):
             if group := self._contact_of.get(c[1:5]):
@@ -169,15 +169,15 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+        """(n,) [m] from each start (n, 3) to the robot or the floor, towards its end; or inf."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Back to the state of the first call, contacts and solver included.
+        """Restore the state of the first call, with contacts and solver.
 
-        Without it, what is remembered of old contacts makes two equal runs differ in the last bits.
+        Otherwise remembered old contacts make two equal runs differ in the last bits.
         """
         if self._at_load is None:
             self._at_load = self.client.saveState()
@@ -192,6 +192,6 @@ class BulletWorld:
 
 
 def touches(contact: tuple[Any, ...]) -> bool:
-    """Whether one of pybullet's contacts is one: closed, or pressed."""
+    """Whether one of pybullet's contacts is real: closed, or with a force."""
     distance, normal_force = contact[8], contact[9]  # [m], [N]
     return distance <= 0 or normal_force > 0

@@ -1,6 +1,6 @@
-"""What of a robot may touch: which pairs, and with which shapes.
+"""The parts of a robot that may touch: their pairs and their shapes.
 
-The shapes are the links' own, or the description's bodies where a mesh is not installed.
+The shapes are the links' own, or the description's bodies if a mesh is not installed.
 """
 
 import logging
@@ -19,13 +19,13 @@ from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import convex_hull
 from app.strict import Array
 
-FLOOR = "/floor"  # the floor among the parts, by a name that no link and no body has
+FLOOR = "/floor"  # name of the floor among the parts, which no link or body can have
 
 ContactPairs = dict[tuple[str, str], str]
-"""The field of `Contacts` that reports two parts, by their names: those of bodies or of links.
+"""The field of `Contacts` for each pair of parts, by the names of bodies or links.
 
-With `arm_base` a part of l_m comes first, and one of the arm that can come near it; with
-`arm_floor` the floor.
+In `arm_base` the part of l_m is first, then a part of the arm that can come near it; in
+`arm_floor` the floor is first.
 """
 
 
@@ -33,17 +33,17 @@ class CollisionShape(NamedTuple):
     """One convex shape."""
 
     part: str
-    """Name of the link, or of the body, whose shape it is."""
+    """Name of its link or body."""
     joint: int
-    """Pinocchio's joint that carries it."""
+    """Pinocchio's joint that moves it."""
     T: pin.SE3
     """Its pose in that joint's frame."""
     geometry: coal.CollisionGeometry
-    """The shape; of a mesh, its convex hull is meant, or one of its several."""
+    """The shape; a mesh means its convex hull, or one of its hulls."""
 
 
 class CollisionShapes(NamedTuple):
-    """All shapes of a robot, which parts may touch, and the parts of l_m."""
+    """All shapes of a robot, the parts that may touch, and the parts of l_m."""
 
     shapes: tuple[CollisionShape, ...]
     pairs: ContactPairs
@@ -51,9 +51,9 @@ class CollisionShapes(NamedTuple):
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies that may touch; near l_m and the floor come those with a reachability.
+    """Pairs of bodies that may touch; bodies with a reachability may touch l_m and the floor.
 
-    Of the arm it is bodies that are not neighbours in the chain.
+    Within the arm, bodies that are not neighbours in the chain may touch.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -67,7 +67,7 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """The same pairs for the URDF's links that the bodies stand for, but for nested ones."""
+    """The same pairs for the URDF's links that the bodies enclose, except nested ones."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -80,17 +80,17 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 @kept_per_model(1)
 def collision_shapes(model: RobotModel) -> CollisionShapes:
-    """The collision shapes of the links, or the convex bodies where a mesh is not installed.
+    """The collision shapes of the links, or the convex bodies if a mesh is not installed.
 
-    The bodies are fatter than the links; the log says that they are taken. To read the meshes takes
-    half the time of making a plant: they are kept per model.
+    The bodies are larger than the links; the log reports that they are used. Reading the meshes
+    takes half the time of making a plant, so the shapes are cached per model.
     """
     description = model.description
     try:
         text = resolved_urdf(description)
     except AssetError as error:
         logging.getLogger(__name__).warning(
-            "%s: what touches are its convex bodies, which are fatter than its links: %s",
+            "%s: contacts are those of its convex bodies, which are larger than its links: %s",
             description.name,
             error,
         )
@@ -113,7 +113,7 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
 
 def vertices(geometry: coal.CollisionGeometry) -> Array | None:
-    """(n, 3) [m] of a mesh or a hull; None of another shape."""
+    """(n, 3) [m] vertices of a mesh or a hull; None for another shape."""
     if isinstance(geometry, coal.BVHModelBase):
         return np.array(geometry.vertices())
     if isinstance(geometry, coal.ConvexBase):
@@ -122,7 +122,7 @@ def vertices(geometry: coal.CollisionGeometry) -> Array | None:
 
 
 def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
-    """A shape, or the hulls of an OBJ's named objects and groups, as pybullet has them."""
+    """A shape, or the hulls of an OBJ's named objects and groups, as in pybullet."""
     if not placed.meshPath.lower().endswith(".obj"):
         return [placed.geometry]
     points: list[list[float]] = []

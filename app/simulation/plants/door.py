@@ -17,13 +17,13 @@ from app.strict import Array
 
 BODY = "door"
 
-_E1 = 0.2  # [-] upright edges that bend a little, so that the closest point has one place
+_E1 = 0.2  # [-] slightly curved upright edges, so that the closest point is unique
 _E2 = 0.2  # [-] in plan
 _MASS = 60.0  # [kg] of the refrigerator without its door
 _DEPTH = 0.60  # [m]
 _GAP = 0.005  # [m] between its body and the closed door
-_HANDLE = 0.03, 0.025, 0.24  # [m] as it is drawn: depth, width and height
-_SINKING = 1e-5  # [m] of its body into the floor, where the engines let it rest
+_HANDLE = 0.03, 0.025, 0.24  # [m] drawn depth, width and height
+_SINKING = 1e-5  # [m] of its body into the floor, where it rests in the engines
 
 
 @dataclass(frozen=True)
@@ -31,25 +31,25 @@ class Door:
     """An upright board on a hinge.
 
     The door's frame has its origin on the floor under the hinge's axis, z up, x into the closed
-    refrigerator and y to the left of a person who stands before it; it turns with the door.
+    refrigerator and y to the left of a person in front of it; it turns with the door.
     """
 
     hinge: Literal["left", "right"]
-    """Side of the hinge for a person who stands before the closed door."""
+    """Side of the hinge for a person in front of the closed door."""
     hinge_position: tuple[float, float]
     """[m] x and y of the hinge's axis in the world."""
     yaw: float
-    """[rad] of the closed door's x axis in the world."""
+    """[rad] direction of the closed door's x axis in the world."""
     width: float
     """[m] from the hinge's axis to the free edge."""
     friction: float
-    """[N m] of the hinge."""
+    """[N m] dry friction of the hinge."""
     height: float = 1.70
     """[m]"""
     thickness: float = 0.06
     """[m]"""
     bottom: float = 0.05
-    """[m] above the floor."""
+    """[m] lower edge above the floor."""
     mass: float = 8.0
     """[kg]"""
     handle_inset: float = 0.06
@@ -57,7 +57,7 @@ class Door:
     handle_reach: float = 0.05
     """[m] from the door's face to the handle."""
     handle_height: float = 1.10
-    """[m] above the floor."""
+    """[m] height of the handle above the floor."""
 
     @property
     def side(self) -> float:
@@ -76,7 +76,7 @@ class Door:
 
     @property
     def centre(self) -> Array:
-        """(3,) [m] of the board in the door's frame."""
+        """(3,) [m] centre of the board in the door's frame."""
         return np.array([0.0, -self.side * self.width / 2, self.bottom + self.height / 2])
 
     def pose(self, angle: float) -> pin.SE3:
@@ -85,7 +85,7 @@ class Door:
         return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
 
     def handle(self, angle: float) -> pin.SE3:
-        """Pose of a hand at the handle: z into the door, x up."""
+        """Pose of an end-effector at the handle: z into the door, x up."""
         place = np.array(
             [
                 -self.thickness / 2 - self.handle_reach,
@@ -97,12 +97,12 @@ class Door:
         return self.pose(angle) * pin.SE3(axes, place)
 
     def radial(self, p_hand: Array) -> Array:
-        """(2,) unit vector in plan from a hand at `p_hand` (3,) [m] to the hinge's axis."""
+        """(2,) unit vector in plan from an end-effector at `p_hand` (3,) [m] to the hinge."""
         to_hinge = np.subtract(self.hinge_position, p_hand[:2])
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the corners of the board, the door's frame standing at T."""
+        """The hyper-ellipsoid through the corners of the board, with the door's frame at T."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
@@ -117,34 +117,34 @@ class Door:
 
 
 class DoorReading(NamedTuple):
-    """How the opening of a door goes."""
+    """State of an opening door."""
 
     angle: float
-    """[rad] how far the door is open."""
+    """[rad] opening angle of the door."""
     force: Array
-    """(3,) [N] that the hand exerts on it, in the world."""
+    """(3,) [N] force of the end-effector on it, in the world."""
     radial_force: float
-    """[N] the part of it towards the hinge's true place."""
+    """[N] its component towards the hinge's true place."""
     radial_error: float
-    """[rad] of the estimated radial direction, positive counter-clockwise."""
+    """[rad] error of the estimated radial direction, positive counter-clockwise."""
 
 
 class OpenDoor(NamedTuple):
-    """A door and how far it is open at the start, `angle` [rad]."""
+    """A door with its opening angle at the start, `angle` [rad]."""
 
     door: Door
     angle: float
 
 
 class Cabinet:
-    """The refrigerator that carries a door: a box that stands on the floor by its weight."""
+    """The refrigerator that carries a door: a box that rests on the floor by its weight."""
 
     def __init__(self, door: Door) -> None:
         height = door.bottom + door.height
         self.size = _DEPTH, door.width, height
         """[m] depth, width and height."""
         self.inertia = pin.Inertia.FromBox(_MASS, *self.size)
-        """Of the box, in the frame of its centre."""
+        """Inertia of the box, in the frame of its centre."""
         back = door.thickness / 2 + _GAP + _DEPTH / 2
         self.T_world = door.pose(0.0) * pin.SE3(
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
@@ -155,11 +155,11 @@ class Cabinet:
         self.T_centre = pin.SE3(np.eye(3), door.centre)
         """Pose of the board's centre in the door's frame."""
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
-        """Of the door, in the door's frame."""
+        """Inertia of the door, in the door's frame."""
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
-    """Size [m] and pose of the boxes that a refrigerator is drawn as, at an opening angle [rad]."""
+    """Size [m] and pose of the boxes that represent a refrigerator, at an opening angle [rad]."""
     cabinet, opened = Cabinet(door), door.pose(angle)
     handle = door.pose(0.0).actInv(door.handle(0.0)).translation
     return {
@@ -174,9 +174,11 @@ def with_door(
 ) -> tuple[RobotModel, BorderData]:
     """The robot that holds a door: the arm's last body is the door, and ⟨l_m, door⟩ is in L_m.
 
-    The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link: the grasp lets
-    it not move there. Its reachability is the hand's. It has no sampled border, so that the acting
-    point is found on the exact offset of l_m. The door's frame stands at `T_ee_door` in the hand's.
+    The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link: the grasp is
+    rigid. Its reachability is the end-effector's. It has no sampled border, so the acting
+    point is found on the exact offset of l_m. `T_ee_door` is the door's frame in the
+    end-effector's. point is found on the exact offset of l_m. The door's frame stands at
+    `T_ee_door` in the hand's.
     """
     description = model.description
     link = description.arm.end_effector_link

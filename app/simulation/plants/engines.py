@@ -1,4 +1,4 @@
-"""pybullet and MuJoCo on one robot: what they see, what touches, and how much they differ."""
+"""Comparison of pybullet and MuJoCo on one robot: pictures by rays, and contacts."""
 
 from itertools import product
 from typing import NamedTuple
@@ -13,36 +13,36 @@ from app.simulation.plants.planar import planar_plant
 from app.strict import Array
 
 SAME_DEPTH = 0.005
-"""[m] less than which a contact may be one in one engine only: pybullet rounds its hulls, and finds
-the depth of two hulls only nearly."""
-SAME_PICTURE = 0.002  # [-] share of a picture's rays below which it is the same
-_SAME_PLACE = 0.01  # [m] of what a ray meets: pybullet adds 1 mm to hulls, at a slant several
-_EDGE = 0.003  # [m] by which edges may differ
-_BESIDE = tuple(product((0, 1, -1), repeat=2))  # itself first; a corner may lie between two sides
-_HALF, _PIXELS = 1.0, 48  # [m] and rays of a picture's side
-_MIDDLE, _FAR = 0.6, 3.0  # [m] height that it looks at, and from how far
-_SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # where pictures are taken from
+"""[m] depth below which a contact may exist in one engine only: pybullet rounds its hulls, and
+computes the depth of two hulls approximately."""
+SAME_PICTURE = 0.002  # [-] share of differing rays below which pictures are equal
+_SAME_PLACE = 0.01  # [m] tolerance of a ray's hit: pybullet adds 1 mm to hulls, more at a slant
+_EDGE = 0.003  # [m] tolerance of edges
+_BESIDE = tuple(product((0, 1, -1), repeat=2))  # the ray itself first
+_HALF, _PIXELS = 1.0, 48  # [m] and number of rays of a picture's side
+_MIDDLE, _FAR = 0.6, 3.0  # [m] height of the target, and distance of the viewpoint
+_SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # directions of the viewpoints
 
 
 class Difference(NamedTuple):
-    """How two engines differ over some poses."""
+    """Differences of two engines over some poses."""
 
     picture: float
-    """[-] largest share of a picture's rays on the robot that meet something elsewhere."""
+    """[-] largest share of a picture's rays on the robot with different hits."""
     depth: float
-    """[m] of the deepest contact that only one of them has."""
+    """[m] depth of the deepest contact that only one of them has."""
     contacts: int
-    """How often something touched in both."""
+    """Number of contacts that both have."""
     poses: int
-    """How many poses were looked at."""
+    """Number of poses."""
 
 
 def compare_engines(
     model: RobotModel, *, poses: int = 30, pictures: int = 3, seed: int = 0
 ) -> Difference:
-    """Put both planar plants into random poses, and look at what touches.
+    """Put both planar plants into random poses, and compare their contacts.
 
-    In the first of them, as many as `pictures`, pictures are taken by rays, from three sides.
+    In the first `pictures` poses, pictures are taken by rays from three sides.
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
@@ -77,7 +77,7 @@ def compare_engines(
 def _picture(
     worlds: tuple[PlanarWorld, PlanarWorld], base: Array, side: tuple[float, ...]
 ) -> float:
-    """[-] share of the rays that meet the robot at places that differ, in a parallel projection."""
+    """[-] share of the robot's rays with different hits, in a parallel projection."""
     forward = -np.array(side) / np.linalg.norm(side)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

@@ -1,4 +1,4 @@
-"""The interface behind which every plant stands, real physics or stand-in."""
+"""The common interface of all plants, real physics or stand-in."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -11,7 +11,7 @@ from app.strict import Array
 
 
 class Contacts(NamedTuple):
-    """What touches what in the last step."""
+    """Contacts of the last step."""
 
     arm_base: bool = False
     """Arm and base."""
@@ -20,11 +20,11 @@ class Contacts(NamedTuple):
     arm_floor: bool = False
     """Arm and floor."""
     door_base: bool = False
-    """A door that the hand holds, and the base."""
+    """A door that the end-effector holds, and the base."""
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
-        """Those of some fields, by their names."""
+        """The contacts of some fields, by their names."""
         return cls(**dict.fromkeys(groups, True))
 
 
@@ -47,15 +47,15 @@ class Push(NamedTuple):
 
 
 class HeldDoor(ABC):
-    """A door that the hand holds since the plant's reset."""
+    """A door that the end-effector holds since the plant's reset."""
 
     @abstractmethod
     def angle(self) -> float:
-        """[rad] how far it is open."""
+        """[rad] opening angle."""
 
     @abstractmethod
     def wrench(self) -> Wrench:
-        """What the hand exerted on it in the last step, as a force-torque sensor gives it."""
+        """Wrench on the door in the last step, as a force-torque sensor measures it."""
 
 
 class Physics(ABC):
@@ -68,11 +68,11 @@ class Physics(ABC):
     dt: float
     """[s] one step."""
     door: HeldDoor | None
-    """The door that the hand holds; None in a plant without one."""
+    """The door that the end-effector holds; None in a plant without one."""
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest at base pose (x, y, φ) [m, rad] and arm joints `q_m`."""
+        """Put the robot at rest at base pose (x, y, φ) [m, rad] and joint positions `q_m`."""
 
     @abstractmethod
     def measure(self) -> Measurement:
@@ -85,7 +85,7 @@ class Physics(ABC):
         """Advance by `dt`.
 
         Args:
-            u_a: (n_m,) [N m or N] torques of the arm, held for the step.
+            u_a: (n_m,) [N m or N] torques of the arm, constant during the step.
             base_velocity: (n_b,) [m/s or rad/s] commanded along the base's axes; the drive
                 follows with the description's time constant and limits.
             hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
@@ -97,7 +97,7 @@ class Physics(ABC):
         """Contacts of the last step."""
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
-        """Release what the plant holds."""
+        """Release the plant's resources."""
 
 
 class PlanarWorld(ABC):
@@ -107,11 +107,11 @@ class PlanarWorld(ABC):
 
     @abstractmethod
     def reset(self, q: Array) -> None:
-        """At rest at q (3 + n_m,) [m, rad]; the hand takes hold of the door."""
+        """At rest at q (3 + n_m,) [m, rad]; the end-effector grasps the door."""
 
     @abstractmethod
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Of x, y and yaw where they are (3,) and how fast; of the arm q_m and q̇_m, as copies."""
+        """Position (3,) and velocity of x, y and yaw, then q_m and q̇_m of the arm, as copies."""
 
     @abstractmethod
     def step(
@@ -125,15 +125,15 @@ class PlanarWorld(ABC):
 
     @abstractmethod
     def depths(self) -> dict[str, float]:
-        """[m] how deep they are, by the fields of `Contacts`."""
+        """[m] depth of the contacts, by the fields of `Contacts`."""
 
     @abstractmethod
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+        """(n,) [m] from each start (n, 3) to the robot or the floor, towards its end; or inf."""
 
     @abstractmethod
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Mass matrix and bias forces, as the engine computes them."""
+        """Mass matrix and bias forces of the engine."""
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
-        """Release what it holds."""
+        """Release the engine's resources."""

@@ -1,8 +1,8 @@
 """A stand-in plant without a physics library: the equation of motion, integrated.
 
-The base moves exactly as its drive says; the arm follows M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f.
-Nothing stops the arm but its joint limits: contacts are overlaps of the convex bodies, reported
-only. For tests, and an independent check of the engines.
+The base moves exactly as its drive; the arm follows M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f.
+Only joint limits stop the arm: contacts are overlaps of the convex bodies and are only
+reported. It is for tests, and an independent check of the engines.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from app.strict import Array
 
 
 class Kinematic(Physics):
-    """By pinocchio alone."""
+    """A plant of pinocchio alone."""
 
     door = None
 
@@ -66,13 +66,13 @@ class Kinematic(Physics):
         self._stepped = True
 
     def contacts(self) -> Contacts:
-        """Overlaps of the bodies, which are fatter than the links."""
+        """Overlaps of the bodies, which are larger than the links."""
         if not self._stepped:
             return Contacts()
         return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
-        """(n_m,) Σ J_aᵀ f: the joints' share of the forces on the arm."""
+        """(n_m,) Σ J_aᵀ f: the joint torques of the forces on the arm."""
         state, n_b = self._state, self._model.n_b
         felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)
         for push in pushes:
@@ -82,7 +82,7 @@ class Kinematic(Physics):
         return felt
 
     def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
-        """(n_m,) q̈_a from the arm's rows of the equation of motion, joint limits included."""
+        """(n_m,) q̈_a from the arm's rows of the equation of motion, including joint limits."""
         M, h, n_b = self._state.M, self._state.h, self._model.n_b
         u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
         M_aa = M[n_b:, n_b:]
@@ -97,19 +97,19 @@ class Kinematic(Physics):
         return qdd
 
     def _beyond_limits(self, qdd: Array) -> Array:
-        """(n_m,) which joints an acceleration would bring beyond their limits in this step."""
+        """(n_m,) joints that an acceleration would move beyond their limits in this step."""
         q = self._q + (self._qd + qdd * self.dt) * self.dt
         return (q < self._model.q_lower) | (q > self._model.q_upper)
 
     def _stopping_acceleration(self) -> Array:
-        """(n_m,) that brings each joint exactly to the nearer of its limits in this step."""
+        """(n_m,) acceleration that moves each joint exactly to its nearer limit in this step."""
         lower, upper = self._model.q_lower, self._model.q_upper
         limit = np.where(self._q - lower < upper - self._q, lower, upper)
         return ((limit - self._q) / self.dt - self._qd) / self.dt
 
 
 class _Overlaps:
-    """Which bodies overlap, in the groups of `Contacts`."""
+    """Overlapping bodies, in the groups of `Contacts`."""
 
     def __init__(self, model: RobotModel) -> None:
         self._pin, self._data = model.pin, model.pin.createData()

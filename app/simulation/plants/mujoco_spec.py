@@ -1,7 +1,7 @@
-"""A robot over a floor as a specification of MuJoCo, to which a plant adds what it has besides.
+"""A robot over a floor as a MuJoCo specification; a plant adds its own parts.
 
-Its bodies are pinocchio's, one a joint, and so their inertias; shapes that touch are the links'
-own. Only what is named touches.
+Its bodies and inertias are pinocchio's, one for each joint; its contact shapes are the links'
+own. Only selected pairs touch.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,13 +21,13 @@ from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
 FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts and of joint limits
-IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of both, as MuJoCo has it
+IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of both, in MuJoCo's format
 
-_FLAT = 1e-6  # [-] of a mesh's thickness over its length
-_SHEET = 0.0002  # [m] that a flat one is made thick
-_STIFFEST = 0.9999  # [-] MuJoCo's greatest impedance
-_FRICTION = 0.25  # [-] of two links
-_ROUND = 100.0  # [-] firmness of friction over that of contacts
+_FLAT = 1e-6  # [-] ratio of thickness to length of a flat mesh
+_SHEET = 0.0002  # [m] thickness given to a flat mesh
+_STIFFEST = 0.9999  # [-] MuJoCo's largest impedance
+_FRICTION = 0.25  # [-] friction of two links
+_ROUND = 100.0  # [-] ratio of the firmness of friction to that of contacts
 _GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
 _PRIMITIVES = {
@@ -46,19 +46,19 @@ class RobotSpec:
     ) -> None:
         """Specify the robot over the floor; `dt` [s] is one step.
 
-        The root moves on motors along x, y and yaw, or freely with the inertia that is given, where
-        the plant adds joints which carry some of the robot's mass.
+        The root moves on motors along x, y and yaw. With an inertia it is free, and the plant adds
+        joints that carry the rest of the robot's mass.
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
         self.pairs: dict[frozenset[str], str | None] = {}
-        """The field of `Contacts` that reports two geoms, or None, by their names."""
+        """The field of `Contacts` for two geoms, by their names, or None."""
         self.motors: list[str] = []
         """Names of the joints that have a motor."""
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
         self.shapes, pairs, self.mobile = collision_shapes(model)
-        """The robot's shapes; names of l_m's links, or of the body itself where bodies stand for
+        """The robot's shapes, by the names of l_m's links, or of the body itself if bodies replace
         links."""
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
@@ -67,20 +67,20 @@ class RobotSpec:
             name = f"{shape.part}/{i}"
             self._geoms.setdefault(shape.part, []).append(name)
             self._add_shape(bodies[shape.joint], name, shape)
-        # By group and names: the solver's last digits depend on their order.
+        # By group and names, because the solver's last digits depend on their order.
         ordered = sorted(pairs.items(), key=lambda item: (Contacts._fields.index(item[1]), item[0]))
         for (a, b), group in ordered:
             self.allow(group, self.geoms(a), self.geoms(b))
 
     def geoms(self, *parts: str) -> list[str]:
-        """Names of the geoms of links, or of the floor; of bodies where these stand for links."""
+        """Names of the geoms of links or of the floor; of bodies if these replace links."""
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
         """A body of the specification at a pose in its parent.
 
-        Its inertia is written into the compiled model: MuJoCo's compiler refuses what other
-        libraries take, such as a link without mass whose joint moves others that have some.
+        Its inertia is written into the compiled model, because MuJoCo's compiler refuses inertias
+        that other libraries accept, such as a link without mass whose joint moves links with mass.
         """
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -104,7 +104,7 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """A shape at a pose in its body, that touches nothing but what `allow` names."""
+        """A shape at a pose in its body that touches only the geoms of `allow`."""
         body.add_geom(
             name=name,
             type=kind,
@@ -118,16 +118,16 @@ class RobotSpec:
     def add_motor(
         self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], most: float
     ) -> None:
-        """A joint whose motor holds it to a velocity, with at most some force or torque [N or N m].
+        """A joint whose motor holds a velocity, with limited force or torque [N or N m].
 
-        That is dry friction against something that moves, which MuJoCo's solver takes together
+        The motor is dry friction against a moving reference, which MuJoCo's solver treats together
         with contacts and limits.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(most))
         self.motors.append(name)
 
     def friction(self, most: float) -> dict[str, Any]:
-        """A joint's dry friction [N or N m], which ends all motion that it can within a step."""
+        """A joint's dry friction [N or N m], which stops all motion that it can within a step."""
         return {
             "frictionloss": most,
             "solref_friction": [-1.0, -_STIFFEST / self._dt],
@@ -144,15 +144,15 @@ class RobotSpec:
         firmness: Sequence[float] = FIRM,
         **contact: Any,
     ) -> None:
-        """Let each geom of some touch each of others.
+        """Let the geoms of one group touch those of another.
 
         Args:
             group: The field of `Contacts` that reports it; None for none.
             some: Names of geoms.
             others: Names of geoms.
-            friction: [-] of the two.
+            friction: [-] coefficient of the two.
             firmness: [s] time constant and [-] damping ratio of their contact.
-            contact: What else MuJoCo takes for it.
+            contact: Further options of MuJoCo's contact.
         """
         contact = {"solref": list(firmness), "solimp": IMPEDANCE} | contact
         for a, b in product(some, others):
@@ -166,7 +166,7 @@ class RobotSpec:
             )
 
     def compile(self) -> mujoco.MjModel:
-        """The model, with the inertias as they are."""
+        """The model, with unchanged inertias."""
         compiled = self.spec.compile()
         for name, (mass, moments) in self._inertias.items():
             body = compiled.body(name).id
@@ -221,7 +221,7 @@ class RobotSpec:
 
 
 def _solid(points: Array) -> Array:
-    """(N, 3) [m] the points; of a flat sheet, which has no hull in MuJoCo, those of a thin one."""
+    """(N, 3) [m] the points; a flat sheet, which has no hull in MuJoCo, gets a thickness."""
     extents, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1:]
     if extents[2] > _FLAT * extents[0]:
         return points
@@ -237,7 +237,7 @@ def _empty_spec(dt: float) -> mujoco.MjSpec:
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # semi-implicit, as pybullet's
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _ROUND
     option.tolerance = 1e-10
-    # Islands copy what `MujocoWorld.step` writes before it can.
+    # Islands copy the data that `MujocoWorld.step` writes, before it does.
     option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return spec
 
@@ -247,6 +247,6 @@ def _pose(T: pin.SE3) -> dict[str, Any]:
 
 
 def _quaternion(R: Array) -> Array:
-    """(4,) as MuJoCo has it, w first."""
+    """(4,) quaternion in MuJoCo's order, w first."""
     x, y, z, w = pin.Quaternion(np.ascontiguousarray(R)).coeffs()
     return np.array([w, x, y, z])

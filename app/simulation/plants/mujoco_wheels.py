@@ -1,10 +1,10 @@
-"""The high-fidelity plant: MuJoCo with a free base on its own wheels, that roll, slip and tip.
+"""The high-fidelity plant: MuJoCo with a free base on its own wheels that roll, slip and tip.
 
-A skid-steer base stands on all its wheels, each driven, each with the same friction along and
-across. How far apart it acts as if they were is the balance of their drags, which depends on the
-load that each carries: the base turns once on the spot when it is made, and its drive is calibrated
-by that. A base with two wheels stands on casters too, which are frictionless and give a little:
-the spheres at the floor that the URDF has, or else four corners.
+A skid-steer base stands on all its wheels; all are driven and have the same friction along and
+across. Its effective track is the balance of their drags, which depends on the load of each
+wheel: a new base turns once on the spot, and this calibrates its drive. A base with two wheels
+also stands on casters, which are frictionless and slightly soft: the spheres at the floor in the
+URDF, or otherwise four corners.
 """
 
 import math
@@ -32,26 +32,26 @@ from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii: an ellipsoid, which touches in one point
 _LOAD_RESERVE = 2.0
-"""[-] Friction of two wheels over that of the traction limit under the whole weight, of which
-casters carry a part; of more wheels, the motors' torque over its share of that limit."""
-_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters, and of tyres that skid
+"""[-] Friction of two wheels relative to the traction limit under the whole weight; casters
+carry a part of it. For more wheels, the motors' torque relative to its share of that limit."""
+_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and skidding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
-"""A tyre that gives by a millimetre and whose drag builds up within 0.1 s. MuJoCo lifts what slides
-the more, the stiffer it is and the quicker its friction: firm wheels hop, and turn in jerks."""
-_AT_FLOOR = 0.01  # [m] below which a part of the base stands on the floor, or would drag on it
+"""A tyre that deforms by a millimetre and whose drag builds up within 0.1 s. MuJoCo lifts sliding
+parts more if they are stiff and their friction acts fast: firm wheels hop, and turn in jerks."""
+_AT_FLOOR = 0.01  # [m] height below which a part of the base touches the floor
 _GEOM = mujoco.mjtGeom
-_LEAST_MASS = 0.005  # [-] of a wheel that has none in the URDF, in masses of the base
+_MIN_MASS = 0.005  # [-] mass of a wheel without one in the URDF, in masses of the base
 _SETTLING_TIME = 0.3  # [s] for the base to sink onto its wheels after a reset
 _FROZEN = 1e6  # [kg m²] armature of the arm's joints meanwhile
-_TURNING = 1.0  # [s] of the calibration's turn, of which the last half counts
+_TURNING = 1.0  # [s] duration of the calibration's turn; its last half counts
 _TURN_RATE = 0.4  # [rad/s]
 
 
 class Wheels:
-    """The driven wheels in the frame of the root, which stands on the floor."""
+    """The driven wheels in the frame of the root, which is on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Read them from the URDF; without wheels there, two at the half track."""
+        """Read the wheels from the URDF; without wheels there, two at the half track."""
         base = differential(model.description)
         self.radius = r = base.wheel_radius_m
         full = pin.buildModelFromXML(bare_urdf(model.description))
@@ -63,7 +63,7 @@ class Wheels:
             for frame in full.frames
             if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
         }
-        """Names of the links that turn with them."""
+        """Names of the links that turn with the wheels."""
         places = [data.oMi[i] for i in ids] or [
             pin.SE3(np.eye(3), np.array([0.0, y, r]))
             for y in (-base.half_track_m, base.half_track_m)
@@ -71,23 +71,23 @@ class Wheels:
         self.centres = np.array([[*place.translation[:2], r] for place in places])
         """(n, 3) [m]"""
         self.right = self.centres[:, 1] < 0.0
-        """(n,) whether they are on the right side."""
+        """(n,) whether a wheel is on the right side."""
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
-        least = pin.Inertia.FromSphere(_LEAST_MASS * model.pin.inertias[1].mass, r)
+        least = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
         self.inertias = [I if I.mass > 0.0 else least for I in own] or [least] * len(places)
-        """Of each, in a frame at its centre; the root's contains them."""
+        """Inertia of each wheel, in a frame at its centre; the root's contains them."""
         self.spans = bool(np.ptp(self.centres[:, 0]) > r)
-        """Whether the base stands on them; else it needs casters."""
+        """Whether the base stands on them; otherwise it needs casters."""
 
     def root_without(self, whole: pin.Inertia) -> pin.Inertia:
-        """The root's inertia that is left of the whole without the wheels."""
+        """The root's inertia: the whole without the wheels."""
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
             whole = whole - pin.SE3(np.eye(3), centre).act(inertia)
         return whole
 
 
 class MujocoWheels(Physics):
-    """Wheels that push on the floor."""
+    """A plant whose wheels push on the floor."""
 
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
@@ -113,12 +113,12 @@ class MujocoWheels(Physics):
 
     @property
     def wheel_angles(self) -> Array:
-        """(2,) [rad] of the right and the left side, on average."""
+        """(2,) [rad] mean angles of the right and the left side."""
         angles, right = self.world.q[self._angles], self.wheels.right
         return np.array([angles[right].mean(), angles[~right].mean()])
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """The base stands on its wheels as the arm's weight tilts it."""
+        """The base stands on its wheels, tilted by the arm's weight."""
         world = self.world
         world.rewind()
         self._drive.reset()
@@ -156,7 +156,7 @@ class MujocoWheels(Physics):
         self.world.step(u_a, speeds, hand_force, pushes)
 
     def tilt(self) -> float:
-        """[rad] angle between the base's vertical axis and the world's; 0 stands level."""
+        """[rad] angle between the base's vertical axis and the world's; 0 is level."""
         return math.acos(min(1.0, self._turn()[2, 2]))
 
     def contacts(self) -> Contacts:
@@ -168,20 +168,20 @@ class MujocoWheels(Physics):
         return pin.Quaternion(w, x, y, z).toRotationMatrix()
 
     def _calibrate(self, half_track: float) -> None:
-        """Turn the wheels as those at a half track [m] have to."""
+        """Set the wheel speeds for a half track [m]."""
         self.half_track = half_track
         right, left = np.linalg.inv(mobile_jacobian(self.wheels.radius, half_track))
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])
 
     def _turned_half_track(self) -> float:
-        """[m] the half track that a turn on the spot shows."""
+        """[m] the half track that follows from a turn on the spot."""
         steps = math.ceil(_TURNING / self.dt)
         speeds = (self._rolling @ [0.0, _TURN_RATE]).tolist()
         rates = self._frozen(steps, speeds)[steps // 2 :]
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Turn the wheels while the arm stands still; the base's rates [rad/s] at each step."""
+        """Turn the wheels while the arm is fixed; the base's rates [rad/s] at each step."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN
@@ -198,7 +198,7 @@ def _heading(R: Array) -> float:
 
 
 def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> None:
-    """The driven wheels, on motors; friction and motors hold the base's traction limit."""
+    """The driven wheels, on motors; friction and motors respect the base's traction limit."""
     weight = GRAVITY * pin.computeTotalMass(robot.model.pin)  # [N]
     mu, torque = base.traction_limit_n / weight, base.traction_limit_n * wheels.radius
     torque /= len(wheels.centres)
@@ -217,7 +217,7 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
-    """Casters where they are needed; the hull of the base meets the floor when it tips."""
+    """Casters if needed; the hull of the base meets the floor when it tips."""
     casters: list[tuple[float, Array]] = []
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:

@@ -1,6 +1,6 @@
-"""One compiled model of MuJoCo: motors, torques and people's forces in, states and contacts out.
+"""One compiled MuJoCo model: motors, torques and people's forces in, states and contacts out.
 
-The hand can hold the door of a refrigerator, which stands free.
+The end-effector can hold the door of a refrigerator, which stands on the floor.
 """
 
 import logging
@@ -18,31 +18,31 @@ from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Pus
 from app.simulation.plants.mujoco_spec import RobotSpec
 from app.strict import Array
 
-# Else it writes a file into the folder where one happens to work.
+# Otherwise MuJoCo writes a file into the working directory.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
 
 _NO_TORQUE = np.zeros(3)
-_AWAY = 100.0  # [m] where it waits while a base settles on its wheels
+_AWAY = 100.0  # [m] place of the refrigerator while a base settles on its wheels
 _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld(PlanarWorld):
-    """A specification at work, also of a robot whose root is free."""
+    """A compiled specification, also of a robot whose root is free."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
-        """Compile a specification that has all its motors, and a door."""
+        """Compile a complete specification with its motors and, optionally, a door."""
         self.door = None if door is None else MujocoDoor(robot, door)
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
         self.q, self.v = self.data.qpos, self.data.qvel
-        """All positions and velocities, which MuJoCo keeps up to date."""
+        """All positions and velocities, which MuJoCo updates."""
         source, arm = robot.model, robot.model.description.arm
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
-        """Where those of the arm are among them."""
+        """Indices of the arm's positions and velocities."""
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._per_step = 1.0 / model.opt.timestep
@@ -62,7 +62,7 @@ class MujocoWorld(PlanarWorld):
             self._group[a, b] = self._group[b, a] = group
 
     def rewind(self) -> None:
-        """Back to the first state, with nothing remembered of old contacts."""
+        """Restore the first state, without remembered contacts."""
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
@@ -76,7 +76,7 @@ class MujocoWorld(PlanarWorld):
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
     def mass_matrix(self) -> Array:
-        """(n_v, n_v) of the last step or forward computation."""
+        """(n_v, n_v) mass matrix of the last step or forward computation."""
         columns = np.eye(self.model.nv)
         rows = np.empty_like(columns)
         for row, column in zip(rows, columns, strict=True):
@@ -84,7 +84,7 @@ class MujocoWorld(PlanarWorld):
         return rows
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Without a door."""
+        """The values without a door."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -93,12 +93,13 @@ class MujocoWorld(PlanarWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """The speeds [m/s or rad/s] are those to which motors hold their joints."""
+        """The speeds [m/s or rad/s] are the references of the motors."""
         data = self.data
         mujoco.mj_step1(self.model, data)
-        # Dry friction decelerates by v / dt, against the floor; a motor, against what moves.
-        # The solver begins where they follow: from the last step it would need three iterations.
-        row = 0 if self.door is None else data.ne  # their rows come after the grasp's
+        # Dry friction decelerates by v / dt, relative to the floor; a motor, to a moving reference.
+        # The solver starts where the motors follow: from the last step it would need three
+        # iterations.
+        row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
         aref, guess = data.efc_aref, self._guess
         for joint, speed in zip(self._motors, speeds, strict=True):
             aref[row] = guess[joint] = aref.item(row) + self._per_step * speed
@@ -136,7 +137,7 @@ class MujocoWorld(PlanarWorld):
         return found
 
     def _press(self, body: int, point: Array, force: Array) -> None:
-        """Force (3,) [N] in the world on a point (3,) [m] of a body's frame."""
+        """Apply a force (3,) [N] in the world to a point (3,) [m] of a body's frame."""
         place = self._origins[body] + self._axes[body] @ point
         mujoco.mj_applyFT(self.model, self.data, force, _NO_TORQUE, place, body, self._applied)
 
@@ -144,12 +145,12 @@ class MujocoWorld(PlanarWorld):
 class MujocoDoor(HeldDoor):
     """The refrigerator's part of a plant in MuJoCo. Only the base's links can touch the door.
 
-    The hinge has dry friction and no stop. The hand is welded to a body without mass that is fixed
-    to the door; between the two a sensor of force and torque stands at the end-effector.
+    The hinge has dry friction and no stop. The end-effector is welded to a massless body that is
+    fixed to the door; between the two is a force-torque sensor at the end-effector.
     """
 
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:
-        """Add it to a specification whose motors are complete; the hand takes hold at the start."""
+        """Add it to a specification with all motors; the end-effector grasps it at the start."""
         self.door, self._start = start
         self._cabinet = cabinet = Cabinet(self.door)
         source = robot.model.pin
@@ -182,12 +183,12 @@ class MujocoDoor(HeldDoor):
             robot.spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=_GRIP)
 
     def put_away(self, world: MujocoWorld) -> None:
-        """Far off, and nobody holds it."""
+        """Move the refrigerator far away, without a grasp."""
         world.data.eq_active[0] = 0
         world.data.joint(_BODY).qpos[0] += _AWAY
 
     def take_hold(self, world: MujocoWorld) -> None:
-        """The refrigerator at its place, its door at rest at the start; the hand takes hold."""
+        """The refrigerator in place, its door at rest at the start; the end-effector grasps it."""
         model, data = world.model, world.data
         self._data = data
         data.joint(_BODY).qpos[:] = pin.SE3ToXYZQUAT(self._cabinet.T_world)[[0, 1, 2, 6, 3, 4, 5]]
@@ -208,7 +209,7 @@ class MujocoDoor(HeldDoor):
 
     def wrench(self) -> Wrench:
         R = self._data.site(_GRIP).xmat.reshape(3, 3)
-        read = self._data.sensordata  # of the door on what holds it
+        read = self._data.sensordata  # of the door on the end-effector
         return Wrench(-R @ read[:3], -R @ read[3:])
 
 

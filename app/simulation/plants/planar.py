@@ -1,6 +1,6 @@
 """The planar plant: the base on planar joints that follow the drive's velocity, in any engine.
 
-Motors on x, y and yaw hold the base to the drive with at most the traction of the wheels; the
+Motors on x, y and yaw move the base with the drive, with at most the traction of the wheels; the
 wheels themselves are only animated. The base cannot tip.
 """
 
@@ -19,7 +19,7 @@ from app.strict import Array
 
 
 class Planar(Physics):
-    """`Physics` with an ideal contact of the wheels up to their traction."""
+    """`Physics` with an ideal contact of the wheels within their traction."""
 
     def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
         """The robot of that world at rest in its ready position."""
@@ -33,7 +33,7 @@ class Planar(Physics):
     def reset(self, base_pose: Array, q_m: Array) -> None:
         self.world.reset(np.concatenate([base_pose, q_m]))
         self._drive.reset()
-        self._heading: float | None = None  # [rad] as measured since the last step
+        self._heading: float | None = None  # [rad] measured since the last step
 
     def measure(self) -> Measurement:
         pose, v, q_m, qd_m = self.world.read()
@@ -56,14 +56,14 @@ class Planar(Physics):
         return self.world.contacts()
 
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
-        """M (n, n) and C q̇ + g (n,) of (26), as the engine computes them; the base faces +x.
+        """M (n, n) and C q̇ + g (n,) of (26) from the engine, for a base that faces +x.
 
-        They are those at joints q_m (n_m,) [rad or m] and the reduced velocity q̇ (n,).
+        The arguments are q_m (n_m,) [rad or m] and the reduced velocity q̇ (n,).
         """
         S = self._S
         v = S @ qd  # at heading 0 the base's own axes are the world's
         M, h = self.world.mass_and_bias(np.concatenate([np.zeros(3), q_m]), v)
-        # The world's axes stand still while the base turns: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
+        # The world's axes do not turn with the base: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
         turning = np.zeros(len(v))
         turning[0], turning[1] = -v[2] * v[1], v[2] * v[0]
         return S.T @ M @ S, S.T @ (h + M @ turning)
@@ -84,7 +84,7 @@ def planar_plant(
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
     """
-    # Imported here: each has to work where the other's library is not installed.
+    # Imported here, because each must work without the other's library.
     if engine == "pybullet":
         from app.simulation.plants.bullet_robot import BulletRobot
 
@@ -96,10 +96,10 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """A base's twist in the world that moves it as it moves in its own frame, for a step of dt [s].
+    """The twist in the world for a twist in the base's own frame, for a step of dt [s].
 
-    Both twists are (3,) v_x, v_y [m/s] and ω [rad/s], the heading [rad] is that at the step's
-    start. The direction is that of the middle of the step, which is exact on a circle.
+    Both twists are (3,) v_x, v_y [m/s] and ω [rad/s]; the heading [rad] is that at the step's
+    start. The direction is that in the middle of the step, which is exact on a circle.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt

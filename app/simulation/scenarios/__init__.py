@@ -1,4 +1,4 @@
-"""Scenarios: where a run starts, and what leads the end-effector."""
+"""Scenarios: the start of a run, and the motion of the end-effector."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 
 def _guiding(name: str, what: str, start: Point, move: Point) -> LineScenario:
-    return LineScenario(name, 8.0, f"a person pulls the hand {what}", "guiding", start, move, 0.6)
+    about = f"a person pulls the end-effector {what}"
+    return LineScenario(name, 8.0, about, "guiding", start, move, 0.6)
 
 
 _LINES = (
@@ -26,7 +27,7 @@ _LINES = (
     LineScenario(
         "tracking",
         30.0,
-        "the hand tracks a line of 0.2 m towards the base's side, its orientation held",
+        "the end-effector tracks a line of 0.2 m towards the base's side at constant orientation",
         "tracking",
         (0.30, 0.68, 0.30),
         (0.0, -0.2, 0.0),
@@ -34,7 +35,7 @@ _LINES = (
     ),
 )
 LINES = {scenario.name: scenario for scenario in _LINES}
-"""Scenarios in which the hand is led on a straight line."""
+"""Scenarios with a straight path of the end-effector."""
 
 SCENARIOS: dict[str, Scenario] = {
     **LINES,
@@ -42,46 +43,46 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios that lead the hand towards the base's sides, where a robot needs a line of its own."""
+"""Scenarios with a path towards the base's sides; some robots need their own line for them."""
 _SAME_LINE = {"tracking": "guiding-lateral"}
-"""Scenarios that take another one's line of a robot that has none for them."""
+"""Scenarios that use another one's line if a robot has none for them."""
 
 
 def scenario_by_name(name: str) -> Scenario:
     """The scenario of that name.
 
     Raises:
-        UnknownNameError: Lists those that exist.
+        UnknownNameError: Lists the existing ones.
     """
     check_name("scenario", name, SCENARIOS)
     return SCENARIOS[name]
 
 
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
-    """The scenario of that name, on the line that suits the robot if its description has one.
+    """The scenario of that name, on the robot's own line if its description has one.
 
-    The changes, as `Scenario.changed` takes them, go before the robot's own.
+    The changes, as in `Scenario.changed`, override the robot's line.
 
     Raises:
-        UnknownNameError: There is no such scenario.
-        UnreachableError: The robot has no line for it, and no start is given.
+        UnknownNameError: The scenario does not exist.
+        UnreachableError: The robot has no line for it, and no start is specified.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
         there = ", ".join(each for each in _OWN if _own_line(description, each)) or "none"
-        unknown = "none is known on which its base gives way there"
+        unknown = "no line is known on which its base moves away there"
         why = description.without_line.get(name, unknown)
         raise UnreachableError(
             f"{description.name} has no line for {name}: {why}; it has {there}; --start X Y Z and "
-            "--move X Y Z give another"
+            "--move X Y Z set another"
         )
     return scenario.changed(**own).changed(**changes)
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, object]:
-    """Start and move of a robot's own line for a scenario, as `Scenario.changed` takes them.
+    """Start and move of a robot's own line for a scenario, as in `Scenario.changed`.
 
-    The hand is tracked, as it is guided, from the base's side.
+    Tracking uses the line of guiding from the base's side.
     """
     lines = description.lines
     place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))

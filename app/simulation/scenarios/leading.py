@@ -1,4 +1,4 @@
-"""What a scenario is: where a run begins, and what leads the hand from step to step."""
+"""Scenarios: the start of a run, and the input of each step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing_extensions import Self
 from app.errors import ConfigError
 from app.strict import Array, check_range
 
-if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is checked at once
+if TYPE_CHECKING:  # for annotations, so that options are checked before slow imports
     from app.border.cache import BorderData
     from app.config import Config
     from app.control.tasks import Reference
@@ -21,87 +21,87 @@ if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is che
     from app.simulation.plants.door import DoorReading, OpenDoor
     from app.simulation.session import Session
 
-SHORTEST = 0.01  # [s] of a scenario
+SHORTEST = 0.01  # [s] shortest scenario
 _DURATIONS = SHORTEST, 3600.0  # [s]
-_FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
+_FARTHEST = 10.0  # [m] from the origin; a longer path is a typing error
 
 
-class Lead(NamedTuple):
-    """What leads the hand in one control step; the arguments of `Session.step`."""
+class StepInput(NamedTuple):
+    """The input of one control step; the arguments of `Session.step`."""
 
     reference: Reference | None = None
-    """What the arm tracks, or None while it is guided."""
+    """The end-effector's reference, or None while a person guides the arm."""
     pull: Array | None = None
-    """(3,) [m] where a person pulls, or None."""
+    """(3,) [m] target of the person's hand, or None."""
     door: DoorReading | None = None
-    """How the opening of a door goes, or None if there is none."""
+    """State of the opening door, or None without one."""
     holds: tuple[Hold, ...] = ()
-    """Others who hold the robot, here or elsewhere."""
+    """Other people who hold the robot, at the end-effector or elsewhere."""
 
 
-Leader = Callable[["Session"], Lead]
-"""Says before each control step what leads the hand in it; may read the session's sensors."""
+Driver = Callable[["Session"], StepInput]
+"""Computes the input of each control step; may read the session's sensors."""
 
 
 class Setting(NamedTuple):
-    """Where a run begins."""
+    """The start of a run."""
 
     model: RobotModel
-    """The robot as its controller knows it."""
+    """The robot model of the controller."""
     data: BorderData
     """Its pairs and clouds."""
     base_pose: Array
     """(3,) x, y [m] and heading [rad] of the base."""
     q_m: Array
-    """(n_m,) [rad or m] the arm's joints."""
+    """(n_m,) [rad or m] joint positions of the arm."""
     config: Config
     door: OpenDoor | None = None
 
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """A run's beginning and course."""
+    """The start and the motion of a run."""
 
     name: str
     duration: float
-    """[s] of the whole run; a motion along a line scales with it, unless the person lets go."""
+    """[s] duration of the run; a motion along a line scales with it, unless the person releases."""
     about: str
-    """One line for people."""
+    """Description in one line."""
 
     def __post_init__(self) -> None:
         check_range("--duration", self.duration, *_DURATIONS, "s")
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Names of the fields that one who runs it may choose."""
+        """Names of the fields that the user may set."""
         return tuple(field.name for field in fields(self) if field.name not in ("name", "about"))
 
     @property
     def open(self) -> bool:
-        """Whether it goes on, and is recorded, while people take the end-effector."""
+        """Whether it continues, and is recorded, while people hold the end-effector."""
         return False
 
     @abstractmethod
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """Where the run begins.
+        """The start of the run.
 
         Raises:
-            DbbError: It cannot begin there.
+            DbbError: The robot cannot start there.
         """
 
     def adapted(self, config: Config) -> Config:
-        """The parameters for this scenario; a configuration that changes in it passes here too."""
+        """The parameters for this scenario, also for a configuration that changes during it."""
         return config
 
     @abstractmethod
-    def leader(self, session: Session) -> Leader:
-        """What leads the hand of a session that stands at the beginning."""
+    def driver(self, session: Session) -> Driver:
+        """The driver of a session that is at the start."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with some fields changed; None keeps what is.
+        """A copy with some fields changed; None means no change.
 
         Raises:
-            ConfigError: This scenario has no such field, or it cannot have that value.
+            ConfigError: This scenario has no such field, or the value is invalid.
         """
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
@@ -110,21 +110,21 @@ class Scenario(ABC):
                 raise self.without(name)
         try:
             return replace(self, **given)
-        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
+        except (TypeError, ValueError) as error:  # a text, a point of two numbers
             raise ConfigError(f"options of {self.name}: {error}") from None
 
     def without(self, name: str) -> ConfigError:
-        """The refusal of an option that this scenario does not have."""
+        """The error for an option that this scenario does not have."""
         options = ", ".join(sorted(option.replace("_", "-") for option in self.options))
         option = name.replace("_", "-")
         return ConfigError(f"--{option}: the scenario {self.name} has none; it has: {options}")
 
 
 def check_point(option: str, point: Sequence[float], size: int = 3) -> None:
-    """Refuse a point that has not so many coordinates, or one beyond 10 m.
+    """Refuse a point with a wrong number of coordinates, or beyond 10 m.
 
     Raises:
-        ConfigError: Names the option and what is right.
+        ConfigError: Names the option and the valid form.
     """
     if len(point) != size:
         raise ConfigError(f"{option}: {point!r} is not {size} numbers")

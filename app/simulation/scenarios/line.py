@@ -1,4 +1,4 @@
-"""Scenarios on a straight line: a person pulls the hand along it, or the arm tracks it."""
+"""Scenarios on a straight line: a person pulls the end-effector along it, or it tracks the line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from typing_extensions import Self
 
 from app.errors import CaseError, ConfigError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting, check_point
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput, check_point
 from app.strict import Array
 
 if TYPE_CHECKING:
@@ -26,29 +26,30 @@ MODES = ("guiding", "tracking")
 
 @dataclass(frozen=True)
 class LineScenario(Scenario):
-    """The hand is led on a straight line in the world, along a cubic in time, and then held.
+    """The end-effector moves on a straight line in the world, along a cubic in time, and then
+    holds.
 
-    The base starts at the origin facing +x.
+    The base starts at the origin and faces +x.
     """
 
     mode: Literal["guiding", "tracking"]
-    """Whether a person pulls the hand or the arm tracks the line."""
+    """Whether a person pulls the end-effector or it tracks the line."""
     start: Point
-    """[m] where the hand starts, in the world; a robot may have a start of its own."""
+    """[m] start of the end-effector, in the world; a robot may have its own start."""
     move: Point
-    """[m] how far the hand is led, in the world; a robot may have a way of its own."""
+    """[m] displacement of the end-effector, in the world; a robot may have its own."""
     moving: float
-    """[-] share of the duration in which the hand is led; then it is held. Above 1 if the person
-    lets go and the run ends before the hand's way does."""
+    """[-] duration of the motion relative to the run; then it holds. Above 1 if the person
+    releases and the run ends before the motion does."""
     release_at: float | None = field(default=None, kw_only=True)
-    """[s] when the person lets go of the hand; the motion keeps its own pace until then,
-    and the run goes on to its duration."""
+    """[s] time at which the person releases the end-effector; the motion has its normal speed until
+    then, and the run continues to its duration."""
     regrasp_at: float | None = field(default=None, kw_only=True)
-    """[s] when the person takes hold again, to go on with the motion where it is by then."""
+    """[s] time at which the person takes hold again and continues the motion."""
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Only a person can let go."""
+        """Only a person can release."""
         released = ("release_at", "regrasp_at") if self.mode == "guiding" else ()
         return ("start", "move", "duration", *released)
 
@@ -70,21 +71,21 @@ class LineScenario(Scenario):
         return Setting(model, data, np.zeros(3), q_m, config)
 
     def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
-        # Imported here: scipy would make every command start later.
+        # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.start import find_start
 
-        move = self.move if self.mode == "tracking" else None  # a person does not hold it upright
+        move = self.move if self.mode == "tracking" else None  # guiding has no orientation
         x, y, z = self.start
         return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
 
     def _check_release(self) -> None:
-        """Whether somebody holds the hand who can let go within the run, and take hold after it."""
+        """Check that a person can release within the run, and take hold after that."""
         release, regrasp = self.release_at, self.regrasp_at
         if release is None and regrasp is None:
             return
         if self.mode != "guiding":
             raise ConfigError(
-                f"--release-at: nobody holds the hand in {self.name}, only in guiding scenarios"
+                f"--release-at: no person pulls in {self.name}, only in guiding scenarios"
             )
         if release is None or not 0.0 < release < self.duration:
             raise ConfigError(
@@ -97,9 +98,9 @@ class LineScenario(Scenario):
             )
 
     def changed(self, **changes: Any) -> Self:
-        """A duration stretches the motion unless the person lets go.
+        """A duration scales the motion unless the person releases.
 
-        With `release_at` the motion keeps its pace, and the run ends at the duration.
+        With `release_at` the motion has its normal speed, and the run ends at the duration.
         """
         duration, release = changes.get("duration"), changes.get("release_at")
         released = (self.release_at if release is None else release) is not None
@@ -107,35 +108,26 @@ class LineScenario(Scenario):
             changes.setdefault("moving", self.moving * self.duration / duration)
         return super().changed(**changes)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         orientation = session.T_world_ee.rotation.copy()
         if self.mode == "tracking":
-            return lambda session: Lead(reference=self.reference(session.t, orientation))
-        return lambda session: Lead(pull=self.place(session.t) if self.holds(session.t) else None)
+            return lambda session: StepInput(reference=self.reference(session.t, orientation))
+        return lambda session: StepInput(
+            pull=self.place(session.t) if self.holds(session.t) else None
+        )
 
     def place(self, t: float) -> Array:
-        """(3,) [m] the leading point at time t [s]."""
+        """(3,) [m] the moving point at time t [s]."""
         s = self._passed(t)
         share = s * s * (3 - 2 * s)
         moves = zip(self.start, self.move, strict=True)
         return np.array([begin + share * move for begin, move in moves])
 
     def holds(self, t: float) -> bool:
-        """Whether the person holds the hand at time t [s]."""
+        """Whether the person holds the end-effector at time t [s]."""
         if self.release_at is None or t < self.release_at:
             return True
         return self.regrasp_at is not None and t >= self.regrasp_at
-
-    def position(self, t: float) -> tuple[Array, Array, Array]:
-        """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
-        T, s = self.duration * self.moving, self._passed(t)
-        inside = 0.0 <= t <= T
-        move = np.array(self.move)
-        return (
-            self.place(t),
-            (6 * s * (1 - s) / T if inside else 0.0) * move,
-            (6 * (1 - 2 * s) / T**2 if inside else 0.0) * move,
-        )
 
     def reference(self, t: float, orientation: Array) -> Reference:
         """The end-effector's reference with a constant orientation, (3, 3)."""
@@ -143,23 +135,30 @@ class LineScenario(Scenario):
 
         from app.control.tasks import Reference
 
-        p, v, a = self.position(t)
-        zero = np.zeros(3)
+        T, s = self.duration * self.moving, self._passed(t)
+        speed, change = 6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2  # [1/s, 1/s²] of the way
+        if not 0.0 <= t <= T:
+            speed = change = 0.0
         return Reference(
-            pin.SE3(orientation, p), np.concatenate([v, zero]), np.concatenate([a, zero])
+            pin.SE3(orientation, self.place(t)), self._along(speed), self._along(change)
         )
 
+    def _along(self, rate: float) -> Array:
+        """(6,) a motion by a rate times the whole way, without rotation."""
+        x, y, z = self.move
+        return np.array([rate * x, rate * y, rate * z, 0.0, 0.0, 0.0])
+
     def _passed(self, t: float) -> float:
-        """[-] of the time in which the point moves, 0 to 1."""
+        """[-] share of the motion's duration that has passed, 0 to 1."""
         return min(max(t / (self.duration * self.moving), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
 class StartedLine(LineScenario):
-    """A line from a posture of the arm that is given and not searched."""
+    """A line from a known posture of the arm, without a search."""
 
     q_m: tuple[float, ...]
-    """(n_m,) [rad or m] the arm's joints at the start."""
+    """(n_m,) [rad or m] joint positions of the arm at the start."""
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -178,4 +177,4 @@ class StartedLine(LineScenario):
 RANDOM_PULL = StartedLine(
     "random-pull", 8.0, "a pull that a study drew", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
 )
-"""What a study's cases are changed from."""
+"""The template of a study's cases."""

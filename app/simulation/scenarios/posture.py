@@ -1,4 +1,4 @@
-"""The posture search: joints of the arm that bring its hand to a target, the best of many tries."""
+"""The posture search: joint positions that bring the end-effector to a target, best of many."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -15,42 +15,42 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-_MOST_EVALUATIONS = 60  # [-] of the residual
-_JOINT_MARGIN = 0.03  # [-] share of a joint's range that the least squares keep from its limits
-_TO_TARGET = 10.0  # [-] weight of the hand's place, or of its whole pose
-_TO_MIDDLE = 1e-5  # [-] weight of the joints' middle
+_MAX_EVALUATIONS = 60  # [-] most evaluations of the residual
+_JOINT_MARGIN = 0.03  # [-] margin to a limit in the least squares, relative to the range
+_TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
+_TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
-"""The quality [-] of a posture (n_m,), above zero and more is better, or why it may not be used."""
+"""The quality [-] of a posture (n_m,), above zero and better if larger, or why it is invalid."""
 
 
 class Target(NamedTuple):
-    """Where the hand has to be, and perhaps where it points."""
+    """The position of the end-effector, and optionally its direction."""
 
     p: Array
     """(3,) [m] its origin in the world."""
     z: Array | None = None
-    """(3,) unit vector along which it points, or None if it may point anywhere."""
+    """(3,) unit vector of the end-effector's direction, or None for any direction."""
 
 
 class Found(NamedTuple):
-    """The best of the postures that were tried."""
+    """The best of the tried postures."""
 
     q_m: Array | None
-    """(n_m,) [rad or m], or None if none may be used."""
+    """(n_m,) [rad or m], or None if no posture is valid."""
     quality: float
-    """[-] of it, 0 of none."""
+    """[-] its quality, 0 without a posture."""
     flaws: Counter[str]
-    """How many tries failed by each reason."""
+    """Number of failed tries for each reason."""
 
 
 class PostureSearch:
-    """Tries postures of the arm and says of each what is near it."""
+    """Tries postures of the arm and evaluates their surroundings."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare for a robot, the pairs that count and a buffer distance [m]."""
+        """Prepare for a robot, its relevant pairs and a buffer distance [m]."""
         self.model, self.d_b, self.state = model, d_b, RobotState(model)
-        """The buffer distance [m]; the state is that of the posture that was placed last."""
+        """The buffer distance [m]; the state is that of the last posture."""
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2
         """(n_m,) [rad or m] of each joint's range."""
@@ -61,7 +61,7 @@ class PostureSearch:
         self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
-        """Put the base at x, y [m] and heading [rad], (3,); at first it stands at the origin."""
+        """Put the base at x, y [m] and heading [rad], (3,); initially it is at the origin."""
         self._base_pose, self._placed = base_pose, None
 
     def place(self, q_m: Array) -> None:
@@ -83,13 +83,13 @@ class PostureSearch:
         target: Target | pin.SE3 | None = None,
         enough: float = np.inf,
     ) -> Found:
-        """The posture of the highest quality among those that guesses lead to.
+        """The posture of the highest quality among the results of all guesses.
 
         Args:
-            guesses: (n_m,) each, where a search begins; the postures themselves without a target.
-            judge: What a posture is worth; it is placed there already.
-            target: Where the hand, or its whole pose, has to be.
-            enough: [-] a quality with which nothing better is looked for.
+            guesses: (n_m,) each, start of a search; without a target the postures themselves.
+            judge: Computes the quality of a posture that is already placed.
+            target: Position or pose of the end-effector.
+            enough: [-] quality at which the search ends.
         """
         best = Found(None, 0.0, Counter())
         for guess in guesses:
@@ -105,9 +105,9 @@ class PostureSearch:
         return best
 
     def reach(self, target: Target | pin.SE3, guess: Array) -> Array:
-        """(n_m,) the least squares of the target near a guess, drawn a little to the middle.
+        """(n_m,) least-squares solution of the target near a guess, slightly drawn to the middle.
 
-        The joints stay a share of their range away from their limits.
+        The joints have a margin to their limits relative to their range.
         """
 
         def residual(q: Array) -> Array:
@@ -122,10 +122,10 @@ class PostureSearch:
         return best_posture(residual, jacobian, guess, bounds)
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
-        """(k,) the weighted error of the hand, and (k, n_m) its derivative by the joints.
+        """(k,) weighted error of the end-effector, and (k, n_m) its derivative by the joints.
 
-        Of a pose it is the logarithm of the way there, in the hand's frame; else what the hand is
-        off by and what its direction is.
+        For a pose it is the logarithm of the displacement, in the end-effector's frame; otherwise
+        the errors of position and direction.
         """
         self.place(q_m)
         at, J = self.state.T_world_ee, self.J_hand
@@ -143,17 +143,17 @@ class PostureSearch:
 
     @property
     def J_hand(self) -> Array:
-        """(6, n_m) Jacobian of the hand by the arm's joints, in the world."""
+        """(6, n_m) Jacobian of the end-effector by the arm's joints, in the world."""
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:
-        """[m] by which a place (3,) [m] is out of reach at least; below zero it may be in reach."""
+        """[m] lower bound of the distance of a place (3,) [m] from the reach; negative inside."""
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
 
     def distances(self) -> tuple[float, ...]:
-        """[m] of every pair."""
+        """[m] distances of all pairs."""
         return self.monitor.distances()
 
     def above_floor(self) -> float:
@@ -161,7 +161,7 @@ class PostureSearch:
         return self._floor.least()
 
     def joint_room(self, q_m: Array) -> float:
-        """[-] the least share of a joint's range that lies between it and a limit."""
+        """[-] smallest distance of a joint to a limit, relative to its range."""
         left = np.minimum(q_m - self.model.q_lower, self.model.q_upper - q_m)
         return float(np.min(left / self.span))
 
@@ -181,7 +181,7 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
 
 
 class FloorDistance:
-    """Least signed distance of the arm's bodies to the floor."""
+    """Smallest signed distance of the arm's bodies to the floor."""
 
     def __init__(self, state: RobotState) -> None:
         self._state = state
@@ -210,7 +210,7 @@ def best_posture(
     guess: Array,
     bounds: tuple[Array, Array],
 ) -> Array:
-    """(n_m,) the joints with the least sum of squared residuals (k,) near a guess.
+    """(n_m,) joint positions with the smallest sum of squared residuals (k,) near a guess.
 
     The guess is moved within the bounds, lower and upper; the Jacobian is (k, n_m).
     """
@@ -218,12 +218,12 @@ def best_posture(
     return least_squares(
         residual,
         inside,
-        jacobian,  # pyright: ignore[reportArgumentType] - read off a default, it may be a function
+        jacobian,  # pyright: ignore[reportArgumentType] - it may be a function
         bounds=bounds,
-        max_nfev=_MOST_EVALUATIONS,
+        max_nfev=_MAX_EVALUATIONS,
     ).x
 
 
 def manipulability(J: Array) -> float:
-    """√det(J Jᵀ) of a Jacobian (k, n_m); 0 where a direction is lost."""
+    """√det(J Jᵀ) of a Jacobian (k, n_m); 0 if a direction is lost."""
     return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))

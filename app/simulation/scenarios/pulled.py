@@ -1,4 +1,4 @@
-"""People pull the robot as they like, or as they once did."""
+"""People pull the robot freely, or repeat recorded pulls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.errors import CaseError, DbbError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.strict import Array
 
 if TYPE_CHECKING:
@@ -21,35 +21,36 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 
-BEGIN = "guiding-front"  # at whose line's start the hand stands at the free start
+BEGIN = "guiding-front"  # its line's start is the free start of the end-effector
 
 
-class Pulled(NamedTuple):
-    """Somebody pulls the robot elsewhere from a control step on, or lets go."""
+class PullEvent(NamedTuple):
+    """A person pulls the robot from a control step on, or releases it."""
 
     step: int
     """Number of the control step."""
     who: int
     """Number of the person."""
     target: Point | None
-    """[m] where to, in the world; None lets go."""
+    """[m] target, in the world; None releases."""
     link: str | None = None
     """One of `held_links`; None is the end-effector."""
     point: Point = (0.0, 0.0, 0.0)
-    """[m] the point that is held, in the link's frame."""
+    """[m] the held point, in the link's frame."""
 
 
 @dataclass(frozen=True)
 class PulledScenario(Scenario):
-    """The robot is pulled by people: freely while nothing is recorded, else as it is recorded.
+    """People pull the robot: freely without a recording, otherwise as recorded.
 
-    The base starts at the origin facing +x.
+    The base starts at the origin and faces +x.
     """
 
     q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] the arm's joints at the start; none are the free start's."""
-    pulls: tuple[Pulled, ...] = ()
-    """What was done, in order; none are up to whoever is there."""
+    """(n_m,) [rad or m] joint positions of the arm at the start; empty for those of the free
+    start."""
+    pulls: tuple[PullEvent, ...] = ()
+    """Recorded pulls, in order; empty for free pulls."""
 
     @property
     def open(self) -> bool:
@@ -61,7 +62,7 @@ class PulledScenario(Scenario):
             object.__setattr__(self, "pulls", tuple(map(_checked, self.pulls)))
             finite = all(map(math.isfinite, self.q_m))
         except (TypeError, ValueError, DbbError) as error:
-            raise CaseError(f"{self.name}: a pull that nobody can do: {error}") from None
+            raise CaseError(f"{self.name}: an impossible pull: {error}") from None
         if not finite:
             raise CaseError(f"{self.name}: the arm's joints are {self.q_m!r}")
 
@@ -74,21 +75,21 @@ class PulledScenario(Scenario):
         q_m = np.array(self.q_m) if self.q_m else free_start(model, data, config, None, seed)
         return Setting(model, data, np.zeros(3), q_m, config)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         from app.simulation.people import Hold
         from app.simulation.session import DT
 
         holds: dict[int, Hold] = {}
         waiting = list(reversed(self.pulls))
 
-        def lead(session: Session) -> Lead:
+        def lead(session: Session) -> StepInput:
             while waiting and waiting[-1].step <= round(session.t / DT):
                 _, who, target, link, point = waiting.pop()
                 if target is None:
                     holds.pop(who, None)
                 else:
                     holds[who] = Hold(who, np.array(target), link, point)
-            return Lead(holds=tuple(holds.values()))
+            return StepInput(holds=tuple(holds.values()))
 
         return lead
 
@@ -96,23 +97,23 @@ class PulledScenario(Scenario):
 def free_start(
     model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
 ) -> Array:
-    """(n_m,) the arm with the hand where it was asked for [m], before the base, or ready."""
-    # Imported here: scipy would make every command start later.
+    """(n_m,) posture with the end-effector at a place [m], or in front of the base, or ready."""
+    # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start
 
     place = model.description.lines.get(BEGIN)
     at = place.start_m if start is None and place else start
-    if at is None:  # a robot whose hand does not come there
+    if at is None:  # a robot whose end-effector cannot reach it
         return np.array(model.description.arm.ready_position)
     x, y, z = at
     return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
 
 
-def _checked(given: Sequence[object]) -> Pulled:
-    """A pull as a file may have it."""
+def _checked(given: Sequence[object]) -> PullEvent:
+    """A pull from untrusted data of a file."""
     from app.simulation.people import checked_hold, checked_target
 
-    pull = Pulled(*given)  # type: ignore[arg-type]
+    pull = PullEvent(*given)  # type: ignore[arg-type]
     checked_hold(pull.point)
     if pull.target is not None:
         checked_target(pull.target)
@@ -122,4 +123,4 @@ def _checked(given: Sequence[object]) -> Pulled:
 
 
 CHALLENGE = PulledScenario("make-it-collide", 30.0, "pull the robot into itself, if you can")
-"""Everybody's to try."""
+"""The challenge for every viewer."""

@@ -1,4 +1,4 @@
-"""§4.2.3: the arm opens a refrigerator whose hinge it does not know; the door nears the base."""
+"""§4.2.3: the arm opens a refrigerator with an unknown hinge; the door approaches the base."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from app.errors import ConfigError
-from app.simulation.scenarios.leading import Leader, Scenario, Setting, check_point
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, check_point
 from app.strict import Array, check_range
 
 if TYPE_CHECKING:
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from app.simulation.plants.door import Door
     from app.simulation.session import Session
 
-_HINGE_BESIDE = 0.10  # [m] from the base's axis, when the base stands where it is put by default
-_FREE_TURN = math.radians(62)  # of the door, before it meets a base at its default place
+_HINGE_BESIDE = 0.10  # [m] from the base's axis to the hinge, at the base's default place
+_FREE_TURN = math.radians(62)  # door angle at which it meets a base at its default place
 _FRONT = 0.495  # [m] from the base's centre to its front
 _FARTHEST = 0.53  # [m] from the base's front to a closed door whose handle the arm still reaches
-_WIDE = 0.60  # [m] width of a door from which on the base stands nearer to the handle
+_WIDE = 0.60  # [m] width of a door from which the base starts nearer to the handle
 _RANGES = {
     "door_width": (0.40, 0.80, "m"),
     "door_friction": (0.0, 10.0, "N m"),
@@ -42,31 +42,31 @@ _FIRMNESS = {
 
 @dataclass(frozen=True)
 class RefrigeratorScenario(Scenario):
-    """The hand holds the handle of a closed door and opens it."""
+    """The end-effector holds the handle of a closed door and opens it."""
 
     name: str = "refrigerator"
     duration: float = 45.0
     about: str = "the arm opens a refrigerator's door, which comes towards the base"
     hinge: Literal["left", "right"] = "left"
-    """Side of the hinge for the robot that stands before the door."""
+    """Side of the hinge, seen from the robot in front of the door."""
     hinge_position: tuple[float, float] | None = None
-    """[m] of the hinge in the world; by default 1 m ahead of the origin and 0.1 m to its side."""
+    """[m] hinge in the world; default: 1 m ahead of the origin and 0.1 m to its side."""
     door_width: float = 0.60
-    """[m] from the hinge to the free edge."""
+    """[m] radius from the hinge to the free edge."""
     door_friction: float = 1.0
-    """[N m] of the hinge."""
+    """[N m] friction of the hinge."""
     door_angle: float = 0.0
-    """[deg] how far the door is open at the start."""
+    """[deg] opening angle at the start."""
     door_yaw: float = 0.0
-    """[deg] where one looks who stands before the closed door; 0 is along the world's x axis."""
+    """[deg] viewing direction of a person in front of the closed door; 0 is the world's x axis."""
     radial_guess: float = 30.0
-    """[deg] by how much the first guess of the direction towards the hinge is wrong; positive is
-    turned into the door."""
+    """[deg] error of the initial estimate of the direction towards the hinge; positive is turned
+    into the door."""
     opening_rate: float = 2.15
-    """[deg/s] the hand's speed, as the door's turning that it gives at the handle's radius."""
+    """[deg/s] rotation rate of the door at the end-effector's speed and the handle's radius."""
     base: tuple[float, float, float] | None = None
-    """[m] [m] [deg] x, y and heading of the base at the start; by default before the door, so far
-    away that doors up to 0.6 m wide meet the base when they are open by the same angle."""
+    """[m] [m] [deg] x, y and heading of the base at the start; default: in front of the door, at a
+    distance at which doors up to 0.6 m wide meet the base at the same opening angle."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -106,7 +106,7 @@ class RefrigeratorScenario(Scenario):
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """The controller's robot has the door as its last body."""
-        # Imported here: scipy would make every command start later.
+        # Imported here: scipy would delay the start of every command.
         from app.simulation.plants.door import OpenDoor, with_door
         from app.simulation.scenarios.start import find_grasp
 
@@ -120,16 +120,16 @@ class RefrigeratorScenario(Scenario):
         )
 
     def adapted(self, config: Config) -> Config:
-        """The lowest level at least as firm as it has to be where the hand pushes on something.
+        """Raise the stiffness of the lowest level to the minimum for an end-effector in contact.
 
-        The controller does not know of the door's force, whose counterpart in the null space of the
-        hand's task would swing the elbow away. The base has to be as much costlier, or it would
-        move to keep the arm's posture.
+        The controller does not model the door's force, and its effect in the null space of the
+        end-effector's task would swing the elbow away. The cost of base motion grows by the same
+        factor; otherwise the base would move to hold the arm's posture.
         """
         firm = {path: max(float(config.value(path)), least) for path, least in _FIRMNESS.items()}
         return config.changed(firm)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         from app.simulation.scenarios.door_opening import Opener
 
         return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)

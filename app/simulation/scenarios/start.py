@@ -1,4 +1,4 @@
-"""Where a run begins: the arm with its hand at a place, or at the handle of a door."""
+"""The start of a run: the arm with its end-effector at a place, or at the handle of a door."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,42 +18,43 @@ _PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # below horizontal, bes
 _SEEDS = 16  # starting points of the search per pitch
 _POSITION_TOLERANCE = 1e-5  # [m]
 _DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
-_BUFFER_MARGIN = 0.005  # [m] beyond the buffer
+_BUFFER_MARGIN = 0.005  # [m] smallest distance beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
-_LOST = 1e-3  # [m/rad or -] singular value of a direction in which the hand cannot move
-_UPRIGHT = 0.94  # [-] of an axis, by its z: it leans by 20 degrees at most
-_WAY_TOLERANCE = 0.01  # [-] weighted error of the hand on its way: 1 mm
-_SHARES = np.linspace(0.2, 1.0, 5)  # [-] of a line, where the way is looked at
-_KEPT = 100  # starts of a robot that are not searched again
+_LOST = 1e-3  # [m/rad or -] singular value of a lost direction of the end-effector
+_UPRIGHT = 0.94  # [-] smallest z of an upright axis: a tilt of 20 degrees
+_WAY_TOLERANCE = 0.01  # [-] weighted error of the end-effector on its path: 1 mm
+_SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
+_KEPT = 100  # cached starts of a robot
 
-_ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # of the hand about its own axis
+_ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # of the end-effector about its own axis
 _ROLL_SEEDS = 80  # starting points of the search per roll
 _GRASP_TOLERANCE = 1e-4  # [m] and [rad]
-_LOOSE_TOLERANCE = 5e-3  # [m] and [rad] of the look ahead
-_GRASP_MARGIN = 0.015  # [-] share of a joint's range kept from its limits
-_MOST_INSIDE = 0.07  # [m] that a pair may be inside of its buffer on the way
-_AHEAD = np.radians(np.arange(3, 94, 3))  # of the door's turning for which there has to be room
-_CORRECTIONS = 4  # [-] steps of Newton's method for each turn of the door
-_TO_START = 0.5  # [-] share of the way back to the starting posture in each of them
+_LOOSE_TOLERANCE = 5e-3  # [m] and [rad] tolerance of the prediction
+_GRASP_MARGIN = 0.015  # [-] margin to a joint's limits, relative to its range
+_MAX_INSIDE = 0.07  # [m] largest depth of a pair in its buffer on the path
+_AHEAD = np.radians(np.arange(3, 94, 3))  # door angles that need room
+_CORRECTIONS = 4  # [-] Newton steps for each door angle
+_TO_START = 0.5  # [-] part of the return to the starting posture in each step
 
 OUT_OF_REACH = "out of the arm's reach"
-"""The flaw of a try that did not even bring the hand to the place."""
+"""The reason of a try in which the end-effector did not reach the place."""
 
 
 class StartSolver:
-    """Finds an arm configuration for a position of the hand, the base at the origin facing +x.
+    """Finds an arm configuration for an end-effector position, with the base at the origin facing
+    +x.
 
-    The hand points away from the arm's mount and downwards where it can; every pair is outside its
-    buffer, the arm above the floor, each joint away from its limits. An arm that cannot point its
-    hand everywhere points it as it can where it cannot point it so.
+    The end-effector points away from the arm's mount, and downwards if possible; every pair is
+    outside its buffer, the arm above the floor, each joint away from its limits. If the arm cannot
+    point its end-effector in all directions, it uses a possible direction.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare for a robot and a buffer distance [m]."""
         self._model = model
         self._search = PostureSearch(model, pairs, d_b)
-        # Of less than six directions of motion some are lost, and "away from the mount" is what an
-        # arm reaches whose first axis is upright: else the hand points as it has to.
+        # With fewer than six directions of motion, or without an upright first axis, the arm
+        # cannot choose the direction of the end-effector.
         J = self._search.J_hand
         first = next((axis for axis in J[3:].T if axis.any()), np.zeros(3))
         full = np.linalg.matrix_rank(J, tol=_LOST) == 6
@@ -70,28 +71,28 @@ class StartSolver:
     ) -> Array:
         """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
 
-        With a way to go the posture is one that has room for it, too: its joints keep away from
-        their limits while the hand passes the places, pointing as it does at the start, over a base
-        that stands. The base's own motion adds to that.
+        With further places the posture has room for the path too: its joints are away from
+        their limits while the end-effector passes the places with the direction of the start and
+        the base does not move. The base's own motion adds to that.
 
         Args:
-            p_ee: Where the hand shall be.
-            seed: Of the starting points of the search.
-            turn: [rad] by how much the hand points to the left of straight away from the mount.
-            tries: Starting points of the search per pitch of the hand.
-            along: (3,) [m] each, places that the hand comes to afterwards, in their order.
+            p_ee: Position of the end-effector.
+            seed: Seed of the starting points of the search.
+            turn: [rad] angle of the end-effector to the left of straight away from the mount.
+            tries: Starting points of the search per pitch of the end-effector.
+            along: (3,) [m] each, further places of the end-effector, in order.
 
         Raises:
-            UnreachableError: There is none; says what stands in the way.
+            UnreachableError: There is no configuration; names the reasons.
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
             raise UnreachableError(
-                f"start {_text(p_ee)}: the floor is z = 0, the hand must be above"
+                f"start {_text(p_ee)}: the floor is z = 0, the end-effector must be above"
             )
         if (beyond := self._search.beyond(target)) > 0.0:
             raise UnreachableError(
-                f"start {_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m at least", {OUT_OF_REACH: 1}
+                f"start {_text(p_ee)}: {OUT_OF_REACH} by {beyond:.2f} m or more", {OUT_OF_REACH: 1}
             )
         rng = np.random.default_rng(seed)
         flaws: Counter[str] = Counter()
@@ -112,7 +113,7 @@ class StartSolver:
             return best.q_m
         told = "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
         raise UnreachableError(
-            f"start {_text(p_ee)}: no configuration of the arm brings the hand there: {told}", flaws
+            f"start {_text(p_ee)}: no configuration of the arm reaches it: {told}", flaws
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
@@ -123,13 +124,12 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """(n_m,) the posture near another, the hand pointing as there, its origin at `p_ee` (3,)
-        [m].
+        """(n_m,) the posture near another one with the end-effector's origin at `p_ee` (3,) [m].
 
-        From q_m (n_m,) the place can be reached without a change of branch.
+        Its direction is that of q_m (n_m,), and the arm does not change its branch.
 
         Raises:
-            UnreachableError: That posture cannot be used; says why.
+            UnreachableError: The posture is invalid; names the reason.
         """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
@@ -139,7 +139,7 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether the hand comes to `p_ee` [m] within the joints' limits, however it points."""
+        """Whether the end-effector reaches `p_ee` [m] within the joint limits, in any direction."""
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
             return False
@@ -160,7 +160,7 @@ class StartSolver:
         return np.array([*(np.cos(pitch) * outwards), -np.sin(pitch)])
 
     def _off(self, target: Target) -> float:
-        """[m] from the hand to its target."""
+        """[m] distance of the end-effector from its target."""
         return float(np.linalg.norm(self._search.state.T_world_ee.translation - target.p))
 
     def _judge(self, q: Array, target: Target, along: Sequence[Array]) -> float | str:
@@ -169,7 +169,7 @@ class StartSolver:
             return OUT_OF_REACH
         points = search.state.T_world_ee.rotation[:, 2]
         if target.z is not None and np.linalg.norm(points - target.z) > _DIRECTION_TOLERANCE:
-            return "out of reach with the hand pointing away from the mount"
+            return "out of reach with the end-effector pointing away from the mount"
         if search.above_floor() < _FLOOR_MARGIN:
             return "the arm would touch the floor"
         clearance = np.inf
@@ -180,7 +180,7 @@ class StartSolver:
         return self._room(q, along) + min(clearance, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] what joint ranges and the hand's mobility leave at a posture, and on the way."""
+        """[-] margin of joint ranges and mobility at a posture, and on the path."""
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility = search.joint_room(q_m), manipulability(search.J_hand)
@@ -207,23 +207,24 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """(n_m,) arm configuration as `StartSolver.solve` finds it, read-only; some are kept.
+    """(n_m,) arm configuration of `StartSolver.solve`, read-only and cached.
 
-    So a run that begins again, such as with another controller, does not wait for the search.
-    After it the hand follows a line, its `move` (3,) [m], pointing as at the start.
+    Thus a run that starts again, for example with another controller, does not repeat the search.
+    From the start the end-effector follows a line, its `move` (3,) [m], with a constant direction.
 
     Raises:
-        UnreachableError: There is none; says what stands in the way.
+        UnreachableError: There is no configuration; names the reasons.
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 
 
 class GraspSolver:
-    """Finds an arm configuration for a hand at a door's handle, with every pair outside its buffer.
+    """Finds a configuration with the end-effector at a door's handle and every pair outside its
+    buffer.
 
-    Of those found it takes the one that can follow the door farthest, and of these the one with
-    the most room on the way, while the base backs off as far as the door makes it.
+    It chooses the one that can follow the door farthest, and among equals the one with
+    the most room on the path, while the base moves back from the door.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -234,12 +235,13 @@ class GraspSolver:
     def solve(
         self, base_pose: Array, door: Door, angle: float, *, seed: int = 0
     ) -> tuple[Array, pin.SE3]:
-        """(n_m,) the arm at a door's handle, and the hand's pose: horizontal, its palm to the door.
+        """(n_m,) the arm at a door's handle, and the end-effector's pose: horizontal, palm to the
+        door.
 
-        The base stands at x, y [m] and heading [rad], the door is open by an angle [rad].
+        The base is at x, y [m] and heading [rad], the door is open by an angle [rad].
 
         Raises:
-            UnreachableError: There is none.
+            UnreachableError: There is no configuration.
         """
         rng = np.random.default_rng(seed)
         best = Found(None, 0.0, Counter())
@@ -259,14 +261,14 @@ class GraspSolver:
         if best.q_m is None:
             x, y, z = door.handle(angle).translation
             raise UnreachableError(
-                f"no configuration of the arm brings the hand to the handle at "
+                f"no configuration of the arm reaches the handle at "
                 f"({x:.2f}, {y:.2f}, {z:.2f}) m from a base at ({base_pose[0]:.2f}, "
                 f"{base_pose[1]:.2f}) m; place base and handle 0.7 to 1.1 m from each other"
             )
         return best.q_m, target
 
     def _judge(self, base_pose: Array, door: Door, angle: float, roll: float, q_m: Array) -> float:
-        """What a posture at the handle is worth: the door's turns that it can follow, and room."""
+        """Quality of a posture at the handle: the door angles that it can follow, and its room."""
         room = self._room(_rolled(door.handle(angle), roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
         if room > 0.0:
             room = self._room_ahead(base_pose, door, angle, roll, q_m, room)
@@ -276,9 +278,9 @@ class GraspSolver:
     def _room_ahead(
         self, base_pose: Array, door: Door, angle: float, roll: float, q_start: Array, room: float
     ) -> float:
-        """[-] one for each turn of the door that the arm can follow, plus the least room there.
+        """[-] one for each door angle that the arm can follow, plus the smallest room there.
 
-        As the controller does, the arm holds on to its starting posture where the hand lets it.
+        As in the controller, the arm stays near its starting posture in the task's null space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:
@@ -286,13 +288,13 @@ class GraspSolver:
             self._search.stand(self._backed_off(base_pose, door, angle + turned))
             for _ in range(_CORRECTIONS):
                 q_m = self._corrected(target, q_m, q_start)
-            if (there := self._room(target, q_m, _LOOSE_TOLERANCE, -_MOST_INSIDE)) <= 0.0:
+            if (there := self._room(target, q_m, _LOOSE_TOLERANCE, -_MAX_INSIDE)) <= 0.0:
                 break
             followed, room = followed + 1, min(room, there)
         return followed + room
 
     def _backed_off(self, base_pose: Array, door: Door, angle: float) -> Array:
-        """(3,) the base moved back until the door's free edge is outside of its front's buffer."""
+        """(3,) the base, moved back until the door's free edge is outside of its front's buffer."""
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         x, y, heading = base_pose
         forwards = np.array([np.cos(heading), np.sin(heading)])
@@ -308,7 +310,7 @@ class GraspSolver:
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, clearance: float) -> float:
-        """[-] above zero and below one if the configuration may be used; more is better."""
+        """[-] above zero and below one if the configuration is valid; larger is better."""
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
@@ -332,10 +334,10 @@ def find_grasp(
     *,
     seed: int = 0,
 ) -> tuple[Array, pin.SE3]:
-    """The arm, read-only, and the hand as `GraspSolver.solve` finds them; some are kept.
+    """The arm, read-only, and the end-effector from `GraspSolver.solve`; cached.
 
     Raises:
-        UnreachableError: There is none.
+        UnreachableError: There is no configuration.
     """
     q_m, T_ee = GraspSolver(model, pairs, d_b).solve(np.array(base_pose), door, angle, seed=seed)
     return _frozen(q_m), T_ee

@@ -1,4 +1,4 @@
-"""Starts in trouble: a pair inside its buffer or in penetration, and nobody pulls."""
+"""Starts in trouble: a pair inside its buffer or in penetration, without a person."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from app.errors import ConfigError, UnreachableError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.strict import Array
 
 if TYPE_CHECKING:
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 Begin = Literal["penetration", "buffer", "arm"]
 BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")
-"""Kinds of starts: some pair in penetration; a pair of L_m inside its buffer, none in penetration;
+"""Kinds of starts: a pair in penetration; a pair of L_m inside its buffer, none in penetration;
 a pair of L_m^c inside its buffer, none in penetration."""
 
-DEEPEST = 0.05  # [m] the deepest penetration that is drawn
+DEEPEST = 0.05  # [m] deepest penetration of a start
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _FROM_ABOVE = 0.7  # [-] |n_z| from which a pair of L_m meets from above
-_TRIES = 20_000  # random configurations before a kind of start is given up
+_TRIES = 20_000  # most random configurations for a kind of start
 
 
 @dataclass(frozen=True)
 class WayOutScenario(Scenario):
-    """The arm begins where it should not be, drawn by the seed, and is left alone."""
+    """The arm starts in a forbidden posture, random by the seed, without a person."""
 
     name: str = "way-out"
     duration: float = 3.0
-    about: str = "a start inside a buffer or in penetration, which the robot has to leave"
+    about: str = "a start inside a buffer or in penetration that the robot has to leave"
     begin: Begin = "penetration"
-    """Which kind of start is drawn."""
+    """Kind of the start."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -50,21 +50,21 @@ class WayOutScenario(Scenario):
         starts = TroubledStarts(model, data.pairs, config.border.d_b)
         return Setting(model, data, np.zeros(3), starts.draw(self.begin, seed), config)
 
-    def leader(self, session: Session) -> Leader:
+    def driver(self, session: Session) -> Driver:
         del session
-        return lambda _: Lead()
+        return lambda _: StepInput()
 
 
 class TroubledStarts:
-    """Draws arm configurations that begin in trouble, the base at the origin.
+    """Random arm configurations in trouble, with the base at the origin.
 
-    Which pair is in trouble is drawn first, and for a pair of L_m whether the arm meets the base
-    from above or from the side: among uniformly drawn configurations some of these hardly occur.
+    The pair is chosen first, and for a pair of L_m also whether the arm meets the base
+    from above or from the side: some of these hardly occur among uniform configurations.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare for a robot and a buffer distance [m]."""
-        # Imported here: scipy would make every command start later.
+        # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
 
         self._pairs, self._search = pairs, PostureSearch(model, pairs, d_b)
@@ -73,7 +73,7 @@ class TroubledStarts:
         """(n_m,) an arm configuration of that kind, the same for the same seed.
 
         Raises:
-            UnreachableError: None was found.
+            UnreachableError: No configuration was found.
         """
         search, mobile = self._search, len(self._pairs.mobile)
         model, rng = search.model, np.random.default_rng([seed, BEGINS.index(begin)])
@@ -89,13 +89,13 @@ class TroubledStarts:
             if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return q_m
         raise UnreachableError(
-            f"no configuration of the arm begins with {begin!r} in {_TRIES} tries a pair"
+            f"no configuration of the arm starts with {begin!r} in {_TRIES} tries a pair"
         )
 
     def _judge(self, i: int, above: bool | None, depth: tuple[float, float], _: Array) -> float:
-        """Whether pair i is the nearest one, its distance within `depth`, met from above or not.
+        """Whether pair i is the nearest one, its distance within `depth`, from above or not.
 
-        An arm that is nearer to the floor than a margin is no such start.
+        An arm that is nearer to the floor than a margin does not count.
         """
         closest = self._search.monitor.find_closest_points()
         pair = closest[i]

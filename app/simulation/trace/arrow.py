@@ -1,6 +1,6 @@
 """Tables as files: CSV with a leading comment, or Parquet with schema metadata.
 
-It imports little, as a child process reads a file by it.
+It imports little, because a child process reads files by it.
 """
 
 import io
@@ -23,10 +23,10 @@ pa.set_memory_pool(pa.system_memory_pool())  # the default one reserves 1 GB of 
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
-    """The header and the columns of a file that anybody may have written.
+    """The header and the columns of an untrusted file.
 
     Raises:
-        LogError: There is no such file, or it is damaged, or it takes more than its budget to read.
+        LogError: The file does not exist, is damaged, or exceeds the reading budget.
     """
     try:
         # A Parquet file of any size may hold millions of equal rows.
@@ -49,7 +49,7 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write columns whole or not at all, as CSV or Parquet by the file's ending.
+    """Write columns completely or not at all, as CSV or Parquet by the file's ending.
 
     The header is a comment on the first line, or metadata. The same columns give the same bytes.
     """
@@ -66,12 +66,12 @@ def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
 def _read_csv(path: Path) -> tuple[str, pa.Table]:
     first, _, rest = file_text(path).partition("\n")
     if not first.startswith(_COMMENT):
-        changed = ", as spreadsheets leave it: keep the file that was written, or use .parquet"
+        changed = ", as after an edit in a spreadsheet: use the original file, or .parquet"
         raise ValueError(f"its first line is no comment with meta data{changed * ('# ' in first)}")
     names, _, rows = rest.partition("\n")
-    comma = ";" in names  # as spreadsheets of many countries write it, with decimal commas
+    comma = ";" in names  # many countries' spreadsheets write decimal commas
     point = "," if comma and re.search(r"\d,\d", rows[:10_000]) else "."
-    # Nothing is guessed but what is a number and what is not: the caller knows the kinds.
+    # Only numbers are distinguished from texts here: the caller knows the kinds.
     options = pyarrow.csv.ConvertOptions(
         null_values=[""], strings_can_be_null=False, decimal_point=point
     )

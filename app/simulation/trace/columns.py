@@ -1,4 +1,4 @@
-"""Quantities as columns: what they are named from, and values as cells and back."""
+"""Quantities as columns: their names, and the conversion of values to cells and back."""
 
 import json
 from collections import ChainMap
@@ -26,15 +26,15 @@ _UNITS = {
     "rad": {"position": "rad", "speed": "radps", "effort": "nm"},
     "m": {"position": "m", "speed": "mps", "effort": "n"},
 }
-"""Of what belongs to a joint, by the unit of its position."""
+"""Units of a joint's quantities, by the unit of its position."""
 _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": bool, "text": str}
 
 
 class TraceMeta(Strict):
-    """The run that a trace is about: what stays the same, and what its columns are named from."""
+    """The run of a trace: constant data that also determine the names of the columns."""
 
     format: Literal[2] = 2
-    """[-] of the file; another one is refused."""
+    """[-] version of the file format; other versions are refused."""
     robot: str
     """Name of the robot, as `dbb robots` lists it."""
     joints: tuple[str, ...]
@@ -42,7 +42,7 @@ class TraceMeta(Strict):
     joint_units: tuple[Literal["rad", "m"], ...]
     """Unit of the position of each of them."""
     joint_speeds: tuple[Positive, ...] = ()
-    """(n_m,) [rad/s or m/s] the largest that each of them may have; empty if it is not known."""
+    """(n_m,) [rad/s or m/s] largest joint speeds; empty if unknown."""
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
     """Names of the base's velocities in the columns, in the order of its axes."""
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
@@ -54,17 +54,17 @@ class TraceMeta(Strict):
     mobile_pairs: tuple[str, ...]
     """Those of L_m among them."""
     scenario: str = ""
-    """Empty if a person led the hand."""
+    """Name of the scenario; empty if a person guided the arm."""
     physics: str = ""
-    """Kind of plant; empty if it is not known."""
+    """Name of the plant; empty if unknown."""
     seed: int = Field(default=0, ge=0)
-    """[-] of everything random in the run."""
+    """[-] seed of all random numbers of the run."""
     config: Config
-    """Parameters at the first row; a row that has others says which."""
+    """Parameters at the first row; later rows state differences."""
     stuck: dict[str, Any] | None = None
-    """Where and why a tracked hand stopped short at the end (`Stuck`), if it did."""
+    """Place and reasons of a tracking end-effector that stopped short at the end (`Stuck`)."""
     left_way: dict[str, Any] | None = None
-    """The same where it was farthest from its target, if that was more than 1 mm."""
+    """The same at its largest distance from the target, if that exceeded 1 mm."""
     faults: dict[str, float] = Field(default_factory=dict)
     """[s] when the controller first reported each fault of the readings, by its name."""
 
@@ -80,7 +80,7 @@ class TraceMeta(Strict):
 
     @classmethod
     def of(cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any) -> Self:
-        """The meta data of a run; all its link pairs, and whether each is of L_m."""
+        """The meta data of a run, with all its link pairs; the values say which belong to L_m."""
         arm, base = model.description.arm, model.description.base
         velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
         kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
@@ -105,7 +105,7 @@ def axis_name(axis: Axis) -> str:
 
 
 def _rate_columns(axis: Axis) -> tuple[str, str]:
-    """Of an axis's velocity and acceleration, as in vx_mps and ax_mps2 or w_radps and aw_radps2."""
+    """Columns of an axis's velocity and acceleration, such as vx_mps and ax_mps2."""
     name, unit = axis_name(axis), "radps" if axis.angular else "mps"
     return f"{name}_{unit}", f"a{name.removeprefix('v')}_{unit}2"
 
@@ -114,10 +114,10 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
     """The columns of a quantity of a robot, which end in their unit.
 
     Args:
-        template: Such as `p_ee_{xyz}_m`, a column each of x, y and z; `u_{joint}_{effort}`, one a
-            joint in N m or N; `base_{velocity}`, one an axis of the base in m/s or rad/s;
-            `d_{pair}_m`, one a link pair.
-        meta: About the run.
+        template: Such as `p_ee_{xyz}_m`, one column for each of x, y and z;
+            `u_{joint}_{effort}`, one per joint in N m or N; `base_{velocity}`, one per axis of
+            the base in m/s or rad/s; `d_{pair}_m`, one per link pair.
+        meta: The run.
     """
     joints = zip(meta.joints, meta.joint_units, strict=True)
     plain: dict[str, Sequence[str]] = {
@@ -140,13 +140,13 @@ class Column(NamedTuple):
     """One column."""
 
     name: str
-    """Ends in its unit."""
+    """Name, which ends in the unit."""
     kind: Kind = "float"
-    """What its cells are."""
+    """Type of its cells."""
     optional: bool = False
     """Whether a cell may be empty, which is not-a-number in memory."""
     often: bool = False
-    """Whether it has a number at each control step, not only where a snapshot is taken."""
+    """Whether it has a number at each control step, not only at snapshots."""
 
 
 class Quantity(NamedTuple):
@@ -155,14 +155,14 @@ class Quantity(NamedTuple):
     columns: Callable[[TraceMeta], Sequence[Column]]
     """Its columns in a run."""
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]
-    """From a snapshot's value to their cells."""
+    """Conversion of a snapshot's value to cells."""
     value: Callable[[Sequence[Any], TraceMeta], Any]
     """Back."""
     take: Take | None = None
-    """Its value at a control step, from the session after it and the step; None if only who
-    publishes the snapshot knows it."""
+    """Its value at a control step, from the session after it and the step; None if only the
+    publisher of the snapshot knows it."""
     single: bool = False
-    """Whether it is one number, not several."""
+    """Whether it is a single number."""
     row: Take | None = None
     """Its numbers at a control step, of the columns that have one at each; None if it is only
     drawn."""
@@ -176,7 +176,7 @@ def number(
     often: bool = True,
     optional: bool = False,
 ) -> Quantity:
-    """A number that is kept at each control step; one that is not may be a text, or None."""
+    """A number that is recorded at each control step; otherwise it may be a text or None."""
     column = Column(name, kind, optional, often)
 
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
@@ -190,7 +190,7 @@ def number(
 
 
 def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
-    """An array (k,) that is kept at each control step; `template` as `column_names` takes it."""
+    """An array (k,) that is recorded at each control step; `template` as in `column_names`."""
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, "float", optional, often) for n in column_names(template, meta)]
@@ -205,13 +205,13 @@ def numbers(template: str, take: Take, *, often: bool = True, optional: bool = F
     return Quantity(columns, cells, value, take, row=row)
 
 
-drawn = partial(number, often=False)  # a number or text that is kept where a snapshot is taken
+drawn = partial(number, often=False)  # a number or text that is recorded at snapshots
 drawn_numbers = partial(numbers, often=False)
-"""An array (k,) that is kept where a snapshot is taken."""
+"""An array (k,) that is recorded at snapshots."""
 
 
 def config_changes(take: Take) -> Quantity:
-    """What a row's parameters have that those of the first row have not, as JSON."""
+    """The parameters of a row that differ from those of the first row, as JSON."""
     return Quantity(
         lambda _: (Column("config_changes", "text"),),
         lambda config, meta: (_changes(meta.config, config),),
@@ -221,7 +221,7 @@ def config_changes(take: Take) -> Quantity:
 
 
 def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
-    """A tuple of named tuples as JSON, empty if there are none; for what is seldom there."""
+    """A tuple of named tuples as JSON, or empty; for rare events."""
     hints = get_type_hints(kind)
 
     def inner(name: str, data: Any) -> Any:
@@ -242,7 +242,7 @@ def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
 
 
 def frozen(values: Any) -> Array:
-    """A copy as a float array that refuses to be changed."""
+    """A read-only copy as a float array."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array

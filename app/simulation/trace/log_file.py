@@ -19,15 +19,15 @@ from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
 from app.strict import LARGEST_DATA, Strict, explain, problems_of
 
-SUFFIXES = ".csv", ".parquet"  # the ending of a file's name says which of the two it is
+SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
 
-_CELL = 100  # [bytes] of memory for a cell of a row that is drawn
+_CELL = 100  # [bytes] memory for a cell of a snapshot's row
 _NUMBER = 8  # [bytes] of memory for a number of any row
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
 
 
 class LogHeader(Strict):
-    """What the first line of a file says of the rest."""
+    """The content of a file's first line."""
 
     dbb_log: TraceMeta
     rows: int = Field(ge=1, strict=True)
@@ -37,7 +37,7 @@ class LogHeader(Strict):
         """A header from its JSON.
 
         Raises:
-            LogError: It is no header, or one of another format.
+            LogError: The text is no header, or of another format.
         """
         if len(text) > LARGEST_DATA:
             raise LogError("its meta data are longer than those of any log")
@@ -52,11 +52,11 @@ class LogHeader(Strict):
 
 
 def write_trace(path: Path, trace: Trace) -> None:
-    """Write a trace as CSV or Parquet, by the ending of the file's name, whole or not at all.
+    """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
     Raises:
         LogError: Its ending is neither.
-        OutputError: It cannot be written there.
+        OutputError: The file cannot be written.
     """
     _check_suffix(path)
     rows, columns = len(trace), columns_of(trace.meta)
@@ -73,16 +73,16 @@ def write_trace(path: Path, trace: Trace) -> None:
 
 
 def read_trace(path: Path) -> Trace:
-    """Read the file of a trace; nothing in it is believed unseen.
+    """Read a trace from an untrusted file.
 
     Raises:
-        LogError: There is none, it is damaged, or its columns are not those of a trace.
+        LogError: The file does not exist, is damaged, or does not have the columns of a trace.
     """
     _check_suffix(path)
     text, table = read_arrow(path)
     try:
         return _trace(text, table, Budget.of(path.stat().st_size))
-    except (LogError, UnicodeDecodeError) as error:  # the latter of a column's name
+    except (LogError, UnicodeDecodeError) as error:  # the latter for a column's name
         raise LogError(f"{path}: {error}") from None
 
 
@@ -90,7 +90,7 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     """The trace of a file's header and table.
 
     Raises:
-        LogError: They do not belong together, or are no trace's, or too large for the file.
+        LogError: They do not match, are not those of a trace, or too large for the file.
     """
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
@@ -104,7 +104,7 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     modes = _cast(Column("mode", "text"), found["mode"], rows)
     drawn = found.filter(pc.not_equal(modes.fill_null(""), ""))
     if not len(drawn):
-        raise LogError("no row of it can be drawn: the column mode is empty")
+        raise LogError("it has no snapshots: the column mode is empty")
     if len(drawn) * len(known) > budget.memory / _CELL:
         raise LogError(f"{len(drawn)} rows to be drawn are too many for a file of its size")
     table = np.empty((rows, len(layout.columns)))
@@ -130,10 +130,10 @@ def _snapshots(meta: TraceMeta, cells: Mapping[Column, Sequence[Any]]) -> list[S
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column of a file in the rows that are drawn; the others have nothing in them.
+    """The cells of a column in the rows with snapshots; the others are empty.
 
     Raises:
-        LogError: As `_cast`.
+        LogError: As for `_cast`.
     """
     if not column.often:
         _cast(column, values, len(drawn))
@@ -148,7 +148,7 @@ def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArr
     """The cells of a column in its own type; `filled` of them are not empty.
 
     Raises:
-        LogError: They are of another kind, or one is empty that may not be.
+        LogError: The cells are of another kind, or a required one is empty.
     """
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
@@ -166,7 +166,7 @@ def _check_suffix(path: Path) -> None:
 
 def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
     if twice := sorted(name for name, count in Counter(found).items() if count > 1):
-        raise LogError(f"column {twice[0]!r} is there twice")
+        raise LogError(f"column {twice[0]!r} appears twice")
     wanted = [column.name for column in known]
     if len(set(wanted)) < len(wanted):
         raise LogError("its meta data name a pair, a joint or an axis twice")
@@ -187,7 +187,7 @@ def _check_times(times: np.ndarray) -> None:
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
-    """Its cells as the file has them; empty where they are None or, if optional, not-a-number."""
+    """Its cells in the file's form; None and, if optional, not-a-number are empty."""
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):
         return pa.array(values, kind, from_pandas=column.optional)

@@ -12,8 +12,8 @@
 | `/robot_description` | `std_msgs/msg/String`, the URDF, its meshes by their paths here | once |
 | `/curves/…` | `sensor_msgs/msg/JointState`, the columns of a quantity by name | each snapshot |
 
-The last two are messages of ROS: Rerun takes a robot and named curves from no others. With `ros`
-all messages are: `/tf`, `/joint_states` and `/robot_description`.
+The last two are ROS messages, because Rerun reads robots and named curves only from these. With
+`ros` all messages are: `/tf`, `/joint_states` and `/robot_description`.
 """
 
 import io
@@ -59,7 +59,7 @@ from app.system import write_whole
 
 Materials = Mapping[str | None, Element]  # of the robot, by their names
 
-_METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
+_METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force: 0.1 m is 40 N
 _BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
     fg.Color(r=r, g=g, b=b, a=a)
     for r, g, b, a in (
@@ -72,18 +72,18 @@ _BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
 )
 _GLB, _STL = "model/gltf-binary", "model/stl"
 _MEDIA = {".glb": _GLB, ".stl": _STL, ".obj": "model/obj", ".dae": "model/vnd.collada+xml"}
-_LARGEST_MESH = 20_000_000  # [bytes] of a file that is put into a log
+_LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
-    """Write a trace with snapshots whole or not at all; with `ros` as messages of ROS 2, in CDR.
+    """Write a trace with snapshots completely or not at all; with `ros` as ROS 2 messages in CDR.
 
     Raises:
-        OutputError: It cannot be written there.
-        AssetError: The robot's URDF is not there.
+        OutputError: The file cannot be written.
+        AssetError: The robot's URDF is missing.
         RobotFileError: A visual of it says nothing sensible.
     """
-    file = io.BytesIO()  # what cannot be written raises here, and not once a message in the library
+    file = io.BytesIO()  # errors of writing are raised here, not at each message
     log = _Log(file, profile="ros2" if ros else None)
     with log.writer:
         about = trace.meta.model_dump(mode="json", exclude={"config"})
@@ -96,7 +96,7 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
 
 
 class _Log:
-    """A file, whose channels are opened when their first messages come."""
+    """A log whose channels are opened with their first messages."""
 
     def __init__(self, file: BinaryIO, profile: str | None) -> None:
         self._context = foxglove.Context()
@@ -106,11 +106,11 @@ class _Log:
         self._kinds: dict[str, Any] = {}
 
     def put(self, topic: str, t: float, message: Any) -> None:
-        """Append a message of Foxglove's, of a time [s]."""
+        """Append a Foxglove message with a time [s]."""
         self._put(topic, t, message.encode(), "protobuf", message.get_schema)
 
     def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
-        """Append a message of ROS of some type."""
+        """Append a ROS message of some type."""
 
         def schema() -> foxglove.Schema:
             return foxglove.Schema(name=kind, encoding="ros2msg", data=ros_definition(kind))
@@ -118,7 +118,7 @@ class _Log:
         self._put(topic, t, content, "cdr", schema)
 
     def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
-        """Append a record of numbers and texts, whose names are those of the topic's first."""
+        """Append a record of numbers and texts; the topic's first record determines the names."""
         if topic not in self._kinds:
             self._kinds[topic] = _record_kind(name, values)
         kind = self._kinds[topic]
@@ -140,7 +140,7 @@ class _Log:
 
 
 def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
-    """A type of Protobuf for such a record."""
+    """The Protobuf type for such a record."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
     kind = file.message_type.add(name=name)
     for number, (field, value) in enumerate(example.items(), 1):
@@ -149,7 +149,7 @@ def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
 
 
 def _put_motion(log: _Log, trace: Trace, model: RobotModel, *, ros: bool) -> None:
-    """The robot, and where it is."""
+    """The robot and its motion."""
     frames, urdf = Frames(model), ros_text(shown_urdf(model.description))
     log.put_ros("/robot_description", trace.snapshots[0].t, TEXT, urdf)
     for s in trace.snapshots:
@@ -201,7 +201,7 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """Names of columns as Protobuf may have them, each once."""
+    """Names of columns, made valid and unique for Protobuf."""
     found: dict[str, None] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
@@ -212,7 +212,7 @@ def _fields(names: Iterable[str]) -> list[str]:
 
 
 def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
-    """A visual of the URDF; None where its mesh is too large, or of a format without a name."""
+    """A visual of the URDF; None if its mesh is too large or of an unknown format."""
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
         return None
@@ -224,7 +224,7 @@ def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimiti
     media = _MEDIA.get(file.suffix.lower())
     if media is None or file.stat().st_size > _LARGEST_MESH:
         return None
-    tint = tint or (_GREY if media == _STL else None)  # other formats have colours of their own
+    tint = tint or (_GREY if media == _STL else None)  # other formats have their own colours
     return _model(T, media, file.read_bytes(), tint, numbers(shape, "scale", (1.0,) * 3, where))
 
 
@@ -254,7 +254,7 @@ def _model(
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
-    """Closest points, acting points and forces; an entity replaces the one of its name."""
+    """Closest points, acting points and forces; an entity replaces an earlier one of its name."""
     lines = [
         fg.LinePrimitive(
             type=fg.LinePrimitiveLineType.LineList,

@@ -12,13 +12,13 @@ from app.simulation.trace.words import outcome, spoken
 from app.strict import Array
 
 NEAR = 0.01
-"""[m] between two bodies that is as good as contact: the person's force counts until then."""
+"""[m] distance that counts as contact for the figures of the person's force."""
 
-_DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
-_TORQUE_BAND = 0.003  # [N m] or [N] a step, within which a torque's rate has none
-OPENED = math.radians(80)  # [rad] when a door counts as opened
-_ESTIMATE_AT = 5.0  # [s] when the estimate of the radial direction is judged
-_BACKED_OFF = 0.01  # [m] of the base's motion from which on it counts as one
+_DEAD_BAND = 0.01  # [m/s², rad/s²] dead band of an acceleration's sign
+_TORQUE_BAND = 0.003  # [N m] or [N] per step, dead band of a torque rate's sign
+OPENED = math.radians(80)  # [rad] angle of an open door
+_ESTIMATE_AT = 5.0  # [s] time of evaluating the radial direction's estimate
+_BACKED_OFF = 0.01  # [m] smallest motion of the base that counts
 _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
 
 
@@ -32,7 +32,7 @@ class Figure(NamedTuple):
 def metrics(run: Trace) -> dict[str, Any]:
     """All figures of a run; keys end in their unit.
 
-    Changes from one control step to the next are None for a log that has not all of them.
+    Changes between control steps are None for a log without a row for each step.
     """
     figures = {key: figure.of(run) for key, figure in FIGURES.items()}
     if not run.each_step:
@@ -44,14 +44,14 @@ def metrics(run: Trace) -> dict[str, Any]:
 
 
 def touches(figures: dict[str, Any]) -> list[str]:
-    """What the arm touched in a run of these figures: the base, itself, the floor."""
+    """The parts that the arm touched in a run with these figures: base, itself, floor."""
     return [what for key, what in _TOUCHED.items() if figures[key]]
 
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
-    """How a run of these figures went: contact, least distance, remaining error of the hand.
+    """The result of a run with these figures: contact, smallest distance, remaining error.
 
-    With the robot's bodies in order, as `chain`, its link pairs are named in words.
+    With the robot's bodies in order, as `chain`, it names link pairs in words.
     """
     touched = touches(figures)
     text = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
@@ -72,18 +72,18 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
-    """[m] least distance of the pairs with the base, or of those within the arm; None if none."""
+    """[m] smallest distance of the pairs with the base, or within the arm; None without."""
     chosen = [(pair in run.meta.mobile_pairs) == mobile for pair in run.meta.pairs]
     return float(run.distances[:, chosen].min()) if any(chosen) else None
 
 
 def path(run: Trace) -> float:
-    """[m] way of the base's centre."""
+    """[m] length of the path of the base's centre."""
     return float(np.hypot(*np.diff(run.of("base_pose")[:, :2], axis=0).T).sum())
 
 
 def largest(values: Array, at_least: float = 0.0) -> float:
-    """What is not a number is not the largest."""
+    """The largest value, ignoring those that are not numbers."""
     return float(np.fmax.reduce(values, axis=None, initial=at_least))
 
 
@@ -97,12 +97,12 @@ def jumps(run: Trace, quantity: str) -> dict[str, float]:
 
 
 def torque_jump(run: Trace, at_least: float = 0.0) -> float:
-    """[N m or N] largest change of what moves a joint in one step."""
+    """[N m or N] largest change of a joint's torque or force in one step."""
     return largest(np.abs(np.diff(run.of("u_a"), axis=0)), at_least)
 
 
 def sign_changes(values: Array, band: float) -> int:
-    """How often the most restless of some numbers (N, k) changes its sign, beyond a dead band."""
+    """Largest number of sign changes among columns of values (N, k), outside of a dead band."""
     signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
     return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
 
@@ -149,7 +149,7 @@ def _percentile(run: Trace, q: float) -> float | None:
 
 
 def _moves(run: Trace) -> Array:
-    """(N, 3) [m, rad] of the base's pose from where it began."""
+    """(N, 3) [m, rad] motion of the base's pose from its start."""
     return run.of("base_pose") - run.of("base_pose")[0]
 
 
@@ -162,23 +162,23 @@ def _last(run: Trace, quantity: str) -> Any:
 
 
 def total(run: Trace, quantity: str) -> int:
-    """In how many rows something holds."""
+    """Number of rows in which a flag is true."""
     return int(run.of(quantity).sum())
 
 
 FIGURES: dict[str, Figure] = {
     "min_distance_m": Figure(
-        "Least distance of each link pair; below 0 two bodies overlap.",
+        "Smallest distance of each link pair; below 0 two bodies overlap.",
         lambda r: dict(zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)),
     ),
     "min_clearance_m": Figure(
-        "Least distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
+        "Smallest distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
     ),
     "contacts": Figure(
         "Steps in which the arm touched the base.", lambda r: total(r, "in_contact")
     ),
     "arm_min_clearance_m": Figure(
-        "Least distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
+        "Smallest distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
     ),
     "arm_contacts": Figure(
         "Steps in which the arm touched itself.", lambda r: total(r, "arm_in_contact")
@@ -189,42 +189,43 @@ FIGURES: dict[str, Figure] = {
     "ee_error_max_m": Figure(
         "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
     ),
-    "ee_error_final_m": Figure("The same at the end.", lambda r: _last(r, "ee_error")),
+    "ee_error_final_m": Figure("Final value of that distance.", lambda r: _last(r, "ee_error")),
     "base_displacement_m": Figure(
-        "From where the base began to where it ended.",
+        "Displacement of the base from start to end.",
         lambda r: float(np.hypot(*_moves(r)[-1, :2])),
     ),
-    "base_path_m": Figure("Way of the base's centre.", path),
+    "base_path_m": Figure("Length of the path of the base's centre.", path),
     "base_path_after_release_m": Figure(
-        "The same since anybody last held the robot; null if somebody does at the end.",
+        "That length since the last release; null if a person holds the robot at the end.",
         _path_after_release,
     ),
     "base_speed_final_mps": Figure(
-        "Speed of the base's centre at the end.",
+        "Final speed of the base's centre.",
         lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
     ),
-    "base_yaw_rad": Figure("By which the base has turned.", lambda r: float(_moves(r)[-1, 2])),
+    "base_yaw_rad": Figure("Rotation of the base.", lambda r: float(_moves(r)[-1, 2])),
     "activation_max": Figure("Largest β.", lambda r: largest(r.of("activation"))),
     "base_acceleration_jump_max": Figure(
-        "Largest change from one step to the next of what the base is asked for.",
+        "Largest change of the commanded base acceleration in one step.",
         lambda r: jumps(r, "base_acceleration"),
     ),
     "base_acceleration_sign_changes": Figure(
-        "How often that changes its sign.", lambda r: _base_sign_changes(r, "base_acceleration")
+        "Sign changes of the commanded base acceleration.",
+        lambda r: _base_sign_changes(r, "base_acceleration"),
     ),
     "avoidance_acceleration_jump_max": Figure(
-        "The same of what avoidance alone asks the base for.",
+        "Largest change of the base acceleration of avoidance in one step.",
         lambda r: jumps(r, "avoidance_acceleration"),
     ),
     "avoidance_acceleration_sign_changes": Figure(
-        "How often that changes its sign.",
+        "Sign changes of the base acceleration of avoidance.",
         lambda r: _base_sign_changes(r, "avoidance_acceleration"),
     ),
     "torque_jump_max_nm": Figure(
-        "Largest change of a joint's torque or force from one step to the next.", torque_jump
+        "Largest change of a joint's torque or force in one step.", torque_jump
     ),
     "torque_rate_sign_changes": Figure(
-        "How often the most restless torque turns from rising to falling.",
+        "Largest number of sign changes of a torque's rate.",
         lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
     ),
     "hand_force_max_n": Figure(
@@ -232,56 +233,56 @@ FIGURES: dict[str, Figure] = {
         lambda r: largest(_force(r)),
     ),
     "hand_force_clear_max_n": Figure(
-        "The same until two bodies first came nearer than 10 mm.", _clear_force
+        "Largest force until two bodies first came nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
-        "Least force that the torques bore (at 50 Hz) while somebody held it in a buffer, or null.",
+        "Smallest bound of a person's force (at 50 Hz) in a buffer, or null.",
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(
         "Largest speed of the end-effector.", lambda r: largest(r.of("hand_speed"))
     ),
     "joint_speed_share_max": Figure(
-        "Largest share that a joint had of its largest speed.", _joint_speed_share
+        "Largest ratio of a joint's speed to its limit.", _joint_speed_share
     ),
     "clear_since_s": Figure(
-        "Since when no pair has been within the distance of full activation; null if one still is.",
+        "Time since which no pair is fully activated; null if one is at the end.",
         _clear_since,
     ),
     "approach_speed_max_mps": Figure(
-        "Largest speed at which a body came towards the base.",
+        "Largest approach speed of a body to the base.",
         lambda r: r.buffer.approach_speed_max,
     ),
     "buffer_needed_m": Figure(
-        "The d_b that those speeds need; null where none suffices.",
+        "d_b required for these speeds; null if none suffices.",
         lambda r: _finite(r.buffer.needed_max),
     ),
     "solver_failures": Figure(
-        "Steps with the safe command in place of a solution.",
+        "Steps with the fallback command.",
         lambda r: int(_last(r, "solver_failures")),
     ),
     "solver_given_up": Figure(
-        "Steps in which the base's own part had no solution.", lambda r: int(_last(r, "given_up"))
+        "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))
     ),
     "stuck": Figure(
-        "Where and why a tracked end-effector stops short of a resting target, or null.",
+        "Place and reasons of stopping short of a resting target, or null.",
         lambda r: r.meta.stuck,
     ),
     "left_way": Figure(
-        "The same where it was farthest from its target, moving or not; null within 1 mm.",
+        "Place and reasons at the largest tracking error; null within 1 mm.",
         lambda r: r.meta.left_way,
     ),
     "fault_s": Figure(
         "When the controller first reported each fault of the readings.", lambda r: r.meta.faults
     ),
     "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
-    "step_p99_us": Figure("Its 99th percentile.", lambda r: _percentile(r, 99)),
+    "step_p99_us": Figure("99th percentile of that time.", lambda r: _percentile(r, 99)),
 }
-"""Of every run, by their keys."""
+"""Figures of every run, by their keys."""
 
 
 def _first(run: Trace, holds: Array) -> float | None:
-    """[s] when something (N,) first held, or None."""
+    """[s] first time at which a flag (N,) is true, or None."""
     return float(run.t[np.argmax(holds)]) if holds.any() else None
 
 
@@ -297,38 +298,39 @@ def _radial_error(run: Trace) -> float | None:
 
 DOOR: dict[str, Figure] = {
     "door_angle_final_rad": Figure(
-        "Angle of the door at the end.", lambda r: float(r["door_angle_rad"][-1])
+        "Final angle of the door.", lambda r: float(r["door_angle_rad"][-1])
     ),
     "door_opened_80deg_at_s": Figure(
-        "When it was first open by 80°; null if never.",
+        "Time at which the door was first open by 80°; null if never.",
         lambda r: _first(r, r["door_angle_rad"] >= OPENED),
     ),
     "door_min_distance_m": Figure(
-        "Least distance of base and door.", lambda r: float(_door_distance(r).min())
+        "Smallest distance between base and door.", lambda r: float(_door_distance(r).min())
     ),
     "door_contacts": Figure(
         "Steps in which the robot touched the door.", lambda r: int(r["door_contact"].sum())
     ),
     "first_door_contact_s": Figure(
-        "When it first did; null if never.", lambda r: _first(r, r["door_contact"] > 0)
+        "Time of the first contact with the door; null if never.",
+        lambda r: _first(r, r["door_contact"] > 0),
     ),
     "door_met_base_s": Figure(
-        "When the door first touched the robot or its bodies overlapped; null if never.",
+        "Time of the first contact or overlap of the door with the robot; null if never.",
         lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
     ),
     "radial_error_at_5s_rad": Figure(
         "Error of the estimated radial direction after 5 s.", _radial_error
     ),
     "base_back_off_s": Figure(
-        "When the base had first moved by 10 mm; null if never.",
+        "Time at which the base had first moved by 10 mm; null if never.",
         lambda r: _first(r, np.hypot(*_moves(r)[:, :2].T) >= _BACKED_OFF),
     ),
 }
-"""Of the opening of a door."""
+"""Figures of the opening of a door."""
 
 
 def extremes(run: Trace) -> dict[str, Any]:
-    """Duration, and largest speeds of the base and torques and forces of the arm, by column."""
+    """Duration, and largest base speeds and joint torques and forces, by column."""
     speeds = np.abs(run.of("base_velocity"))
     efforts = np.abs(run.of("u_a")).max(axis=0)
     return {

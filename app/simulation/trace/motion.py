@@ -1,6 +1,6 @@
-"""Frames of links and states of joints at a snapshot, as robots' tools name them.
+"""Frames of links and states of joints at a snapshot, with the names of robot tools.
 
-As messages of ROS 2 too, in CDR, which needs no installation of ROS.
+They are also available as ROS 2 messages in CDR, without an installation of ROS.
 """
 
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from rosbags.typesys import Stores, get_typestore
 from app.robot.model import RobotModel, whole_model
 from app.simulation.trace.snapshot import Snapshot
 
-WORLD = "world"  # the frame in which base and links are
+WORLD = "world"  # the frame of base and links
 TEXT, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 FRAMES = "tf2_msgs/msg/TFMessage"
 
 
 class JointReading(NamedTuple):
-    """A joint at one instant; None is not known."""
+    """A joint at one instant; None means unknown."""
 
     name: str
     position: float
-    """[rad or m] about or along the joint's axis in the URDF."""
+    """[rad or m] position about or along the joint's axis in the URDF."""
     velocity: float | None = None
     """[rad/s or m/s]"""
     effort: float | None = None
@@ -33,7 +33,7 @@ class JointReading(NamedTuple):
 
 
 class Frames:
-    """Where the links are, each in the one that carries it; wheels turn."""
+    """Poses of the links, each relative to its parent; wheels turn."""
 
     def __init__(self, model: RobotModel) -> None:
         self._model, self._whole = model, whole_model(model.description)
@@ -45,7 +45,7 @@ class Frames:
         self._hand = link.name, hand.name, link.placement.actInv(hand.placement)
 
     def _carrier(self, number: int) -> int | None:
-        """The link that carries another one; None is the world."""
+        """The parent of a link; None is the world."""
         frames = self._whole.frames
         while number := frames[number].parentFrame:
             if frames[number].type == pin.FrameType.BODY:
@@ -79,7 +79,7 @@ def joints_of(s: Snapshot, model: RobotModel) -> list[JointReading]:
 
 
 def nanoseconds(t: float) -> int:
-    """A time [s] as logs have it."""
+    """A time [s] in the unit of logs."""
     return round(1e9 * t)
 
 
@@ -90,17 +90,17 @@ def _store() -> Any:
 
 @cache
 def ros_definition(kind: str) -> bytes:
-    """The definition of a type, with those of its parts."""
+    """The definition of a message type, including those of its parts."""
     return _store().generate_msgdef(kind, ros_version=2)[0].encode()
 
 
 def ros_text(content: str) -> bytes:
-    """A message of a text."""
+    """A message with a text."""
     return _encode(TEXT, data=content)
 
 
 def ros_joints(t: float, states: Sequence[JointReading]) -> bytes:
-    """A message of joints at a time [s]; a velocity or an effort that no joint has is left out."""
+    """A message of joints at a time [s]; without velocities or efforts if no joint has them."""
     names, position, *others = zip(*states, strict=True)
     velocity, effort = (
         np.array([nan if x is None else x for x in column if {*column} != {None}], dtype=float)
@@ -117,7 +117,7 @@ def ros_joints(t: float, states: Sequence[JointReading]) -> bytes:
 
 
 def ros_frames(t: float, places: Sequence[tuple[str, str, pin.SE3]]) -> bytes:
-    """A message of T_parent_child at a time [s]."""
+    """A message of transforms T_parent_child at a time [s]."""
     return _encode(FRAMES, transforms=[_frame(t, *each) for each in places])
 
 

@@ -1,7 +1,7 @@
-"""The record of a run: each quantity once, with its columns, its units and how a step gives it.
+"""The record of a run: one declaration per quantity, with columns, units and its computation.
 
-A `Snapshot` is all of them at one instant, as it is drawn; a `Trace` is their columns over time. A
-new quantity is one more field here: log files, reports and live readings follow from it.
+A `Snapshot` has all quantities at one instant, for display; a `Trace` has their columns over time.
+A new quantity is one more field here: log files, reports and live readings use it automatically.
 """
 
 import json
@@ -43,14 +43,14 @@ from app.simulation.trace.columns import (
 )
 from app.strict import Array
 
-_D_B_STEP = 0.005  # [m] of d_b on its way: the border is drawn anew for each
-EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop as in a log
+_D_B_STEP = 0.005  # [m] steps of a changing d_b; the border is drawn again for each
+EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop and in logs
 
 _DOOR = TypeAdapter(Door)
 
 
 class PairReading(NamedTuple):
-    """One link pair at one instant; positions in the world."""
+    """One link pair at one instant; positions are in the world."""
 
     name: str
     """As in `lm-lEE`."""
@@ -63,16 +63,16 @@ class PairReading(NamedTuple):
     p_a: Array
     """(3,) [m] closest point on the link nearer to the base."""
     p_b: Array
-    """(3,) [m] closest point on the link farther out."""
+    """(3,) [m] closest point on the link farther from the base."""
 
 
 class ActingReading(NamedTuple):
-    """The acting point of one active pair of L_m; positions in the world."""
+    """The acting point of one active pair of L_m; positions are in the world."""
 
     name: str
-    """The pair, as in `lm-lEE`."""
+    """Name of the pair, as in `lm-lEE`."""
     p_n: Array
-    """(3,) [m] nearest point of the border at the hand's height."""
+    """(3,) [m] nearest point of the border at the end-effector's height."""
     p_t: Array
     """(3,) [m] p_n moved along the tangent, (12)."""
     p_act: Array
@@ -82,24 +82,24 @@ class ActingReading(NamedTuple):
 
 
 class DoorView(NamedTuple):
-    """A door that the hand holds; what is not-a-number is not known once its opening is over."""
+    """A door that the end-effector holds; unknown values after its opening are not-a-number."""
 
     door: Door
     """Its geometry, which does not change: `door.pose(angle)` is T_world_door."""
     angle: float
-    """[rad] how far it is open."""
+    """[rad] opening angle."""
     force: Array
-    """(3,) [N] that the hand exerts on it while it opens it, in the world."""
+    """(3,) [N] force of the end-effector on it during the opening, in the world."""
     radial_force: float = NAN
-    """[N] the part of the force towards the hinge's true place."""
+    """[N] component of the force towards the hinge's true place."""
     radial_error: float = NAN
-    """[rad] of the estimated radial direction, positive counter-clockwise."""
+    """[rad] error of the estimated radial direction, positive counter-clockwise."""
     contact: bool = False
-    """It touches the base."""
+    """Whether it touches the base."""
 
 
 class GhostReading(NamedTuple):
-    """A robot beside the one that is led, at one instant."""
+    """A compared robot at one instant."""
 
     controller: str
     base_pose: Array
@@ -107,29 +107,29 @@ class GhostReading(NamedTuple):
     q_m: Array
     """(n_m,) [rad or m] arm joints."""
     wheel_angles: Array
-    """(n_w,) [rad] of the base's `wheels`, for drawing."""
+    """(n_w,) [rad] angles of the base's `wheels`, for drawing."""
     p_ee: Array
     """(3,) [m] end-effector in the world."""
     clearance: float
-    """[m] least distance of the pairs of L_m now."""
+    """[m] present smallest distance of the pairs of L_m."""
 
 
 class Score(NamedTuple):
-    """What a robot came to since the comparison began."""
+    """Results of a robot since the start of the comparison."""
 
     controller: str
     clearance: float
-    """[m] least distance of any pair of L_m."""
+    """[m] smallest distance of any pair of L_m."""
     error: float
-    """[m] from the end-effector to its reference, or to where a person pulls it, now."""
+    """[m] present distance of the end-effector from its reference or the person's target."""
     error_max: float
-    """[m] the largest."""
+    """[m] largest value of that distance."""
     base_path: float
-    """[m] way of the base's centre."""
+    """[m] length of the path of the base's centre."""
     acceleration_jump: float
-    """[m/s²] largest change in one step of the v̇ that is asked of the base."""
+    """[m/s²] largest change of the commanded v̇ in one step."""
     angular_jump: float
-    """[rad/s²] the same of ω̇."""
+    """[rad/s²] largest change of the commanded ω̇ in one step."""
     torque_jump: float
     """[N m] largest change of a torque of the arm in one step."""
     contacts: int
@@ -137,10 +137,10 @@ class Score(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """A command that could not be obeyed, which has changed nothing."""
+    """A command that could not be executed and has changed nothing."""
 
     number: int
-    """Of the refusal, from 1 on: a larger one than the last is news."""
+    """Number of the refusal, from 1 on; a larger number is a new one."""
     message: str
 
 
@@ -179,7 +179,7 @@ def _pairs() -> Quantity:
 
 
 def _acting() -> Quantity:
-    """p_n, p_t, p_act and f of each pair of L_m; empty while the pair has none."""
+    """p_n, p_t, p_act and f of each pair of L_m; empty without an acting point."""
     templates = (
         *(f"{p}_{{mobile}}_{{xyz}}_m" for p in ("p_n", "p_t", "p_act")),
         "f_{mobile}_{xyz}_n",
@@ -213,7 +213,7 @@ def _acting() -> Quantity:
 
 
 def _buffer() -> Quantity:
-    """How fast the arm comes, and how large d_b should have been."""
+    """Approach speed of the arm, and the d_b that it requires."""
     numbers = "approach_speed_mps buffer_needed_m approach_speed_max_mps buffer_needed_max_m"
     flags = "buffer_too_small buffer_too_small_ever"
     columns = [
@@ -230,7 +230,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """The door's geometry as JSON, empty without one, and how its opening goes."""
+    """The door's geometry as JSON, empty without one, and the state of its opening."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
@@ -274,7 +274,7 @@ def _door() -> Quantity:
 
 
 def _force_bound() -> Quantity:
-    """Smallest of the bounds on a person's force on the arm; computed at 50 Hz."""
+    """Smallest bound of a person's force on the arm; computed at 50 Hz."""
 
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _least_force_bound(session, step),)
@@ -283,10 +283,10 @@ def _force_bound() -> Quantity:
 
 
 def _least_force_bound(session: Session, step: Step) -> float:
-    """[N] least bound of the pairs in their buffers, and of the pull itself.
+    """[N] smallest bound of the pairs in their buffers, and of the pull itself.
 
-    Up to the latter the torques can hold the pull, so that no joint exceeds its speed limit. It is
-    NaN where nobody holds the robot, or no pair is in its buffer.
+    Within the latter the torques can balance the pull, so that no joint exceeds its speed limit. It
+    is NaN without a person, or without a pair in its buffer.
     """
     w, tau_max = step.control, session.model.tau_max
     near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
@@ -304,10 +304,10 @@ def _least_force_bound(session: Session, step: Step) -> float:
 class Snapshot:
     """The whole simulation at one instant: every quantity of its record.
 
-    Each is a column, or several, of a trace: a `number` or `numbers` at each control step, what is
-    `drawn` where a snapshot is taken. How it follows from a step (o, with the session s after it)
-    stands beside it, or is known to who publishes the snapshot. What has no columns is about the
-    moment.
+    Each field has one or several columns of a trace: a `number` or `numbers` is recorded at each
+    control step, a `drawn` one at snapshots. The declaration computes it from a step (o, with the
+    session s after it), or the publisher of the snapshot sets it. Fields without columns describe
+    the instant only.
     """
 
     t: Annotated[float, number("t_s", "float", lambda s, o: o.t)]
@@ -315,60 +315,60 @@ class Snapshot:
     base_pose: Annotated[Array, numbers("base_{pose}", lambda s, o: o.truth.base_pose)]
     """(3,) x, y [m], φ [rad]."""
     base_velocity: Annotated[Array, numbers("base_{velocity}", lambda s, o: o.truth.base_velocity)]
-    """(n_b,) [m/s or rad/s] true, along the base's axes: v, ω of a differential one."""
+    """(n_b,) [m/s or rad/s] true velocity along the base's axes: v, ω of a differential one."""
     base_velocity_command: Annotated[
         Array, numbers("command_{velocity}", lambda s, o: o.base_command)
     ]
-    """(n_b,) [m/s or rad/s] commanded, renewed at 10 Hz."""
+    """(n_b,) [m/s or rad/s] velocity command, renewed at 10 Hz."""
     base_acceleration: Annotated[
         Array, numbers("base_{acceleration}", lambda s, o: o.control.a_base_cmd)
     ]
-    """(n_b,) [m/s² or rad/s²] that the QP asks of the base."""
+    """(n_b,) [m/s² or rad/s²] commanded base acceleration of the QP."""
     avoidance_acceleration: Annotated[
         Array, numbers("avoidance_{acceleration}", lambda s, o: o.control.base_avoidance)
     ]
     """(n_b,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does
-    not insert them."""
+    not use them."""
     wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
-    """(n_w,) [rad] of the base's `wheels`, for drawing: the right and the left side."""
+    """(n_w,) [rad] angles of the base's `wheels`, for drawing: the right and the left side."""
     q_m: Annotated[Array, numbers("q_{joint}_{position}", lambda s, o: o.truth.q_m)]
-    """(n_m,) [rad or m] arm joints."""
+    """(n_m,) [rad or m] joint positions of the arm."""
     u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.control.u_cmd)]
     """(n_m,) [N m or N] arm torques."""
     p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.p_ee)]
     """(3,) [m] end-effector in the world."""
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
-    """(4,) its orientation as a quaternion."""
+    """(4,) orientation of the end-effector as a quaternion."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs, those of L_m first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
     beta_m: Annotated[float, number("beta_m", "float", lambda s, o: float(o.control.beta_m))]
-    """[-] of (28)."""
+    """[-] β_m of (28)."""
     hand_target: Annotated[
         Array | None,
         drawn_numbers("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
     ]
-    """(3,) [m] where the (first) person pulls the end-effector, or None if nobody does."""
+    """(3,) [m] target of the (first) person at the end-effector, or None."""
     hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", lambda s, o: o.hand_force)]
-    """(3,) [N] the force on the end-effector: of all persons there, or of a door."""
+    """(3,) [N] force on the end-effector: of all persons there, or of a door."""
     ee_error: Annotated[float, number("ee_error_m", "float", lambda s, o: o.ee_error)]
-    """[m] from the end-effector to its reference or to where the person pulls, else 0."""
+    """[m] distance of the end-effector from its reference or the person's target, otherwise 0."""
     in_contact: Annotated[bool, number("contact", "bool", lambda s, o: o.contacts.arm_base)]
-    """Arm and base touch."""
+    """Whether arm and base touch."""
     arm_in_contact: Annotated[bool, number("arm_contact", "bool", lambda s, o: o.contacts.arm_arm)]
-    """Parts of the arm touch."""
+    """Whether parts of the arm touch."""
     solver_failures: Annotated[
         int, number("solver_failures", "int", lambda s, o: int(o.control.failures))
     ]
-    """QPs without a solution since the last reset."""
+    """Number of QPs without a solution since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us", "float")]
     """[µs] mean duration of a control step over the last second."""
     realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
-    """[-] simulated over real time in the last second."""
+    """[-] ratio of simulated to real time in the last second."""
     overruns: Annotated[int, drawn("overruns", "int")]
-    """Control steps since the last reset that missed their period of 1 ms, over the speed: their
-    own work took longer, or they began after it was over."""
+    """Control steps since the last reset that missed their period (1 ms over the speed): they took
+    longer, or started after its end."""
     paused: Annotated[bool, drawn("paused", "bool")]
     mode: Annotated[
         str, drawn("mode", "text", lambda s, o: "tracking" if o.control.tracking else "guiding")
@@ -376,76 +376,77 @@ class Snapshot:
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
     config: Annotated[Config, config_changes(lambda s, o: s.config)]
-    """The commanded parameters; a scenario may make some firmer."""
+    """The configured parameters; a scenario may raise some stiffnesses."""
     d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
     """[m] buffer distance in force, which approaches `config.border.d_b` slowly."""
     buffer: Annotated[BufferReading, _buffer()]
-    """Whether d_b is enough for how fast the arm comes."""
+    """Whether d_b is sufficient for the arm's approach speed."""
     pulls: Annotated[
         tuple[PullReading, ...],
         records("pulls_json", PullReading, lambda s, o: tuple(map(_frozen_pull, o.pulls))),
     ] = ()
-    """All that hold the robot, a scenario's person as number -1."""
+    """All people who hold the robot; a scenario's person has the number -1."""
     ghosts: Annotated[tuple[GhostReading, ...], records("ghosts_json", GhostReading)] = ()
-    """Robots that run the same input with other controllers, after the control step of `t`."""
+    """Robots with the same input and other controllers, after the control step of `t`."""
     scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
-    """Since the comparison began: of this robot, then of the ghosts; empty without ghosts."""
+    """Scores since the start of the comparison: this robot, then the ghosts; empty without
+    ghosts."""
     same: Annotated[str, drawn("ghosts_have_the_same", "text")] = ""
-    """What is the same at the ghosts, "path" or "force", or empty without ghosts."""
+    """The common input of the ghosts, "path" or "force", or empty without ghosts."""
     scenario: Annotated[str, drawn("scenario", "text")] = ""
-    """Name of the scenario that leads the hand, or empty while it is free."""
+    """Name of the scenario that moves the end-effector, or empty for free motion."""
     scenario_ends: Annotated[float | None, drawn("scenario_ends_s", "float", optional=True)] = None
-    """[s] simulated time at which the scenario ends, or None while the hand is free."""
+    """[s] simulated time at which the scenario ends, or None for free motion."""
     door: Annotated[DoorView | None, _door()] = None
-    """The door that the hand holds, also after its scenario."""
+    """The door that the end-effector holds, also after its scenario."""
     speed: Annotated[float, drawn("speed", "float")] = 1.0
-    """[-] the wanted `realtime_factor`."""
+    """[-] desired `realtime_factor`."""
     qd_m: Annotated[
         Array | None, numbers("qd_{joint}_{speed}", lambda s, o: o.truth.qd_m, optional=True)
     ] = None
-    """(n_m,) [rad/s or m/s] speeds of the arm's joints, if they are known."""
+    """(n_m,) [rad/s or m/s] joint speeds of the arm, if known."""
     activation: Annotated[
         float, number("activation", "float", lambda s, o: float(o.control.activation))
     ] = 0.0
-    """[-] the largest activation of the rows that the controller inserted, 0 if none was."""
+    """[-] largest activation of the controller's inserted rows, 0 without rows."""
     floor_contact: Annotated[
         bool, number("floor_contact", "bool", lambda s, o: o.contacts.arm_floor)
     ] = False
-    """Arm and floor touch."""
+    """Whether arm and floor touch."""
     given_up: Annotated[
         int, number("solver_given_up", "int", lambda s, o: int(o.control.given_up))
     ] = 0
-    """Steps since the last reset in which the base's own part had no solution."""
+    """Steps since the last reset in which the base's QP had no solution."""
     hand_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed)] = 0.0
     """[m/s] true speed of the end-effector."""
     people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls))] = 0
-    """How many hold the robot."""
+    """Number of people who hold the robot."""
     duration_us: Annotated[float, number("duration_us", "float", lambda s, o: 1e6 * o.duration)] = (
         NAN
     )
-    """[µs] real time that the controller took in this step."""
+    """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] of a person that the arm's torques can bear, where somebody holds it inside a buffer."""
+    """[N] bound of a person's force by the arm's torques, for a person inside a buffer."""
     run: int = 0
-    """How often time has begun anew before it."""
+    """Number of restarts before it."""
     busy: str = ""
-    """What is being prepared while time stands still, or empty."""
+    """The preparation that pauses the simulation, or empty."""
     changing: str = ""
-    """What takes on another value step by step, so that the robot is not thrown, or empty."""
+    """The parameter that changes gradually for a smooth motion, or empty."""
     refusal: Refusal | None = None
-    """The newest command that was found out to be impossible only when it was obeyed."""
+    """The newest command whose execution failed."""
     case: RunCase | None = None
-    """What it takes to play again what has just begun, or of people's pulls, has just ended."""
+    """Repeatable case of the run that just started, or of free pulls that just ended."""
     explanation: Explanation | None = None
-    """Why the robot moved as it did in the control step of `t`; None where nobody asked."""
+    """The explanation of the robot's motion in the control step of `t`; None if not requested."""
 
     def follows(self, before: "Snapshot") -> bool:
-        """Whether time has not begun anew since one that was published before, and goes on."""
+        """Whether it continues an earlier published snapshot without a restart in between."""
         return self.run == before.run and self.t >= before.t
 
     @property
     def border(self) -> BorderConfig:
-        """The border in force; while d_b changes, it is the present one to 5 mm."""
+        """The border in force; while d_b changes, the present one to 5 mm."""
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP:
             return commanded
@@ -454,12 +455,12 @@ class Snapshot:
 
     @property
     def nearest(self) -> PairReading:
-        """The link pair of the least distance."""
+        """The link pair of the smallest distance."""
         return min(self.pairs, key=lambda pair: pair.d)
 
     @property
     def clearance(self) -> float:
-        """[m] the least distance of the arm from the base; infinite without a pair of L_m."""
+        """[m] smallest distance of the arm from the base; infinite without a pair of L_m."""
         return min((pair.d for pair in self.pairs if pair.mobile), default=math.inf)
 
     @property
@@ -470,7 +471,7 @@ class Snapshot:
 
     @property
     def held(self) -> PullReading | None:
-        """The pull that has lasted longest, or None if nobody holds the robot."""
+        """The oldest present pull, or None if no person holds the robot."""
         return self.pulls[0] if self.pulls else None
 
 
@@ -479,7 +480,7 @@ QUANTITIES: dict[str, Quantity] = {
     for name, hint in get_type_hints(Snapshot, globals(), include_extras=True).items()
     if hasattr(hint, "__metadata__")
 }
-"""All that is recorded, by the fields of `Snapshot`."""
+"""All recorded quantities, by the fields of `Snapshot`."""
 
 
 def make_snapshot(
@@ -491,16 +492,16 @@ def make_snapshot(
     explained: bool = True,
     **course: Any,
 ) -> Snapshot:
-    """The whole simulation at a control step; shares no memory with it, and is read-only.
+    """The whole simulation at a control step, in separate, read-only memory.
 
     Args:
         session: After the step.
         step: The last one.
-        pacer: Says how real time goes; a run that keeps to no clock has none, and is then the same
-            each time.
-        paused: Whether time stands still.
-        explained: Whether it says why the robot moved so, which no file keeps.
-        course: What else is known, by the fields of `Snapshot`.
+        pacer: Reports the real-time statistics; a run without a clock has none, and is then
+            reproducible.
+        paused: Whether the simulation is paused.
+        explained: Whether it includes the explanation of the motion, which no file stores.
+        course: Further fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}

@@ -1,4 +1,4 @@
-"""The trace of a run: every quantity over time, and as snapshots."""
+"""The trace of a run: all quantities over time, and as snapshots."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ Reason = Literal[
 ]
 
 SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
-SHORT = 1e-3  # [m] from its target at which a hand counts as stuck
+SHORT = 1e-3  # [m] error of the end-effector that counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
-_MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
-_AT_LIMIT = 0.005  # [-] of a joint's range
-_AT_SPEED = 0.99  # [-] of a joint's largest speed
+_MOVING = 1e-3  # [m/s] speed towards the target that counts as moving
+_AT_LIMIT = 0.005  # [-] margin to a limit relative to a joint's range
+_AT_SPEED = 0.99  # [-] share of a joint's largest speed
 _STRETCHED = 0.05  # [-] smallest singular value of the arm's Jacobian
-_PUSHED = 0.01  # [m/s²] of the hand away from its target, by the border's push on the base
+_PUSHED = 0.01  # [m/s²] acceleration away from the target by the border's push on the base
 
 
 class Layout(NamedTuple):
-    """Where each quantity stands in a trace's table."""
+    """The place of each quantity in a trace's table."""
 
     meta: TraceMeta
     columns: tuple[Column, ...]
-    """Of the table, in order: those that have a number at each control step."""
+    """The columns in order: all with a number at each control step."""
     slices: dict[str, slice | int]
-    """By quantity; one number for those that have one column."""
+    """Index by quantity; a number for quantities with one column."""
     index: dict[str, int]
-    """By the columns' names."""
+    """Index by the columns' names."""
 
     @classmethod
     def of(cls, meta: TraceMeta, names: Iterable[str] = QUANTITIES) -> Self:
@@ -72,10 +72,10 @@ class Trace:
     """A run over time."""
 
     def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
-        """Put together what a `Recorder` has taken, or what was read."""
+        """Combine the table of a `Recorder` or a file with snapshots."""
         self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
-        """The table has (N, C) what is kept at each row, in order of time; snapshots are of some
-        rows or of all."""
+        """The table (N, C) has a row for each recorded step, in order of time; snapshots exist for
+        some rows or for all."""
         self._layout = layout
 
     @classmethod
@@ -83,7 +83,8 @@ class Trace:
         """A trace with the rows of these snapshots.
 
         Raises:
-            LogError: There is none, one is not later than the one before, or has other pairs.
+            LogError: There is none, or one is not later than the previous one, or has other
+                pairs.
         """
         if not snapshots:
             raise LogError("a log of no snapshots")
@@ -114,24 +115,24 @@ class Trace:
         return self.table[:, self._layout.slices[quantity]]
 
     def names(self, quantity: str) -> list[str]:
-        """Names of the columns of a quantity of the table that has several."""
+        """Names of the columns of a quantity with several columns."""
         place = self._layout.slices[quantity]
         assert isinstance(place, slice)
         return [column.name for column in self._layout.columns[place]]
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of the table, in order."""
+        """The columns of the table, in order."""
         return self._layout.columns
 
     @property
     def index(self) -> Mapping[str, int]:
-        """Where each column stands in the table, by its name."""
+        """Index of each column in the table, by its name."""
         return self._layout.index
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of the columns of each quantity of the table that has some."""
+        """Names of the columns of each quantity with several columns."""
         every = np.array([column.name for column in self.columns])
         found = {name: every[at] for name, at in self._layout.slices.items() if name != "t"}
         return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
@@ -153,17 +154,17 @@ class Trace:
 
     @property
     def buffer(self) -> BufferReading:
-        """Whether d_b was enough, at the last row."""
+        """Whether d_b was sufficient, at the last row."""
         return BufferReading(*self.of("buffer")[-1].tolist())
 
     @property
     def angular(self) -> Array:
-        """(n_b,) which axes of the base turn it."""
+        """(n_b,) whether an axis of the base is angular."""
         return np.array([name.endswith("_radps") for name in self.meta.velocities])
 
     @property
     def finite(self) -> bool:
-        """Whether all torques and poses of the base are numbers."""
+        """Whether all torques and poses of the base are finite numbers."""
         return bool(np.isfinite(self.of("u_a")).all() and np.isfinite(self.of("base_pose")).all())
 
     @property
@@ -176,7 +177,7 @@ class Trace:
         return int(np.abs(self.t - t).argmin())
 
     def at(self, t: float) -> Snapshot:
-        """What is drawn at a time [s]: the snapshot nearest to it."""
+        """The snapshot nearest to a time [s]."""
         return min(self.snapshots, key=lambda snapshot: abs(snapshot.t - t))
 
     def rows(self, which: slice | Array) -> Trace:
@@ -185,7 +186,7 @@ class Trace:
 
 
 class Recorder:
-    """Takes every control step of a run."""
+    """Records every control step of a run."""
 
     def __init__(
         self,
@@ -195,26 +196,26 @@ class Recorder:
         drawn: bool = False,
         also: Iterable[int] = (),
     ) -> None:
-        """Nothing is recorded.
+        """An empty recording.
 
         Args:
-            scenario: Which leads the hand from the first step to the last.
-            quantities: What is recorded, by the fields of `Snapshot`.
-            drawn: Whether a snapshot of each twentieth step is kept too, the first among them.
-            also: Numbers of further control steps of which a snapshot is wanted.
+            scenario: The scenario that moves the end-effector during the whole run.
+            quantities: Recorded quantities, by the fields of `Snapshot`.
+            drawn: Whether to take a snapshot of each twentieth step too, including the first.
+            also: Numbers of further control steps with a snapshot.
         """
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._names = list(quantities)
         self._rows: list[Take] = []
         self._layout: Layout | None = None
-        self._cells = array("d")  # a fifth of a list's memory, and nothing for the collector
+        self._cells = array("d")  # a fifth of a list's memory, without garbage collection
         self._last: tuple[Session, Step] | None = None
         self._faults: dict[str, float] = {}
-        self._farthest: Step | None = None  # of those in which a tracked hand is off its target
+        self._farthest: Step | None = None  # step with the largest tracking error
         self.snapshots: list[Snapshot] = []
 
     def add(self, session: Session, step: Step) -> None:
-        """Take one control step, and the session after it."""
+        """Record one control step, with the session after it."""
         if self._layout is None:
             self._begin(session, step)
         self._last = session, step
@@ -231,7 +232,7 @@ class Recorder:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """What has been recorded; its table is the recorder's own memory, so nothing is added."""
+        """The recording; its table shares the recorder's memory, so it must end here."""
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
@@ -245,7 +246,7 @@ class Recorder:
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
     def taken(self) -> Trace:
-        """What has been recorded since the last call, and the row before it."""
+        """The part recorded since the last call, and the row before it."""
         assert self._layout is not None, "no step was recorded"
         wide = len(self._layout.columns)
         table = np.array(self._cells).reshape(-1, wide)
@@ -274,17 +275,17 @@ class Recorder:
         k = round(step.t / DT)
         if k % EVERY and k not in self._also:
             return
-        course: dict[str, Any] = {"explained": not self._rows}  # pictures alone say why
+        course: dict[str, Any] = {"explained": not self._rows}  # only pictures need explanations
         if self._scenario is not None:
             course |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
         self.snapshots.append(make_snapshot(session, step, None, paused=False, **course))
 
 
 class History:
-    """A bounded record in order of time; when time begins anew, it does."""
+    """A bounded record in order of time; a restart of the time clears it."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """Empty; the newest snapshots stay, so many of them."""
+        """Empty; it stores the newest `kept` snapshots."""
         self._kept: deque[Snapshot] = deque(maxlen=kept)
         self._latest: Snapshot | None = None
 
@@ -295,7 +296,7 @@ class History:
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot; one of the same time as the newest takes its place."""
+        """Append a snapshot; one of the same time as the newest replaces it."""
         newest = self._latest
         if newest is not None and not snapshot.follows(newest):
             self._kept.clear()
@@ -325,24 +326,24 @@ def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
 
 
 class Stuck(NamedTuple):
-    """Where a hand stands that is not at its target, and why."""
+    """Place and reasons of an end-effector that is not at its target."""
 
     t_s: float
     """[s] when."""
     ee_error_m: float
-    """[m] from the hand to its target."""
+    """[m] distance of the end-effector from its target."""
     hand_m: tuple[float, ...]
-    """(3,) [m] where it is, in the world."""
+    """(3,) [m] position of the end-effector, in the world."""
     target_m: tuple[float, ...]
-    """(3,) [m] where it should be."""
+    """(3,) [m] target, in the world."""
     reasons: tuple[Reason, ...]
-    """All that hold; "unknown" if none does."""
+    """All reasons that apply; "unknown" if none does."""
     joints: tuple[str, ...]
-    """Names of those at their position limits."""
+    """Names of the joints at their position limits."""
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """Whether the hand stops short in this step; None while its reference moves, or without one."""
+    """Whether the end-effector stops short in this step; None for a moving or missing reference."""
     reference = step.reference
     if reference is None or step.ee_error <= SHORT:
         return None
@@ -352,12 +353,12 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
-    """Where the hand is in this step, and why it is off its target.
+    """Position of the end-effector in this step, and the reasons of its error.
 
-    The reasons are those of the true robot and of what the controller put on the base: joints at
-    their position or velocity limits; links of the arm within their own buffer, whose rows stand
-    above the hand's; a push of the border on the base that takes the hand away from its target; an
-    arm at full stretch, whose smallest singular value of the hand's Jacobian is near zero.
+    The reasons refer to the true robot and the controller's base motion. They are: joints at
+    their position or velocity limits; links of the arm within their own buffer, whose rows are
+    above the end-effector's task; a push of the border on the base that moves the end-effector away
+    from its target; a stretched arm, with a small singular value of the end-effector's Jacobian.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

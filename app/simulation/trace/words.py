@@ -14,19 +14,19 @@ METHODS = {
     "barrier": "minimum distance only",
     "none": "without avoidance",
 }
-"""What each controller does, by its name."""
+"""Description of each controller, by its name."""
 
 _FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
 _NOTHING = 5e-7  # [-] a smaller number is rounding
 
 
 def body(name: str, chain: Sequence[str]) -> str:
-    """A body by its place in the chain: base, shoulder, upper arm, forearm, hand.
+    """The name of a body by its place in the chain: base, shoulder, upper arm, forearm, hand.
 
     Args:
         name: As in `lEE`.
-        chain: Names of all bodies, the mobile robot first, then outwards; a door that the hand
-            holds is called `door`.
+        chain: Names of all bodies, the mobile robot first, then outwards; a held door is called
+            `door`.
     """
     if name == chain[0]:
         return "base"
@@ -49,7 +49,7 @@ def spoken(name: str, chain: Sequence[str]) -> str:
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """How close a run came: by its least distance [m], and whether the plant reported contact.
+    """Classify a run by its smallest distance [m] and the contact that the plant reported.
 
     Distances are between convex bodies that enclose the links, so bodies can overlap without
     contact.
@@ -72,7 +72,7 @@ def kept(least: float, *, touched: bool) -> str:
 
 
 def number_text(value: Any, none: str = "–") -> str:
-    """A figure for people: three digits, 0 for rounding errors; `none` stands for None."""
+    """A figure in readable form: three digits, 0 for rounding errors; `none` replaces None."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {number_text(each)}" for name, each in value.items())
     if isinstance(value, (list, tuple)):

@@ -21,28 +21,28 @@ TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4}
 """A step [m] that is always as large as its upper bound can be."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
-_EVERY = 20  # rows of a log between two looks at the force
+_EVERY = 20  # rows of a log between two evaluations of the force
 _ZOOM = 0.30  # [m] around the acting point
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 
 
 class Force(NamedTuple):
-    """The force at one instant of a run, while the hand is in its buffer."""
+    """The force at one instant of a run, while the end-effector is in its buffer."""
 
     t: float
     """[s]"""
     q_m: Array
-    """(n_m,) [rad or m] the arm's joints."""
+    """(n_m,) [rad or m] joint positions of the arm."""
     closest: ClosestPoints
-    """Of base and hand, in the base's frame."""
+    """Of base and end-effector, in the base's frame."""
     acting: ActingPoint
-    """What Algorithm 3 finds."""
+    """The result of Algorithm 3."""
     f: Array
     """(3,) [N] the force."""
 
     @property
     def components(self) -> tuple[Array, Array]:
-        """The force along the line from p_n to p_b and at right angles to it, both (3,) [N].
+        """The force along the line from p_n to p_b and perpendicular to it, both (3,) [N].
 
         Paper: §3.1, Figure 7a.
         """
@@ -63,7 +63,7 @@ class Force(NamedTuple):
         }
 
     def measured(self) -> dict[str, float]:
-        """Its size, and that of its components."""
+        """Magnitude of the force and of its components."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
         return {
             "distance_m": self.closest.d,
@@ -78,7 +78,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in a row of an experiment's log, with its own parameters or with others."""
+    """The force in a row of an experiment's log, with its own or other parameters."""
     log = sources.runs[experiment].trace
     q_m = log.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
@@ -87,7 +87,7 @@ def force_at(
 
 
 def deepest(sources: Sources) -> int:
-    """The row of the lateral guiding in which the hand is deepest in its buffer."""
+    """The row of the lateral guiding in which the end-effector is deepest in its buffer."""
     return int(sources.runs[LATERAL].trace[f"d_{sources.pair.name}_m"].argmin())
 
 
@@ -103,9 +103,9 @@ def turning(sources: Sources) -> Force:
 
 @style.picture("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
 def figure_7(sources: Sources) -> drawing.Drawing:
-    """The force starts at the acting point and points to the closest point of the hand. One of its
-    two orthogonal components moves the base away from the hand, the other brings the part of the
-    border with a high score closer to it.
+    """The force starts at the acting point and points to the closest point of the end-effector. One
+    of its two orthogonal components moves the base away from the end-effector; the other brings the
+    part of the border with a high score closer to it.
     """
     force = turning(sources)
     along, across = force.components
@@ -115,7 +115,7 @@ def figure_7(sources: Sources) -> drawing.Drawing:
     whole, near = figure.subplots(1, 2)
     for ax in (whole, near):
         shown = _plan(ax, sources, force, table)
-    style.panel_title(whole, "", "the border at the hand's height")
+    style.panel_title(whole, "", "the border at the end-effector's height")
     _points(whole, force, "p_b", "p_act")
     whole.set(xlim=(-0.70, 0.80), ylim=(-0.75, 0.75))
     figure.colorbar(shown, ax=whole, label=_SCORE, shrink=0.8)
@@ -124,7 +124,7 @@ def figure_7(sources: Sources) -> drawing.Drawing:
     length = float(np.linalg.norm(p_b - p_act) / max(np.linalg.norm(force.f), 1e-9))
     for vector, colour, text in (
         (across, _TANGENT, "towards a better score"),
-        (along, _NORMAL, "away from the hand's link"),
+        (along, _NORMAL, "away from the end-effector"),
         (force.f, style.ACTING, "force $f_{m,1}$"),
     ):
         drawing.arrow(near, p_act, p_act + length * vector, colour)
@@ -135,16 +135,16 @@ def figure_7(sources: Sources) -> drawing.Drawing:
         figure,
         {"": table, "points": _point_table({"chosen": force})},
         {"t_s": force.t, **force.measured()},
-        ["Taken from a hand that comes along the wheel axis, once the base has begun to turn."],
+        ["The end-effector approaches along the wheel axis; the base has started to turn."],
     )
 
 
 @style.picture("fig8", "Figure 8: finding the acting point", LATERAL)
 def figure_8(sources: Sources) -> drawing.Drawing:
-    """(a) From the border's point nearest to the hand a step along the tangent leads towards a
-    better score; the acting point is the border's point nearest to that. (b) With too large a step
-    the force may have no component along the line between the hand and the border: the step is
-    bounded.
+    """(a) From the border's point nearest to the end-effector a step along the tangent leads
+    towards a better score; the acting point is the border's point nearest to the result. (b) With
+    too large a step the force may have no component along the line between the end-effector and the
+    border: the step is bounded.
     """
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
@@ -169,7 +169,7 @@ def figure_8(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig10", "Figure 10: activation by distance")
 def figure_10(sources: Sources) -> drawing.Drawing:
-    """0 from the buffer distance of 0.15 m outwards, 1 at 0.05 m and nearer, a cubic between."""
+    """0 beyond the buffer distance of 0.15 m, 1 within 0.05 m, a cubic between."""
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
     table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
@@ -198,13 +198,13 @@ def figure_10(sources: Sources) -> drawing.Drawing:
 
 
 def _slice(sources: Sources, force: Force) -> drawing.Table:
-    """The border at the hand's height, with its score."""
+    """The border at the end-effector's height, with its score."""
     points = sources.border.same_height(float(force.closest.p_b[2]))
     return drawing.points_table(points, score_m4prad4=sources.field.score(points))
 
 
 def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> PathCollection:
-    """Base, border, hand and force from above; returns what a colour bar shows."""
+    """Base, border, end-effector and force from above; returns the points for a colour bar."""
     drawing.base_in_plan(ax, sources.model)
     score = border["score_m4prad4"]
     shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=style.SCORE_MAP, zorder=2)
@@ -222,7 +222,7 @@ def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> Pa
 
 
 def _points(ax: Axes, force: Force, *names: str) -> None:
-    """The points of Algorithm 3 with their names, or those that are named."""
+    """The points of Algorithm 3, or some of them, with their names."""
     looks: dict[str, tuple[str, str, tuple[float, float]]] = {
         "p_n": ("$p_n$", style.INK, (-18, 8)),
         "p_t": ("$p_t$", style.SOFT, (8, 8)),

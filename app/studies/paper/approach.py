@@ -1,4 +1,4 @@
-"""§4.2: the hand is led towards the base, and opens a refrigerator (Figures 11 to 18)."""
+"""§4.2: approaches of the end-effector to the base, and a refrigerator (Figures 11 to 18)."""
 
 from contextlib import closing
 from functools import partial
@@ -33,19 +33,19 @@ _TRACKED = {"dbb": TRACKING, "repulsive": TRACKING_REPULSIVE}
 DIRECTIONS = GUIDING["dbb"]
 
 _TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] of the snapshots of tracking
-_SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] of the run at which those of guiding are taken
+_SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] shares of a run for the snapshots of guiding
 _VIEWS = {LATERAL: (0.85, 0.45), FRONT: (0.70, 0.45)}  # [rad] from the left front, from above
 _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
 
 
 @style.picture(
-    "fig11", "Figure 11: the hand tracks a line towards the base", TRACKING, TRACKING_REPULSIVE
+    "fig11", "Figure 11: tracking of a line towards the base", TRACKING, TRACKING_REPULSIVE
 )
 def figure_11(sources: Sources) -> drawing.Drawing:
-    """With the proposed method a force moves the base back, and the hand reaches its target without
-    a collision. The repulsive method pushes the arm away from the base: it avoids the collision,
-    but the hand cannot reach the target.
+    """With the proposed method a force moves the base back, and the end-effector reaches its target
+    without a collision. The repulsive method pushes the arm away from the base: it avoids the
+    collision, but the end-effector cannot reach the target.
     """
     strips = [
         drawing.Strip(
@@ -66,7 +66,7 @@ def figure_11(sources: Sources) -> drawing.Drawing:
 def figure_12(sources: Sources) -> drawing.Drawing:
     """(a) The distances fall below the buffer distance of 0.15 m, so that the avoidance task of
     each method is inserted continuously with top priority. (b) The repulsive method has a position
-    error, the proposed one does not.
+    error, the proposed one has none.
     """
     distances = [f"d_{pair}_m" for pair in _PAIRS]
     parts = _columns(sources, _TRACKED, "t_s", *distances, "ee_error_m")
@@ -85,7 +85,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
         ax.set_ylabel("position error [m]")
         text = ("norm of the position error", "the same on a logarithmic scale")[k]
         style.panel_title(ax, f"b{k + 1}", text)
-    error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 stands clear of the axis
+    error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 does not touch the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
     for ax in grid.flat:
@@ -99,15 +99,15 @@ def figure_12(sources: Sources) -> drawing.Drawing:
         sources.figures(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m")),
         [
             "The repulsive method's task takes all three directions of the closest point, so the "
-            "hand hardly goes on from where the buffer begins."
+            "end-effector almost stops where the buffer begins."
         ],
     )
 
 
-@style.picture("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
+@style.picture("fig13", "Figure 13: guiding of the end-effector towards the base", LATERAL, FRONT)
 def figure_13(sources: Sources) -> drawing.Drawing:
-    """(a) From the lateral direction the collision is avoided by a force on the base. (b) From the
-    front the base moves back as the arm approaches.
+    """(a) Laterally, a force on the base avoids the collision. (b) From the
+    front, the base moves back as the arm approaches.
     """
     strips = []
     for name, e in DIRECTIONS.items():
@@ -123,7 +123,7 @@ def figure_13(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
 def figure_14(sources: Sources) -> drawing.Drawing:
-    """As a distance falls below the buffer distance of 0.15 m its activation rises, and the
+    """As a distance falls below the buffer distance of 0.15 m, its activation rises, and the
     avoidance task is inserted continuously.
     """
     columns = ("t_s", *(f"d_{p}_m" for p in _PAIRS), *(f"beta_{p}" for p in _PAIRS))
@@ -184,16 +184,16 @@ def figure_15(sources: Sources) -> drawing.Drawing:
         {name: _smoothness(*run) for name, run in runs.items()},
         [
             "With the border as the paper's points the acting point jumps from point to point, "
-            "and the accelerations with it. The controller here uses a surface through them.",
-            "The repulsive method pushes the arm alone; its line is all that it asks of the base.",
+            "and so do the accelerations. The controller here uses a surface through the points.",
+            "The repulsive method pushes the arm alone; its line is the commanded acceleration.",
         ],
     )
 
 
 def _smoothness(run: RunResult, method: str) -> dict[str, object]:
-    """Largest changes per control step, and sign changes of what avoidance asks of the base.
+    """Largest changes per control step, and sign changes, of the base acceleration of avoidance.
 
-    The repulsive method inserts nothing for the base: of it only what the base is asked counts.
+    The repulsive method has no such term: for it, the commanded base acceleration counts.
     """
     inserted = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes")
     asked = (
@@ -207,7 +207,7 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
 
 
 def _asked(run: RunResult, method: str) -> drawing.Table:
-    """What avoidance asks of the base; for the repulsive method, all that is asked of it."""
+    """Base acceleration of avoidance; for the repulsive method, the commanded base acceleration."""
     kind = "base" if method == "repulsive" else "avoidance"
     return {
         "t_s": run.trace["t_s"],
@@ -235,8 +235,8 @@ def _columns(
 
 _DOORS = {"dbb": DOOR, "none": DOOR_NONE}
 
-_DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] of the snapshots: when the paper says something
-_DOOR_VIEW = 2.35  # [rad] from the closed door's direction to the camera, on its free edge's side
+_DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] of the snapshots: times that the paper mentions
+_DOOR_VIEW = 2.35  # [rad] from the closed door to the camera, on the free edge's side
 _DOOR_PITCH = 0.55  # [rad]
 _COLOURS: dict[str, Rgba] = {
     "case": (0.82, 0.85, 0.88, 1.0),
@@ -260,8 +260,8 @@ _OF_DOOR = (
 
 @style.picture("fig16", "Figure 16: the refrigerator", DOOR)
 def figure_16(sources: Sources) -> drawing.Drawing:
-    """The end-effector holds the door without any relative motion; the door, modelled by a
-    hyper-ellipsoid, can collide with the mobile robot.
+    """The end-effector is fixed to the door; the door, modelled by a hyper-ellipsoid, can collide
+    with the mobile robot.
     """
     run, door = sources.runs[DOOR], _door()
     pose, q_m = run.trace.of("base_pose")[0], run.trace.of("q_m")[0]
@@ -297,14 +297,14 @@ def figure_16(sources: Sources) -> drawing.Drawing:
             "exponent_e1": superquadric.e1,
             "exponent_e2": superquadric.e2,
         },
-        ["The CSV holds the door's sides and the semi-axes of its hyper-ellipsoid."],
+        ["The CSV has the door's sides and the semi-axes of its hyper-ellipsoid."],
     )
 
 
 @style.picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
 def figure_17(sources: Sources) -> drawing.Drawing:
-    """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door comes
-    closer. (b) Without it the door collides with the mobile robot at 30 s.
+    """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door
+    approaches. (b) Without it the door collides with the mobile robot at 30 s.
     """
     view, strips = _door_view(_door()), []
     for name, experiment in _DOORS.items():
@@ -340,12 +340,12 @@ def figure_18(sources: Sources) -> drawing.Drawing:
         figure,
         {"": drawing.stacked(parts, "controller")},
         sources.figures(_DOORS, _OF_DOOR),
-        ["Without avoidance the activation is computed but nothing is inserted."],
+        ["Without avoidance the activation is computed but no task is inserted."],
     )
 
 
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
-    """The refrigerator's body, its door and handle, as they stand in a row of the log."""
+    """The refrigerator's body, its door and handle, in the pose of a row of the log."""
     parts = drawn_parts(_door(), float(run.trace["door_angle_rad"][k]))
     return [
         Solid(trimesh.creation.box(size, T.homogeneous), _COLOURS[name])
@@ -354,7 +354,7 @@ def refrigerator(run: RunResult, k: int) -> list[Solid]:
 
 
 def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
-    """The convex bodies at the run's beginning, the door's among them, as its controller knew."""
+    """The convex bodies of the controller at the start of the run, including the door's."""
     model, door, pose, q_m = (
         sources.model,
         _door(),
@@ -373,7 +373,7 @@ def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
 
 
 def arc(run: RunResult) -> Array:
-    """(N, 3) [m] where the door's free edge went, on the floor."""
+    """(N, 3) [m] path of the door's free edge, on the floor."""
     door = _door()
     angles = np.linspace(0.0, float(run.trace["door_angle_rad"].max()), 60)
     edge = np.array([0.0, -door.side * door.width, 0.0])
@@ -387,5 +387,5 @@ def _door() -> Door:
 
 
 def _door_view(door: Door) -> tuple[float, float]:
-    """[rad] yaw and pitch from which the door is seen."""
+    """[rad] yaw and pitch of the view of the door."""
     return door.yaw - door.side * _DOOR_VIEW, _DOOR_PITCH

@@ -1,4 +1,4 @@
-"""The paper's claims of §4.2 and §4.3, each against what was measured here."""
+"""The paper's claims of §4.2 and §4.3, each compared with a measurement."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from app.studies.style import words_of
 
 
 class Threshold(NamedTuple):
-    """A number against which a measured one is held."""
+    """A bound for a measured number."""
 
     value: float
     unit: str
@@ -23,50 +23,50 @@ class Threshold(NamedTuple):
         return f"{self.value:g} {self.unit}".strip()
 
 
-REACHED = Threshold(0.001, "m", "Figure 12(b) shows no error; 1 mm is what its axis resolves")
-CLEAR = Threshold(0.05, "m", "Figure 10: from there inwards the avoidance task is in full force")
-AVOIDED = Threshold(0.03, "m", "chosen: a gap that can be seen")
-MISSED = Threshold(0.02, "m", "chosen: a tenth of the way that the hand is led")
+REACHED = Threshold(0.001, "m", "Figure 12(b) shows no error; 1 mm is the resolution of its axis")
+CLEAR = Threshold(0.05, "m", "Figure 10: within it the avoidance task is fully active")
+AVOIDED = Threshold(0.03, "m", "chosen: a visible gap")
+MISSED = Threshold(0.02, "m", "chosen: a tenth of the end-effector's path")
 NEARER = Threshold(0.05, "m", "chosen: a third of the buffer distance")
-MOVED = Threshold(0.05, "m", "chosen: a motion of the base that can be seen in Figure 11")
+MOVED = Threshold(0.05, "m", "chosen: a base motion that is visible in Figure 11")
 TURNED = Threshold(
     0.02,
     "rad",
-    "chosen with the first runs known: past 1 degree it is a turn; the paper gives no number",
+    "chosen after the first runs: more than 1 degree is a turn; the paper gives no number",
 )
 BETA_STEP = Threshold(
-    0.05, "in 10 ms", "chosen: four times what the hand's speed gives by the slope of Figure 10"
+    0.05, "in 10 ms", "chosen: four times the end-effector's speed times the slope of Figure 10"
 )
-_TENTH = "chosen with the first runs known: a tenth of what the base can do"
+_TENTH = "chosen after the first runs: a tenth of the base's limit"
 LINEAR_JUMP = Threshold(0.3, "m/s²", _TENTH)
 ANGULAR_JUMP = Threshold(0.6, "rad/s²", _TENTH)
 SIGN_CHANGES = Threshold(
-    3, "", "chosen with the first runs known: into the buffer, out of it, once to settle"
+    3, "", "chosen after the first runs: into the buffer, out of it, one to settle"
 )
 TORQUE_SIGN_CHANGES = Threshold(
-    2, "", "chosen: a torque rises, falls and settles while the hand is led in once and held"
+    2, "", "chosen: a torque rises, falls and settles during one approach and hold"
 )
-MET_FROM = Threshold(25.0, "s", "§4.2.3: at 30 s, give or take 5 s")
+MET_FROM = Threshold(25.0, "s", "§4.2.3: at 30 s, with a tolerance of 5 s")
 MET_TO = MET_FROM._replace(value=35.0)
 OPENED_BY = Threshold(40.0, "s", "§4.2.3: open at 40 s")
-BACKS_FROM = Threshold(15.0, "s", "§4.2.3: from 20 s on, give or take 5 s")
+BACKS_FROM = Threshold(15.0, "s", "§4.2.3: from 20 s on, with a tolerance of 5 s")
 BACKS_TO = BACKS_FROM._replace(value=25.0)
-HAND_FORCE = Threshold(50.0, "N", "chosen: a person opens such a door with less")
+HAND_FORCE = Threshold(50.0, "N", "chosen: a person needs less for such a door")
 RADIAL_ERROR = Threshold(0.0873, "rad", "chosen: 5 degrees, from a first guess 30 degrees wrong")
 CONTROL_STEP = Threshold(1000.0, "µs", "§4.1: the arm is controlled at 1 kHz")
 
 
 class Finding(NamedTuple):
-    """A part of what was measured for a claim."""
+    """One measurement for a claim."""
 
     measured: str
-    """In words, with its number and the threshold."""
+    """The sentence, with its number and the threshold."""
     holds: bool
     """Whether it agrees with the claim."""
     values: dict[str, float | None]
-    """The numbers; keys end in their unit."""
+    """The measured numbers; keys end in their unit."""
     limits: tuple[Threshold, ...] = ()
-    """What they were held against."""
+    """Their bounds."""
 
 
 def held(
@@ -77,9 +77,9 @@ def held(
     least: Threshold | None = None,
     most: Threshold | None = None,
 ) -> Finding:
-    """A number against its bounds; one that is missing does not hold.
+    """A finding of a number and its bounds; a missing number does not hold.
 
-    The key is its name among the values and ends in its unit.
+    The key names the number among the values and ends in its unit.
     """
     limits = tuple(limit for limit in (least, most) if limit is not None)
     if least is not None and most is not None:
@@ -93,24 +93,24 @@ def held(
     return Finding(f"{text} {number} (asked: {asked})", bool(holds), {key: float(value)}, limits)
 
 
-Findings = Iterable[Finding]  # all that is found has to hold
+Findings = Iterable[Finding]  # all findings must hold
 
 
 class Claim(NamedTuple):
     """One claim of the paper."""
 
     section: str
-    """Where the paper says it."""
+    """Its section in the paper."""
     figure: str
-    """With which figure it is judged."""
+    """The figure that its judgement belongs to."""
     paper: str
-    """What it says, in our words."""
+    """The claim in our words."""
     needs: tuple[Experiment, ...]
-    """The experiments that it is judged by."""
+    """The experiments that its judgement needs."""
     measure: Callable[[Sources], Findings]
 
     def judge(self, sources: Sources) -> dict[str, Any]:
-        """The claim as a row of the report."""
+        """The judged claim as a row of the report."""
         findings = list(self.measure(sources))
         limits = dict.fromkeys(limit for finding in findings for limit in finding.limits)
         return {
@@ -128,7 +128,7 @@ CLAIMS: list[Claim] = []  # in the order of the paper
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:
-    """The claims that are judged with these figures."""
+    """The claims that belong to these figures."""
     wanted = set(figures)
     return [claim for claim in CLAIMS if claim.figure in wanted]
 
@@ -136,7 +136,7 @@ def claims_of(figures: Iterable[str]) -> list[Claim]:
 def claim(
     section: str, figure: str, *needs: Experiment
 ) -> Callable[[Callable[[Sources], Findings]], Claim]:
-    """Makes a claim of the function that judges it and whose docstring says it; as in `Claim`."""
+    """Make a claim of the function that judges it; its docstring is the text, as in `Claim`."""
 
     def add(measure: Callable[[Sources], Findings]) -> Claim:
         CLAIMS.append(Claim(section, figure, words_of(measure), needs, measure))
@@ -146,13 +146,13 @@ def claim(
 
 
 def forward_motion(run: RunResult) -> float:
-    """[m] how far the base moved along its first heading."""
+    """[m] motion of the base along its initial heading."""
     first, last = run.trace.of("base_pose")[[0, -1]]
     return float((last - first)[:2] @ [np.cos(first[2]), np.sin(first[2])])
 
 
 def beta_step(run: RunResult) -> float:
-    """[-] largest change of an activation of a pair of L_m between two rows of the log."""
+    """[-] largest change of the activation of a pair of L_m between two rows of the log."""
     betas = [run.trace[f"beta_{pair}"] for pair in ("lm-lEE", "lm-l3")]
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 
@@ -192,12 +192,12 @@ DIRECTIONS = {
     "side": paper.TRACKING,
     "front": paper.FRONT,
 }
-"""From where the hand comes; where it tracks it has to arrive, too."""
+"""By the direction of the approach; a tracking end-effector must also arrive."""
 
 
 @claim("4.2.1", "fig12", paper.TRACKING)
 def reached(s: Sources) -> Findings:
-    """With the proposed method the hand reaches its target, without an error of its position, and a
+    """With the proposed method the end-effector reaches its target without a position error, and a
     collision is avoided.
     """
     run = s.runs[paper.TRACKING]
@@ -206,13 +206,13 @@ def reached(s: Sources) -> Findings:
 
 @claim("4.2.1", "fig11", paper.TRACKING)
 def moved_back(s: Sources) -> Findings:
-    """A force moves the base back as the hand approaches."""
+    """A force moves the base back as the end-effector approaches."""
     yield _back(s.runs[paper.TRACKING])
 
 
 @claim("4.2.1", "fig12", paper.TRACKING_REPULSIVE)
 def not_reached(s: Sources) -> Findings:
-    """The repulsive method avoids the collision, but the hand cannot reach its target."""
+    """The repulsive method avoids the collision, but the end-effector cannot reach its target."""
     run = s.runs[paper.TRACKING_REPULSIVE]
     return _clear(run, AVOIDED), _error(run, least=MISSED)
 
@@ -234,7 +234,7 @@ def guided_laterally(s: Sources) -> Findings:
 
 @claim("4.2.2", "fig13", paper.FRONT)
 def guided_from_the_front(s: Sources) -> Findings:
-    """Guided from the front, it avoids the collision."""
+    """Guided from the front, the robot avoids the collision."""
     return _clear(s.runs[paper.FRONT]), _moved(s.runs[paper.FRONT])
 
 
@@ -254,27 +254,27 @@ def continuous(s: Sources) -> Findings:
 
 @claim("4.2.2", "fig13", *DIRECTIONS.values())
 def from_any_direction(s: Sources) -> Findings:
-    """Collisions are avoided whatever the direction of approach, the one along which the base
-    cannot move included.
+    """Collisions are avoided for every direction of approach, including the one along which the
+    base cannot move.
     """
     for name, experiment in DIRECTIONS.items():
         run, of = s.runs[experiment], name.replace(", ", "_").replace(" ", "_") + "_"
         yield _moved(run, f"{name}: base moves", of)
         yield _clear(run, of=of)
-        if experiment.scenario.name == "tracking":  # nobody leads the hand
+        if experiment.scenario.name == "tracking":  # no person guides
             yield _error(run, of, most=REACHED)
 
 
 @claim("4.2.1", "departures", paper.AS_PRINTED[0])
 def reached_as_printed(s: Sources) -> Findings:
-    """The controller as printed moves the base back, and the hand reaches its target."""
+    """The controller as printed moves the base back, and the end-effector reaches its target."""
     run = s.runs[paper.AS_PRINTED[0]]
     return _error(run, most=REACHED), _clear(run, AVOIDED), _back(run)
 
 
 @claim("4.2.2", "departures", *paper.AS_PRINTED[2:])
 def guided_as_printed(s: Sources) -> Findings:
-    """Guided by hand, the controller as printed avoids collisions by a force on the base."""
+    """During guiding, the controller as printed avoids collisions by a force on the base."""
     for name, experiment in zip(("lateral", "front"), paper.AS_PRINTED[2:], strict=True):
         run = s.runs[experiment]
         yield _clear(run, AVOIDED, f"{name}_")
@@ -290,7 +290,7 @@ def door_met(s: Sources) -> Findings:
 
 @claim("4.2.3", "fig18", paper.DOOR)
 def door_avoided(s: Sources) -> Findings:
-    """With it the door never collides."""
+    """With avoidance the door never collides."""
     figures = s.runs[paper.DOOR].figures
     met, least = figures["door_met_base_s"], figures["door_min_distance_m"]
     touched = "never" if met is None else f"at {met:.3g} s"
@@ -318,14 +318,14 @@ def base_backs_off(s: Sources) -> Findings:
 
 @claim("4.2.3", "fig17", paper.DOOR)
 def incomplete_knowledge(s: Sources) -> Findings:
-    """The adaptive controller opens the door with incomplete knowledge, by estimating its radial
-    direction.
+    """The adaptive controller opens the door with incomplete knowledge, by an estimate of its
+    radial direction.
     """
     figures = s.runs[paper.DOOR].figures
     error, force = figures["radial_error_at_5s_rad"], figures["hand_force_max_n"]
     text, size = "error of the radial direction after 5 s", None if error is None else abs(error)
     yield held(text, "radial_error_rad", size, most=RADIAL_ERROR)
-    yield held("largest force of the hand", "hand_force_max_n", force, most=HAND_FORCE)
+    yield held("largest force of the end-effector", "hand_force_max_n", force, most=HAND_FORCE)
 
 
 @claim("4.3", "fig15", *paper.GUIDING["points"].values())
@@ -338,15 +338,15 @@ def smooth_on_points(s: Sources) -> Findings:
 
 @claim("4.3", "fig15", paper.LATERAL, paper.FRONT)
 def smooth_on_the_surface(s: Sources) -> Findings:
-    """The same with the border as a continuous surface, which is not the paper's but is used
-    here.
+    """The desired accelerations are smooth with the border as a continuous surface, which the paper
+    does not have but the controller here uses.
     """
     return _smooth(s, paper.GUIDING["dbb"])
 
 
 @claim("4.3", "fig15", *paper.COMPARED)
 def smoother_than_repulsive(s: Sources) -> Findings:
-    """Command values are free from chattering, unlike the repulsive method's."""
+    """Commands are free from chattering, unlike those of the repulsive method."""
     own, repulsive = (
         max(s.runs[e].figures["torque_rate_sign_changes"] for e in paper.GUIDING[method].values())
         for method in ("dbb", "repulsive")
@@ -358,7 +358,7 @@ def smoother_than_repulsive(s: Sources) -> Findings:
 
 @claim("4.3", "density", paper.LATERAL)
 def trade_off(s: Sources) -> Findings:
-    """The denser the border, the more continuous the acting point and the higher the cost."""
+    """A denser border makes the acting point more continuous, at a higher cost."""
     table = density.trade_off(s)
     points = table["border"] == "points"
     jump, cost, count = (table[k][points] for k in ("jump_max_m", "find_p50_us", "points"))

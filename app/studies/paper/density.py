@@ -1,4 +1,4 @@
-"""§4.3: a border of points jumps the less the denser and costlier it is; a surface does not."""
+"""§4.3: a denser border of points has smaller jumps and a higher cost; a surface has none."""
 
 from dataclasses import replace
 from functools import cache
@@ -12,30 +12,30 @@ from scipy.interpolate import CubicSpline
 from app.avoidance.acting_point import ActingPointFinder, resultant_force
 from app.border.dbb import Border, Cloud
 from app.robot.link_pairs import ClosestPoints
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.simulation.session import DT
 from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import GUIDING, LATERAL, Sources
 
-PAPERS_COUNT = 50_000  # [-] points of a border, by the paper's practical experience
+PAPERS_COUNT = 50_000  # [-] points of a border that the paper recommends
 COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
-"""Points of the thinned borders; the whole one is the last."""
-FINER = 10  # [-] how much finer the path is sampled for the ratio that tells a jump from a motion
-LONGEST = 4.0  # [s] of the path on which points and surface are compared
+"""Numbers of points of the thinned borders; the full one is the last."""
+FINER = 10  # [-] refinement of the path that separates jumps from motion
+LONGEST = 4.0  # [s] path for comparing points and surface
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
-_LEAST = 1e-9  # [m] where the logarithmic axis ends; smaller steps are drawn there
-_ZOOM = 0.03  # [m] around what is drawn in plan
+_MIN_CHANGE = 1e-9  # [m] lower end of the logarithmic axis; smaller steps are drawn there
+_ZOOM = 0.03  # [m] margin around the paths in plan
 
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
 @style.picture("density", "§4.3: density of the border", LATERAL)
 def figure_density(sources: Sources) -> drawing.Drawing:
-    """The denser the border, the costlier the search and the smaller the jumps of the acting point;
-    about 50,000 points suit a control rate of 1 kHz.
+    """A denser border makes the search more costly and the jumps of the acting point smaller; about
+    50,000 points suit a control rate of 1 kHz.
     """
     table = trade_off(sources)
     figure = style.new_figure(3.6)
@@ -74,13 +74,13 @@ def figure_density(sources: Sources) -> drawing.Drawing:
         figure,
         {"": table},
         rows,
-        ["The same hand path each time, that of the lateral guiding, at the control rate."],
+        ["All use the path of the lateral guiding, at the control rate."],
     )
 
 
 @cache
 def trade_off(sources: Sources) -> drawing.Table:
-    """For each number of points, and for the surface: the jumps of p_act, the time of a search."""
+    """For each number of points, and for the surface: jumps of p_act, and time of a search."""
     path, whole = hand_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
     finders = [("points", n, sources.points(thinned(sources.border, n))) for n in counts]
@@ -91,7 +91,7 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Figures of the lateral guiding with 50,000 points a border, run alone: for its timing."""
+    """Figures of the lateral guiding with 50,000 points per border, alone because of the timing."""
     experiment = GUIDING["points"]["lateral"]
     clouds = {
         pair.name: thinned_cloud(
@@ -100,17 +100,17 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         for pair in sources.data.pairs.mobile
     }
     data = replace(sources.data, clouds=clouds)
-    return run_planned(experiment, sources.model, data).figures
+    return run_from_spec(experiment, sources.model, data).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
-    """A share of a cloud's points, chosen at random, always the same."""
+    """A fixed random share of a cloud's points."""
     chosen = _chosen(len(cloud), round(share * len(cloud)))
     return Cloud(cloud.pair, cloud.points[chosen], cloud.distances[chosen])
 
 
 def thinned(border: Border, count: int) -> Border:
-    """A border of so many of its points, chosen at random, always the same."""
+    """A border of a fixed random choice of its points."""
     chosen = _chosen(len(border), count)
     return replace(border, points=border.points[chosen], heights=border.heights[chosen])
 
@@ -120,7 +120,7 @@ def _chosen(total: int, count: int) -> Array:
 
 
 def hand_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """The closest points of the hand while it is in its buffer, at each control step."""
+    """The closest points of the end-effector at each control step within its buffer."""
     run = sources.runs[LATERAL]
     fine = np.arange(run.trace.t[0], run.trace.t[-1], DT)
     q_m = np.column_stack([np.interp(fine, run.trace.t, q) for q in run.trace.of("q_m").T])
@@ -145,8 +145,8 @@ def jump_and_cost(
 
 @style.picture("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> drawing.Drawing:
-    """Among points the acting point jumps from one to the next as the hand moves, a trade-off
-    against the cost of more points.
+    """Among points the acting point jumps from one to the next as the end-effector moves: a
+    trade-off against the cost of more points.
     """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
     finders = {
@@ -165,7 +165,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
         place = along["p_act_x_m"], along["p_act_y_m"]
         plan.plot(*place, mark, markersize=4, linewidth=2.2, **look)
-        change = np.maximum(along["p_act_step_m"][1:], _LEAST)
+        change = np.maximum(along["p_act_step_m"][1:], _MIN_CHANGE)
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     _base_and_hand(plan, sources, found["surface"])
     plan.legend(loc="upper right", fontsize=9)
@@ -178,20 +178,20 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         {"": drawing.stacked(found, "border")},
         _measured(found, finer),
         [
-            "The same hand path each time, that of the lateral guiding while the hand is in its "
-            "buffer, a cubic spline through the logged closest points.",
-            f"A motion becomes {FINER} times smaller on a path sampled {FINER} times finer; a jump "
-            "does not.",
+            "All use the path of the lateral guiding within the buffer, "
+            "a cubic spline through the logged closest points.",
+            f"On a path sampled {FINER} times finer, motion has {FINER} times smaller steps; "
+            "a jump has not.",
         ],
     )
 
 
 def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s] and the hand's closest points, while the hand is in its buffer.
+    """Times (N,) [s] and the closest points of the end-effector, while it is in its buffer.
 
-    The longest stretch without leaving it, at most `LONGEST`; a spline through the log's rows. The
-    closest points computed at each step would have the collision library's tolerance in them, some
-    0.3 mm along an edge: more than the hand moves in a step.
+    The longest stretch in the buffer, at most `LONGEST`, as a spline through the log's rows.
+    Closest points computed at each step would include the collision library's tolerance, about 0.3
+    mm along an edge: more than the motion in a step.
     """
     log = sources.runs[LATERAL].trace
     outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b
@@ -212,10 +212,10 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """The acting point along the hand's path, and the acceleration that its force asks of the base.
+    """The acting point along the end-effector's path, and the base acceleration of its force.
 
-    Each has its time t (N,) [s], the closest point p_b on the hand, the acting point, and how far
-    that went in the step before.
+    Each has its time t (N,) [s], the closest point p_b on the end-effector, the acting point, and
+    the acting point's motion in the previous step.
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
@@ -238,7 +238,7 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Largest steps of the acting point, how they shrink on the finer path, and accelerations."""
+    """Largest steps of the acting point, their ratio on the finer path, and accelerations."""
     result: dict[str, Any] = {}
     for kind, along in found.items():
         largest, shrunk = (float(np.nanmax(p["p_act_step_m"])) for p in (along, finer[kind]))
@@ -272,7 +272,7 @@ def _base_and_hand(ax: Axes, sources: Sources, along: drawing.Table) -> None:
         color=style.PAIR_COLOURS["lm-lEE"],
         linewidth=1.6,
         linestyle=(0, (3, 2)),
-        label="closest point of the hand",
+        label="closest point of the end-effector",
     )
     x, y = (np.concatenate([along[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
     drawing.square_around(ax, np.column_stack([x, y]), _ZOOM)

@@ -1,6 +1,6 @@
-"""The departures from (26) to (29), measured: the printed form beside ours.
+"""The departures from (26) to (29), measured for the printed form and for ours.
 
-Some rows solve for q̈ at a state by both, others compare runs. Smaller numbers are better.
+Some rows solve both forms for q̈ at a state, others compare runs. Smaller numbers are better.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,21 +29,21 @@ from app.studies.paper.experiments import (
 )
 
 _STATES = 40  # of the lateral guiding, from the first one in the buffer to the last
-_ENTERS = 1e-9  # [-] β of a row that has just entered
-_FAR = 1.0  # [m] of a target that is out of reach
-_LINE, _HALVINGS = 100, 20  # [-] postures on a line, and how often its steepest step is halved
+_ENTERS = 1e-9  # [-] β of a newly inserted row
+_FAR = 1.0  # [m] distance of a target out of reach
+_LINE, _HALVINGS = 100, 20  # [-] postures on a line, and halvings of its steepest step
 
 
 Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 
 
 class Departure(NamedTuple):
-    """A row of the table of departures, measured."""
+    """A measured row of the table of departures."""
 
     place: str
-    """The equation, and what of it."""
+    """The equation and its departure."""
     key: str
-    """The name of the number, with its unit."""
+    """The key of the number, with its unit."""
     printed: float
     here: float
 
@@ -80,7 +80,7 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
 
 
 def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """A step at rest that tracks the pose where the end-effector is, or one that far above it."""
+    """A step at rest that tracks the present pose, or one higher by the given error [m]."""
     model = controller.state.model
     measured = at_rest(model, q_m)
     controller.state.update(measured)
@@ -91,13 +91,13 @@ def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of (29) as printed, with another diagonal of B, or NaN where there is none."""
+    """q̈ (n,) of (29) as printed, with another diagonal of B; NaN without a solution."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """The same of our law: the base's rows as the blend with rest, then the arm's QP, no limits."""
+    """q̈ (n,) of our law: the base's rows blended with rest, then the arm's QP without limits."""
     n_b = w.n_b
     rows = slice(n_b, len(B))
     H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.slack_weight, n_b)
@@ -110,19 +110,19 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B with the base's rows and that of a pair of L_m^c at these β."""
+    """The diagonal of B with these β of the base's rows and of a pair of L_m^c."""
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B
 
 
 def nearest_links(w: ControlStep) -> int:
-    """Which pair of L_m^c is nearest."""
+    """The index of the nearest pair of L_m^c."""
     return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] by which (29) with its reference on the left misses (26) at B = 0."""
+    """[rad/s²] error of (29), with its reference on the left, relative to (26) at B = 0."""
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
     literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
@@ -150,7 +150,7 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
 
 
 def postures(sources: Sources) -> list[Array]:
-    """(n_m,) each: of the lateral guiding, while a pair is in its buffer."""
+    """Postures (n_m,) of the lateral guiding while a pair is in its buffer."""
     log = sources.runs[LATERAL].trace
     inside = np.flatnonzero(log[f"d_{sources.pair.name}_m"] < sources.config.border.d_b)
     chosen = inside[np.linspace(0, len(inside) - 1, _STATES).astype(int)]
@@ -160,8 +160,8 @@ def postures(sources: Sources) -> list[Array]:
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     """[rad/s²] the remaining change of q̈ at the steepest place of a line of postures.
 
-    The base's rows and one between links are in full force, so that with T_2 there are as many rows
-    as axes. Around the steepest step the line is halved again and again: a slope vanishes, a jump
+    The base's rows and one between links are fully active, so that with T_2 there are as many rows
+    as axes. The line is halved repeatedly around the steepest step: a slope vanishes, a jump
     does not. No solution counts as q̈ = 0.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
@@ -187,7 +187,7 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
 
 
 def _torque(w: ControlStep, qdd: Array) -> float:
-    """[N m] the largest change of an arm's torque by a change of q̈ (n,)."""
+    """[N m] largest change of an arm torque for a change of q̈ (n,)."""
     return float(np.abs(w.M[w.n_b :] @ qdd).max())
 
 

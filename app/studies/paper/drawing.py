@@ -1,4 +1,4 @@
-"""A figure of the paper, its files, and the two kinds of panels: curves over time, snapshots."""
+"""A figure of the paper, its files, and the two kinds of panels: time curves and snapshots."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
@@ -27,26 +27,26 @@ from app.studies.runs import write_table
 from app.system import write_whole
 
 Table = dict[str, Array]
-"""Columns of equal length, as a figure plots them; names of quantities end in their unit."""
+"""Columns of equal length of a figure; names of quantities end in their unit."""
 
 COLUMNS = 4
 _PIXELS = 460, 420
-_TALL = 1.35  # [m] what stands higher than the arm may be cut off: the robot would be small
-_GRID, _AROUND = 0.25, 2.0  # [m] between two lines on the floor, and how far they go
+_TALL = 1.35  # [m] objects above the arm may be cut off so that the robot is large
+_GRID, _AROUND = 0.25, 2.0  # [m] spacing and extent of the lines on the floor
 _CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """One figure of the paper, made anew."""
+    """A reproduced figure of the paper."""
 
     figure: Figure
     tables: dict[str, Table]
-    """What is plotted; the first without a suffix, the others by theirs."""
+    """The plotted data; the first table has no suffix, the others their key."""
     measured: dict[str, Any] = field(default_factory=dict)
-    """Figures of it; keys end in their unit."""
+    """Its measured figures; keys end in their unit."""
     remarks: Sequence[str] = ()
-    """What has to be said about the measured figures, one sentence each."""
+    """Remarks on the measured figures, one sentence each."""
 
     def write(self, folder: Path, name: str, title: str) -> list[Path]:
         """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
@@ -61,14 +61,14 @@ class Drawing:
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:
-    """One long table from several with the same columns; a column `kind` holds their names."""
+    """One long table from several with the same columns; the column `kind` has their names."""
     names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
     columns = next(iter(parts.values()))
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
 
 
 def points_table(points: Array, prefix: str = "", **columns: Array) -> Table:
-    """Points (N, 3) [m] and what belongs to each of them; their columns may have a prefix."""
+    """Points (N, 3) [m] with further columns; the names of the coordinates may have a prefix."""
     return {f"{prefix}{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
 
 
@@ -78,7 +78,7 @@ def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 
 
 def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) -> None:
-    """A column over time for each method."""
+    """Plot a column over time for each method."""
     for name, part in parts.items():
         look = {"color": style.METHOD_COLOURS[name], "label": style.METHOD_NAMES[name], **line}
         ax.plot(part["t_s"], part[column], **look)
@@ -106,7 +106,7 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
 
 
 def square_around(ax: Axes, points: Array, margin: float, least: float = 0.0) -> None:
-    """Show points (N, 3) [m] in plan in a square of at least a size [m], and a margin [m]."""
+    """Show points (N, 3) [m] in plan in a square of a minimum size [m], with a margin [m]."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(least, float((high - low).max())) / 2 + margin
     x, y = (low + high) / 2
@@ -133,7 +133,7 @@ def framed(
     points: Iterable[Array] = (),
     tallest: float = np.inf,
 ) -> Camera:
-    """The camera moved so that bodies and points (N, 3) [m] up to a height [m] fill its picture."""
+    """The camera, moved to show bodies and points (N, 3) [m] up to a height [m]."""
     seen = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
     seen[:, 2] = np.minimum(seen[:, 2], tallest)
     return camera._replace(target=seen.mean(axis=0)).framing(seen, 0.05)
@@ -141,25 +141,25 @@ def framed(
 
 @dataclass(frozen=True)
 class Strip:
-    """One row of snapshots, and over them where base and hand have been."""
+    """One row of snapshots with the paths of base and end-effector."""
 
     name: str
-    """In the CSV and among the measured figures."""
+    """Its name in the CSV and among the measured figures."""
     text: str
     run: RunResult
     times: Sequence[float]
-    """[s] of the snapshots."""
+    """[s] times of the snapshots."""
     view: tuple[float, float]
-    """[rad] yaw and pitch of the direction from which they are taken."""
+    """[rad] yaw and pitch of the viewing direction."""
     aim: Array | None = None
-    """(2, 3) [m] where the hand is led from and to, in the world, or None."""
+    """(2, 3) [m] start and end of the end-effector's path, in the world, or None."""
     solids: Callable[[int], Sequence[Solid]] = lambda _: ()
-    """What stands beside the robot, for a row of the log."""
+    """Objects beside the robot, for a row of the log."""
     marks: Array | None = None
     """(N, 3) [m] a line on the floor, such as a door's arc, or None."""
 
     def paths(self, *columns: str, every: int = 10) -> Table:
-        """Where base and hand were, and further columns, each `every` rows of the log."""
+        """Positions of base and end-effector, and further columns, in every `every`-th row."""
         log = self.run.trace
         table = {name: log[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
         table |= points_table(log.of("p_ee"), "hand_") | {name: log[name] for name in columns}
@@ -169,7 +169,7 @@ class Strip:
 def snapshot_figure(
     model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
 ) -> Figure:
-    """Rows of snapshots, (a), (b) and so on; what arrows and lines on the floor are, if any."""
+    """Rows of snapshots, (a), (b) and so on, with labels for the arrows and lines on the floor."""
     height = len(strips) * (style.WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
     rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]
@@ -180,9 +180,9 @@ def snapshot_figure(
             for ax, t in zip(part.subplots(1, COLUMNS), strip.times, strict=True):
                 _panel(ax, model, strip, cameras[strip.view], photographer, t)
     keys = [
-        Line2D([], [], color=style.SOFT, linestyle="--", label="where the base began"),
+        Line2D([], [], color=style.SOFT, linestyle="--", label="start of the base"),
         Line2D([], [], color=style.PATH, label="path of the base's centre"),
-        Line2D([], [], color=style.HAND, label="path of the hand"),
+        Line2D([], [], color=style.HAND, label="path of the end-effector"),
     ]
     if aim:
         keys.append(Line2D([], [], label=aim, **style.marker_style(style.TARGET)))
@@ -194,7 +194,7 @@ def snapshot_figure(
 
 
 def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
-    """One camera for rows that are seen from the same side, that sees all that happens in them."""
+    """One camera for rows with the same viewing direction, which shows all of their motion."""
     meshes: list[trimesh.Trimesh] = []
     for strip in strips:
         log = strip.run.trace
@@ -230,7 +230,7 @@ def _panel(
 
 
 def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
-    """A picture that fills the axes, with a grid on the floor around what it looks at."""
+    """A picture that fills the axes, with a grid on the floor around its centre."""
     ax.imshow(picture.rgb, interpolation="antialiased")
     ax.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
     ax.set_axis_off()
@@ -242,7 +242,7 @@ def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
 
 
 def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> None:
-    """An arrow between two points of a plan, (2,) or more, which the layout does not see."""
+    """An arrow between two points of a plan, (2,) or more, which the layout ignores."""
     look = {"linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, **look}
     head: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, **look}
     head_at, tail_at = (end[0], end[1]), (start[0], start[1])
@@ -250,7 +250,7 @@ def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> Non
 
 
 def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:
-    """A line on the floor, hidden by what stands before it."""
+    """A line on the floor, hidden by objects in front of it."""
     share = np.linspace(0.0, len(corners) - 1.0, 60 * len(corners))
     at = np.arange(len(corners))
     points = np.column_stack([np.interp(share, at, column) for column in corners.T])

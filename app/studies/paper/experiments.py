@@ -1,4 +1,4 @@
-"""The paper's runs: each is done once, all side by side, and shared by figures and claims."""
+"""The paper's runs: each runs once, in parallel, for all figures and claims."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
-from app.simulation.case import Planned
-from app.simulation.run import RunResult, run_planned
+from app.simulation.case import RunSpec
+from app.simulation.run import RunResult, run_from_spec
 from app.simulation.scenarios import LINES, scenario_by_name
 from app.simulation.scenarios.line import LineScenario, Point
 from app.strict import Array
@@ -29,8 +29,8 @@ from app.studies.runs import thinned
 ROBOT = "husky_panda"  # the paper's robot
 
 
-class Experiment(Planned):
-    """A run of the paper's robot, as `dbb run` does it."""
+class Experiment(RunSpec):
+    """A run of the paper's robot, equal to one of `dbb run`."""
 
     __slots__ = ()
 
@@ -38,8 +38,8 @@ class Experiment(Planned):
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
         """The run of a scenario by its name.
 
-        With `points` the border is the paper's points and not the exact offset; `start` and
-        `move` [m] of the hand may be others than the scenario's.
+        With `points` the border is the paper's points instead of the exact offset. `start` and
+        `move` [m] replace the end-effector's path of the scenario.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
@@ -54,7 +54,7 @@ class Experiment(Planned):
         return f"{scenario.name}{start}, {self.controller}{border}"
 
     def aim(self) -> Array:
-        """(2, 3) [m] where the hand is led from and to, in the world."""
+        """(2, 3) [m] start and end of the end-effector's path, in the world."""
         scenario = self.scenario
         assert isinstance(scenario, LineScenario), f"{scenario.name} leads along no line"
         return np.array([scenario.start, np.add(scenario.start, scenario.move)])
@@ -64,7 +64,7 @@ TRACKING = Experiment.of("tracking", "dbb")
 TRACKING_REPULSIVE = Experiment.of("tracking", "repulsive")
 TRACKING_NONE = Experiment.of("tracking", "none")
 WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
-"""The hand comes along the wheel axis, along which the base cannot move at once."""
+"""An approach along the wheel axis, along which the base cannot move at once."""
 WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
 LATERAL = Experiment.of("guiding-lateral", "dbb")
 FRONT = Experiment.of("guiding-front", "dbb")
@@ -79,13 +79,13 @@ GUIDING = {
         "front": FRONT._replace(controller="repulsive"),
     },
 }
-"""By the method's name and the direction from which the hand is led."""
+"""By the method's name and the direction of the approach."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """Figure 15's experiments."""
 AS_PRINTED = tuple(
     each._replace(controller="hqp") for each in (TRACKING, WHEEL_AXIS, LATERAL, FRONT)
 )
-"""The controller that the paper prints."""
+"""The controller as printed in the paper."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 
@@ -94,28 +94,28 @@ Runs = dict[Experiment, RunResult]
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What figures and claims are made from."""
+    """The data of figures and claims."""
 
     model: RobotModel
     data: BorderData
     config: Config
-    """Parameters of the runs, unless an experiment says otherwise."""
+    """Parameters of the runs that have none of their own."""
     runs: Runs
-    """The runs that were asked for."""
+    """The finished runs."""
 
     @property
     def pair(self) -> Pair:
-        """L_m(1): the base and the hand."""
+        """L_m(1): the base and the end-effector."""
         return self.data.pairs.mobile[0]
 
     @cached_property
     def border(self) -> Border:
-        """DBB_1, of that pair."""
+        """DBB_1, the border of that pair."""
         return self.border_of(self.pair)
 
     @cached_property
     def field(self) -> ScoreField:
-        """The score of the hand."""
+        """The score of the end-effector."""
         return ScoreField.of(self.model, self.pair.b)
 
     @cached_property
@@ -130,7 +130,7 @@ class Sources:
 
     @cached_property
     def surface(self) -> ActingPointFinder:
-        """Algorithm 3 on DBB_1 as a continuous surface, as the controller has it."""
+        """Algorithm 3 on DBB_1 as a continuous surface, as in the controller."""
         return ActingPointFinder(BorderSearch(self.offset), self.field)
 
     def points(self, border: Border) -> ActingPointFinder:
@@ -142,8 +142,8 @@ class Sources:
     ) -> tuple[ActingPoint, Array]:
         """Acting point and force (3,) [N] for a closest point, by the controller's own functions.
 
-        The closest point is in the base's frame; the force's parameters are those of the runs
-        unless others are given.
+        The closest point is in the base's frame; the default parameters of the force are those of
+        the runs.
         """
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
@@ -152,7 +152,7 @@ class Sources:
         return acting, avoidance_force(p_b, acting.p_act, d, closest.n, force.f_max, d_b)
 
     def closest_points(self, q_m: Iterable[Array]) -> list[ClosestPoints]:
-        """The closest points of base and hand in the base's frame, at each posture (n_m,)."""
+        """The closest points of base and end-effector, in the base's frame, at postures (n_m,)."""
         distances = PairDistances(self.model, [self.pair])
         found = []
         for q in q_m:
@@ -163,12 +163,12 @@ class Sources:
     def figures(
         self, experiments: dict[str, Experiment], keys: Iterable[str]
     ) -> dict[str, dict[str, Any]]:
-        """Some figures of merit of each of some experiments, by their names."""
+        """Some figures of merit of each experiment, by their names."""
         return {n: {k: self.runs[e].figures[k] for k in keys} for n, e in experiments.items()}
 
 
 def load_sources() -> Sources:
-    """The paper's robot with the default parameters, no run done yet."""
+    """The paper's robot with the default parameters, without runs."""
     model = RobotModel(load_robot(ROBOT))
     return Sources(model, load_border_data(model), Config(), {})
 
@@ -180,14 +180,14 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Do each experiment once, some processes side by side.
+    """Run each experiment once, in parallel processes.
 
-    `on_progress` is called after each with the simulated time of those that are done [s].
+    `on_progress` takes the simulated time of all finished ones [s] after each.
 
     Raises:
-        UnreachableError: No start of the arm for one of them.
+        UnreachableError: The arm cannot reach the start of one of them.
     """
-    # The longest ones first: so the processes end together.
+    # The longest first, so that the processes end together.
     todo = sorted(set(experiments), key=lambda e: (-e.scenario.duration, e.name))
     runs: Runs = {}
     with Workers(load_sources, min(processes, max(len(todo), 1))) as workers:
@@ -198,9 +198,9 @@ def run_experiments(
 
 
 def duration(experiments: Iterable[Experiment]) -> float:
-    """[s] simulated time of all of them together."""
+    """[s] total simulated time."""
     return sum(e.scenario.duration for e in set(experiments))
 
 
 def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
-    return thinned(run_planned(experiment._replace(seed=seed), sources.model, sources.data))
+    return thinned(run_from_spec(experiment._replace(seed=seed), sources.model, sources.data))

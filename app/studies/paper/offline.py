@@ -22,15 +22,15 @@ from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import Sources
 
-_SHOWN = 12_000  # [-] points of a cloud in a picture; more would only cover each other
+_SHOWN = 12_000  # [-] points of a cloud in a picture; more would hide each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-_LEAST = 0.02  # [-] of the peak that counts as reached
-_SMOOTH = 1.0  # [-] steps of the lattice over which few joint positions a place are averaged
+_MIN_SHARE = 0.02  # [-] share of the peak that counts as reached
+_SMOOTH = 1.0  # [-] lattice steps of the average, because each place has few samples
 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
 def figure_3(sources: Sources) -> drawing.Drawing:
-    """(a) The sampled points of the arm's links lie around the mobile robot. (b) Those at the
+    """(a) The sampled points of the arm's links are around the mobile robot. (b) The points at the
     buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.
     """
     rng = np.random.default_rng(0)
@@ -58,11 +58,11 @@ def figure_3(sources: Sources) -> drawing.Drawing:
             "tolerance_m": sources.config.border.eps,
             **counts,
         },
-        [f"The picture and the CSV hold at most {_SHOWN} points of each set."],
+        [f"The picture and the CSV have at most {_SHOWN} points of each set."],
     )
 
 
-@style.picture("fig5", "Figure 5: score of the border of the hand")
+@style.picture("fig5", "Figure 5: score of the end-effector's border")
 def figure_5(sources: Sources) -> drawing.Drawing:
     """(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. (b) The
     reachability depends on the distance from the arm's mount alone. (c) Their product, signed by x,
@@ -98,10 +98,10 @@ def figure_5(sources: Sources) -> drawing.Drawing:
     )
 
 
-@style.picture("fig6", "Figure 6: reachability of the hand")
+@style.picture("fig6", "Figure 6: reachability of the end-effector")
 def figure_6(sources: Sources) -> drawing.Drawing:
     """The density of inverse kinematics solutions rises and then falls with the distance from the
-    arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.
+    arm's mount. A parabola with A = 525.9 /m², B = 0.575 m, C = 100 describes it.
     """
     reach_map = sample_reach_map(
         sources.model, sources.pair.b, samples=FINE_SAMPLES, spacing=FINE_SPACING
@@ -111,7 +111,7 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     half = figure.add_subplot(1, 3, 1, projection="3d")
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
     reach, off = _smoothed(reach_map), reach_map.points - reach_map.p_base
-    reached = reach > _LEAST * PEAK
+    reached = reach > _MIN_SHARE * PEAK
     half_table, cut_table = (
         drawing.points_table(reach_map.points[shown], reachability=reach[shown])
         for shown in (reached & (off[:, 1] >= 0), reached & (np.abs(off[:, 2]) < 1e-9))
@@ -149,14 +149,14 @@ def figure_6(sources: Sources) -> drawing.Drawing:
         },
         [
             "The controller scores with the paper's coefficients.",
-            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, as few joint "
+            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, because few joint "
             "positions lead to each place.",
         ],
     )
 
 
 def _smoothed(reach_map: ReachMap) -> Array:
-    """(N,) the reachability at the map's positions, as a mean over those beside each."""
+    """(N,) the reachability at the map's positions, averaged over neighbouring positions."""
     steps = np.rint((reach_map.points - reach_map.p_base) / reach_map.spacing_m).astype(int)
     at = tuple((steps - steps.min(axis=0)).T)
     values = np.zeros(np.ptp(steps, axis=0) + 1)
@@ -184,7 +184,7 @@ def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
 
 
 def _some(count: int, rng: np.random.Generator) -> Array:
-    """Indices of at most `_SHOWN` of so many points, ascending."""
+    """Ascending indices of at most `_SHOWN` of the points."""
     return np.sort(rng.choice(count, min(count, _SHOWN), replace=False))
 
 
@@ -194,7 +194,7 @@ def _scatter(ax: Any, points: dict[str, Array], **look: Any) -> PathCollection:
 
 
 def _view(ax: Any, model: RobotModel, points: drawing.Table, zoom: float) -> None:
-    """The box around l_m; equal metres on all axes, around the points and the floor's origin."""
+    """The box around l_m, with equal scales on all axes, around points and origin."""
     faces = drawing.base_corners(model)[list(_FACES)]
     look: dict[str, Any] = {"facecolor": "#CBD2D9", "edgecolor": "#616E7C", "linewidth": 0.6}
     ax.add_collection3d(Poly3DCollection(list(faces), **look, alpha=0.5))

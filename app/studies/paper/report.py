@@ -27,15 +27,15 @@ FIGURES = {
     for module in (offline, acting, approach, density, departures)
     for name, figure in pictures_in(vars(module)).items()
 }
-"""In the order of the paper, by their names."""
-_DRAWING = 5.0  # [s] of simulated time that drawing a figure costs about as much as
+"""The figures in the order of the paper, by their names."""
+_DRAWING = 5.0  # [s] simulated time of about the same cost as drawing a figure
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """The figures of these names, each once and in the order of the paper; all if none is named.
+    """The named figures without repetition, in the order of the paper; all without names.
 
     Raises:
-        UnknownNameError: Lists those that exist.
+        UnknownNameError: Lists the existing names.
     """
     asked = set(names)
     for name in sorted(asked):
@@ -44,14 +44,14 @@ def chosen(names: Iterable[str]) -> list[str]:
 
 
 def experiments_for(names: Sequence[str]) -> list[Experiment]:
-    """What has to be run for these figures and their claims, each once."""
+    """The runs that these figures and their claims need, each once."""
     needs = [e for name in names for e in FIGURES[name].needs]
     needs += [e for claim in claims_of(names) for e in claim.needs]
     return list(dict.fromkeys(needs))
 
 
 def work(names: Sequence[str]) -> float:
-    """[s] of simulated time that making these figures costs about as much as."""
+    """[s] simulated time of about the same cost as making these figures."""
     return duration(experiments_for(names)) + _DRAWING * len(names)
 
 
@@ -63,15 +63,15 @@ def reproduce(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Make figures with their data, judge the claims, and write all of it.
+    """Make figures with their data, judge the claims, and write everything.
 
-    `on_progress` is called now and then with how much of `work` is done [s].
+    `on_progress` takes the finished part of `work` [s].
 
     Returns:
-        What `metrics.json` holds.
+        The content of `metrics.json`.
 
     Raises:
-        DbbError: A run cannot be done.
+        DbbError: A run is not possible.
     """
     begin = perf_counter()
     experiments, sources = experiments_for(names), load_sources()
@@ -112,7 +112,7 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """`index.html`: all figures, then all claims as `Claim.judge` gives them; a sentence on top."""
+    """`index.html`: all figures, then all claims from `Claim.judge`, with a sentence on top."""
     hold = sum(bool(claim["holds"]) for claim in claims)
     tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
     lead = (
@@ -124,7 +124,7 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
 
 
 def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
-    """One figure, the first of its files, and what the paper says beside what was measured."""
+    """One figure, the first of its files, and the paper's statement beside the measurement."""
     measured = Part(
         "Measured here",
         tables=measured_grids(drawing.measured),
@@ -143,4 +143,4 @@ def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
         measured = Cell(claim["measured"], [f"{limit}: {limit.source}" for limit in limits])
         rows.append((f"§{claim['section']}", claim["paper"], measured, holds))
     head = ("", "The paper says", "Measured here", "Holds")
-    return Part("What the paper claims", "claims", tables=[Grid(head, rows)])
+    return Part("Claims of the paper", "claims", tables=[Grid(head, rows)])

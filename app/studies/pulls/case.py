@@ -1,6 +1,6 @@
-"""One case of a study, which is a row of its table: what was drawn, then what came of it.
+"""One case of a study as a row of its table: the drawn quantities, then the results.
 
-The columns that were drawn are all that it takes to run it again exactly.
+The drawn columns alone determine the case: the same values give the same run.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from app.config import Config
 from app.errors import AssetError, DbbError
 from app.robot.description import load_robot
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
 from app.studies.runs import Row, flattened, rounded
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
 
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
-"""Figures of a run that depend on the machine: no study keeps them."""
+"""Figures of a run that depend on the machine, which a study does not store."""
 COLUMNS = {
     "speed": "speed_mps",
     "duration": "duration_s",
@@ -45,17 +45,17 @@ COLUMNS = {
     "stated_period": "stated_period_s",
     "fault_at": "fault_at_s",
 }
-"""Where a row has what was drawn: the hand's largest speed, times of the pull (None for what does
-not happen), and parameters, by their names in `StudyRange`."""
+"""The place of each drawn quantity in a row: the person's largest speed, times of the pull (None
+for events that do not happen), and parameters, by their names in `StudyRange`."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _OF_TRACKING = {"stuck", "left_way"}
 _KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *TIMES, *_OF_TRACKING}
 
 
-def planned_of(row: Row, parameters: StudyParameters) -> Planned:
-    """The run of a case, by what was drawn: the columns of its row.
+def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
+    """The run of a case, from the drawn columns of its row.
 
-    Doing it raises a `CaseError` on a robot of another arm.
+    Running it raises a `CaseError` on a robot with another arm.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
@@ -68,22 +68,23 @@ def planned_of(row: Row, parameters: StudyParameters) -> Planned:
         **{name: row[COLUMNS[name]] for name in _OF_LINE},
     )
     run = scenario, config, parameters.controller, parameters.physics, row["seed"]
-    return Planned(parameters.robot, *run)
+    return RunSpec(parameters.robot, *run)
 
 
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
-    """The row of a case: what was drawn, and what came of it.
+    """The row of a case: the drawn quantities and the results.
 
-    A run that breaks off is a row too: `error` says why, and its figures are missing.
+    A run that stops with an error is a row too: `error` has the reason, and its figures are
+    missing.
 
     Raises:
-        AssetError: The robot's files are not there, for this case as for any other.
+        AssetError: The robot's files are missing, for this case as for any other.
     """
-    # Imported here: cases are drawn where nothing is run.
-    from app.simulation.run import run_planned
+    # Imported here, because drawing cases does not need it.
+    from app.simulation.run import run_from_spec
 
     try:
-        result = run_planned(planned_of(drawn, parameters), model, data)
+        result = run_from_spec(spec_of(drawn, parameters), model, data)
     except AssetError:
         raise
     except (DbbError, ValueError, ArithmeticError) as error:
@@ -95,17 +96,17 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
 
 
 def broken_off(drawn: Row, why: str) -> Row:
-    """The row of a case that came to no figures."""
+    """The row of a case without figures."""
     return {**drawn, "nan": False, "error": why}
 
 
 def met_base(row: Row) -> bool:
-    """Whether arm and base met: in the plant, or their convex bodies, which are fatter."""
+    """Whether arm and base met: in the plant, or by their convex bodies, which are larger."""
     return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
 
 
 def met_itself(row: Row) -> bool:
-    """The same of two bodies of the arm."""
+    """Whether two bodies of the arm met, in the plant or as convex bodies."""
     return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
 
 
@@ -116,13 +117,13 @@ def entered_buffer(row: Row) -> bool:
 
 
 def failed(row: Row) -> bool:
-    """Whether a case is one to look at: a contact, a QP without solution, a NaN, a broken run."""
+    """Whether a case failed: a contact, a QP without solution, a NaN, a run with an error."""
     broken = row["nan"] or row["error"] or row.get("solver_failures")
     return bool(broken) or met_base(row) or met_itself(row)
 
 
 def flat(figures: Mapping[str, Any]) -> Row:
-    """A run's figures in columns, without those of the machine and those that the case has."""
+    """A run's figures in columns, without those of the machine and those of the case."""
     return flattened({key: value for key, value in figures.items() if key not in _KNOWN})
 
 

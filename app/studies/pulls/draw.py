@@ -1,6 +1,6 @@
-"""Drawing a case: the same for the same study and number, whatever else is drawn.
+"""Drawing a case, which depends on the study and the number of the case alone.
 
-The hand starts on a ray out of the base, in a direction of the whole sphere.
+The end-effector starts on a ray out of the base, in a direction of the whole sphere.
 """
 
 import math
@@ -31,73 +31,73 @@ from app.studies.runs import Row
 from app.studies.sweep.plan import point_of, way_out
 
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
-"""Parts of the sphere of directions from the base to the hand; each is as likely. "above" is
-steeper than 45°, "below" falls by more than 10°, the others are parts of what lies between."""
+"""Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
+steeper than 45°, "below" is more than 10° downwards, the others divide the range between."""
 
-_TRIES = 600  # places drawn before a case is given up
-_PATIENCE = 60  # of them in one sector
-_SEARCHES = 2  # for a posture, per pitch of the hand; another place is sooner found than a third
-_GAP = 0.22, 0.50  # [m] along the ray, from the base's box to the hand
-_INNER = 0.9  # [-] part of the base's plan that is aimed at
+_TRIES = 600  # most places that are drawn for a case
+_PATIENCE = 60  # most of these places in one sector
+_SEARCHES = 2  # for a posture, per pitch of the end-effector; another place is cheaper than a third
+_GAP = 0.22, 0.50  # [m] along the ray, from the base's box to the end-effector
+_INNER = 0.9  # [-] part of the base's plan that contains the targets
 _STEEP, _FALLING = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _FRONT, _CORNER, _SIDE = math.radians(30.0), math.radians(60.0), math.radians(120.0)
-_SAMPLES = 4000  # postures by which the reach is measured
-_SIDEWAYS = 0.5  # [-] of a hand's direction beside the way outwards
-_UPWARDS = 0.26  # [-] of a hand's direction above the horizon: the start solver's 15°
-_SHELL = 0.02, 0.98  # quantiles of the hand's distances from the shoulder
+_SAMPLES = 4000  # postures for measuring the reach
+_SIDEWAYS = 0.5  # [-] largest sideways part of an end-effector's direction
+_UPWARDS = 0.26  # [-] largest upward part of that direction: the start solver's 15°
+_SHELL = 0.02, 0.98  # quantiles of the end-effector's distance from the shoulder
 _ALONG = 0.15  # [-] share of the pulls that go along the base
-_ALONG_ANGLE = math.radians(45.0)  # of such a pull towards the base, at most
-_LOWEST = 0.05  # [m] above the floor to which a hand is pulled
-_TRAVEL = 0.15, 0.60  # [m] of a pull along the base; one towards it goes into it, 0.6 m at most
-_HOLD = 1.0  # [s] after the pull, in which the base may still be hit
-_PEAK = 1.5  # [-] largest speed of the cubic over its mean
-_RELEASE = 0.3, 1.0  # [-] of the time of a pull, when the person lets go
-_MOST_FAULTS = 3
-_NO_FAULTS = {name: parameter(PARAMETERS[name]).default for name in FAULTS}
-_APART = 0.1, 0.9  # [-] of the time after the pull, for which the person does not hold the hand
+_ALONG_ANGLE = math.radians(45.0)  # largest angle of such a pull towards the base
+_LOWEST = 0.05  # [m] lowest end of a pull above the floor
+_TRAVEL = 0.15, 0.60  # [m] of a pull along the base; one towards it ends in it, up to 0.6 m
+_HOLD = 1.0  # [s] after the pull, during which a collision is still possible
+_PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean
+_RELEASE = 0.3, 1.0  # [-] share of the pull after which the person releases
+_MAX_FAULTS = 3
+_LATER = ("payload", *FAULTS)  # drawn from a stream of their own: pulls are the same without them
+_APART = 0.1, 0.9  # [-] share of the remaining time without a grip
 
 
 class StudySources(NamedTuple):
-    """What all cases of a study share."""
+    """Data that all cases of a study share."""
 
     model: RobotModel
     data: BorderData
     lower: Array
-    """(3,) [m] corner of the mobile robot's box, in its own frame, on the floor."""
+    """(3,) [m] lower corner of the mobile robot's box, in its own frame, on the floor."""
     upper: Array
     """(3,) [m] the opposite corner."""
     shoulder: Array
-    """(3,) [m] the arm's second joint in the base's frame."""
+    """(3,) [m] the arm's second joint (the shoulder) in the base's frame."""
     near: float
-    """[m] radius of a shell around it, nearer than which no start need be searched."""
+    """[m] radius around the shoulder within which no start is possible."""
     far: float
-    """[m] the same, farther away."""
+    """[m] radius around the shoulder beyond which no start is possible."""
 
 
 class Start(NamedTuple):
-    """Where a case starts, and where the base is from there."""
+    """The start of a case relative to the base."""
 
     sector: str
     """One of `SECTORS`."""
     p: Array
-    """(3,) [m] the hand, in the base's frame."""
+    """(3,) [m] the end-effector, in the base's frame."""
     aim: Array
-    """(3,) [m] a point in the base."""
+    """(3,) [m] the target point in the base."""
 
     @property
     def outwards(self) -> Array:
-        """(3,) unit vector from the aim to the hand."""
+        """(3,) unit vector from the target to the end-effector."""
         way = self.p - self.aim
         return way / np.linalg.norm(way)
 
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Once a process.
+    """The shared data, loaded once per process.
 
     Raises:
         UnknownNameError: No such robot.
-        AssetError: Its URDF or a mesh is not there.
+        AssetError: The robot's URDF or a mesh is missing.
     """
     model = RobotModel(load_robot(robot))
     body = MobileBody(model)
@@ -108,10 +108,10 @@ def load_sources(robot: str) -> StudySources:
 def draw_start(
     sources: StudySources, heights: Interval, rng: np.random.Generator
 ) -> tuple[Start, Array, int]:
-    """A start, the arm's joints (n_m,) there, and how many places were not reached before.
+    """A start, the arm's joint positions (n_m,) there, and the number of unreachable places before.
 
     Raises:
-        StudyError: The arm reaches none at these heights.
+        StudyError: The arm reaches no start at these heights.
     """
     d_b = sources.model.description.config.border.d_b
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
@@ -129,12 +129,12 @@ def draw_start(
             continue
     raise StudyError(
         f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
-        f"hand {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
+        f"end-effector {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
     )
 
 
 def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start:
-    """A random place in that sector, reached or not."""
+    """A random place in that sector, whether reachable or not."""
     lower, upper = sources.lower, sources.upper
     middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
     plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
@@ -157,7 +157,7 @@ def sector_of(direction: Array) -> str:
 
 
 def _direction(sector: str, rng: np.random.Generator) -> Array:
-    """(3,) a unit vector, uniform over a sector of the sphere."""
+    """(3,) a random unit vector, uniform over a sector of the sphere."""
     while True:
         v = rng.standard_normal(3)
         v /= np.linalg.norm(v)
@@ -166,7 +166,7 @@ def _direction(sector: str, rng: np.random.Generator) -> Array:
 
 
 def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
-    """From random postures whose hand points outwards and not up, as the start solver wants it."""
+    """Shoulder and reach, from random postures with the outward directions of the start solver."""
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
     ready = np.array(model.description.arm.ready_position)
@@ -186,29 +186,29 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
 
 
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
-    """What is drawn for the case of that number, by the columns of the study's table.
+    """The drawn quantities of the case with that number, by the columns of the study's table.
 
-    Its random numbers come from a stream of its own, so it depends on the study and its number
-    alone, not on who draws it or when. A start that the arm does not reach with all of its pairs
-    clear of their buffers is drawn again from the same stream.
+    Each case has its own stream of random numbers, so it depends on the study and its number
+    alone, not on the process or the order. If the arm cannot reach a start with all of its pairs
+    outside their buffers, another one is drawn from the same stream.
 
     Raises:
-        StudyError: The arm reaches no start at that height.
+        StudyError: The arm reaches no start at these heights.
     """
     rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
     ranges = parameters.ranges
     speed = draw_value("speed", ranges, rng)
-    drawn: dict[str, float | None] = {n: draw_value(n, ranges, rng) for n in PARAMETERS}
+    drawn: dict[str, float | None] = {
+        n: draw_value(n, ranges, rng) for n in PARAMETERS if n not in _LATER
+    }
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
     move, duration, moving = _timed(move, speed, ranges.duration)
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     drawn |= {"speed": speed, "duration": duration, "moving": moving}
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
-    drawn["fault_at"] = draw_value("fault_at", ranges, rng) * duration * moving
-    count = int(rng.integers(1, _MOST_FAULTS + 1)) if rng.random() < ranges.faulty else 0
-    faults = rng.permutation(FAULTS)[:count]
-    drawn |= {name: value for name, value in _NO_FAULTS.items() if name not in faults}
+    others = np.random.SeedSequence(parameters.seed, spawn_key=(number, 1))
+    drawn |= _draw_faults(ranges, duration * moving, np.random.default_rng(others))
     return {
         "case": number,
         "kind": f"{start.sector}, along" if along else start.sector,
@@ -222,7 +222,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 
 
 def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float:
-    """One that changes from case to case, by its name in `StudyRange`."""
+    """A random value of a quantity, by its name in `StudyRange`."""
     low, high = getattr(ranges, name)
     if name not in LOGARITHMIC:
         return float(rng.uniform(low, high))
@@ -244,7 +244,7 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """The pull, cut short if it takes too long, the run's duration [s] and the share of pulling."""
+    """The pull, shortened if it takes too long, the run's duration [s] and the share of pulling."""
     hold = min(_HOLD, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
     if pulling > longest - hold:
@@ -253,10 +253,19 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
     return move, pulling + hold, pulling / (pulling + hold)
 
 
+def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
+    """The payload, and at most three of `FAULTS`; `pulling` [s] is how long the person pulls."""
+    drawn = {name: draw_value(name, ranges, rng) for name in _LATER}
+    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
+    for name in rng.permutation(list(FAULTS))[count:]:
+        drawn[name] = parameter(PARAMETERS[name]).default
+    return drawn | {"fault_at": draw_value("fault_at", ranges, rng) * pulling}
+
+
 def _draw_release(
     ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
 ) -> tuple[float | None, float | None]:
-    """[s] when the person lets go and takes hold again, or None where not."""
+    """[s] times of release and renewed grip, or None."""
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
     release = duration * moving * rng.uniform(*_RELEASE)
     regrasp = release + duration * (1.0 - moving) * rng.uniform(*_APART)

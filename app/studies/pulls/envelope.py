@@ -1,4 +1,4 @@
-"""Where safety ends: how strongly the hand may be pulled, within which intervals of all else."""
+"""The envelope of safety: the largest force of a person within intervals of everything else."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,30 +19,30 @@ from app.studies.runs import Row
 STATED = Path(__file__).with_name("envelope.toml")
 """The envelope that the project states, with its source."""
 
-RESERVE = NEAR  # [m] a case that comes nearer bounds the envelope as if it had failed
-MARGIN = 0.9  # [-] of the weakest such case's force that is still inside
+RESERVE = NEAR  # [m] a case that comes nearer counts as failed here
+MARGIN = 0.9  # [-] ratio of the envelope to the weakest failure's force
 FORCE = "hand_force_clear_max_n"
-"""Column of a row with the force that was exerted before two bodies were near."""
-_CONFIDENCE = 0.95  # [-] of the bound of a rate
+"""Column of a row with the force that the person exerted before two bodies were near."""
+_CONFIDENCE = 0.95  # [-] confidence of the bound of a rate
 
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """Forces that a person exerts up to F* are inside, if all else is within its interval.
+    """Forces up to F* are inside if everything else is within its interval.
 
-    The intervals are of what a `StudyRange` has by the same names. A force is the largest that
-    acted on the hand before two bodies were near, whatever the person's spring would have allowed.
+    The intervals belong to the quantities of a `StudyRange` with the same names. The force is the
+    largest that acted on the end-effector before two bodies were near, not the spring's limit.
     """
 
     force: NonNegative
-    """[N] F*; at 0 nothing is inside."""
+    """[N] F*; 0 means that nothing is inside."""
     speed: Interval
     """[m/s] largest speed of the person's hand."""
 
     @classmethod
     def stated(cls) -> Self:
-        """The one that the project states.
+        """The envelope that the project states.
 
         Raises:
             StudyError: Its file is damaged.
@@ -56,10 +56,10 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             raise StudyError(f"{STATED}: no envelope can be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """Those parts of what a study draws from that lie inside.
+        """The parts of a study's ranges that are inside.
 
         Raises:
-            StudyError: Of one quantity there is none.
+            StudyError: A range has no part inside.
         """
         found = {}
         stated = {name: getattr(self, name) for name in _INTERVALS}
@@ -68,13 +68,13 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             found[name] = max(low, least), min(high, most)
             if low > most or high < least:
                 raise StudyError(
-                    f"--{name.replace('_', '-')}: nothing is stated from {low:g} to {high:g}, "
-                    f"only from {least:g} to {most:g}; --inside needs some of that"
+                    f"--{name.replace('_', '-')}: no statement from {low:g} to {high:g}, "
+                    f"only from {least:g} to {most:g}; --inside needs a part of that"
                 )
         return ranges.model_copy(update=found)
 
     def holds(self, row: Row) -> bool:
-        """Whether a case is inside, by its row and the force that was exerted in it."""
+        """Whether a case is inside, by its row and its exerted force."""
         intervals = ((row[COLUMNS[name]], *getattr(self, name)) for name in _INTERVALS)
         within = all(low <= value <= high for value, low, high in intervals)
         return within and exerted(row) <= self.force and self.force > 0.0
@@ -86,17 +86,17 @@ _INTERVALS = tuple(name for name in Envelope.model_fields if name != "force")
 def exerted(row: Row) -> float:
     """[N] the person's largest force in a case before two bodies were near.
 
-    Of a run that broke off it is what the spring allows.
+    For a run that stopped with an error it is the spring's limit.
     """
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
 
 def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
-    """The largest force below which no case failed or came nearer than 10 mm, less a margin.
+    """The largest force without a failure or a distance below 10 mm, minus a margin.
 
-    F* is 0.9 of the force of the weakest such case, but not above the strongest case that went
-    well, rounded down to 1 N; 0 without a case that went well.
+    F* is 0.9 of the force of the weakest failure, but not above the strongest successful case,
+    rounded down to 1 N; 0 without a successful case.
     """
     good: list[float] = []
     bad: list[float] = []
@@ -110,17 +110,17 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 
 
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
-    """How many cases there are, how many failed, and the 95 % bound of the rate of failures."""
+    """Number of cases and of failures, and the 95 % bound of the failure rate."""
     failures = sum(map(failed, rows))
     bound = rate_bound(failures, len(rows))
     return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """How cases fared inside of an envelope that was fitted without them.
+    """Results of the cases inside of an envelope that was fitted without them.
 
-    The even cases are held against the envelope of the odd ones, and the other way round: the
-    bound of a rate from the same cases that the envelope was fitted to would be worth nothing.
+    The even cases are compared with the envelope of the odd ones, and vice versa: a
+    bound from the cases of the fit itself would be meaningless.
     """
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
@@ -140,5 +140,5 @@ def rate_bound(failures: int, cases: int) -> float:
 
 
 def as_toml(envelope: Envelope, source: Mapping[str, Any]) -> str:
-    """The text of a file as `envelope.toml` is one."""
+    """The text of a file in the format of `envelope.toml`."""
     return tomlkit.dumps({"source": source, "envelope": envelope.model_dump(mode="json")})

@@ -13,16 +13,16 @@ from app.studies.pulls.envelope import FORCE, Envelope
 from app.studies.runs import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
 
-_CLEARANCES = 0.0, 0.15  # [m] ends of the scale of colours
+_CLEARANCES = 0.0, 0.15  # [m] ends of the colour scale
 _SHADE = "#DCEBF5"
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
-_BEYOND = 1.15  # [-] of the largest speed, where the picture ends
+_BEYOND = 1.15  # [-] end of the picture relative to the largest speed
 
 
-@picture("envelope", "Where safety ends")
+@picture("envelope", "Envelope of safety")
 def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """Each point is a case. Below the black line lies the envelope that these cases give: 0.9 of
-    the force exerted in the weakest case that failed, or came nearer than 10 mm.
+    """Each point is a case. The envelope of these cases is below the black line: 0.9 of the force
+    of the weakest case that failed, or came nearer than 10 mm.
     """
     figure = new_figure(4.6)
     axes = figure.subplots()
@@ -43,7 +43,7 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
         zorder=4,
     )
     figure.colorbar(
-        points, ax=axes, extend="max", pad=0.01, label="least distance, arm to base [m]"
+        points, ax=axes, extend="max", pad=0.01, label="smallest distance, arm to base [m]"
     )
     for name, (rule, style) in _MARKS.items():
         bad = [row for row in known if failed(row) and rule(row)]
@@ -57,9 +57,9 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
     return figure
 
 
-@picture("clearance", "How near the arm came to the base")
+@picture("clearance", "Smallest distance between arm and base")
 def draw_clearance(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """The least true distance of each run; at the red line they touch. The grey line is d_b."""
+    """The smallest true distance of each run; at the red line they touch. The grey line is d_b."""
     figure = new_figure(4.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("min_clearance_m") is not None]
@@ -76,20 +76,20 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope) -> Figure:
     )
     for value in (0.0, Config().border.d_b):
         left.axvline(value, color=TARGET if value == 0.0 else SOFT, linewidth=1.2)
-    left.set_xlabel("least distance between arm and base [m]; the last bar holds all beyond")
+    left.set_xlabel("smallest distance between arm and base [m]; the last bar has all larger ones")
     left.set_ylabel("cases")
     left.legend(title="envelope", loc="upper center")
     _strips(right, known, "min_clearance_m")
     right.axvline(0.0, color=TARGET, linewidth=1.2)
     right.set_xlim(min(low, 0.0) - 0.01, 0.3)
-    right.set_xlabel("least distance [m]")
+    right.set_xlabel("smallest distance [m]")
     return figure
 
 
-@picture("errors", "Where the hand ended")
+@picture("errors", "Final error of the end-effector")
 def draw_errors(rows: Sequence[Row], _: Envelope) -> Figure:
-    """A pull that leads to where the base cannot give way, such as down onto its top, is resisted,
-    and the hand ends far from its target: that is meant.
+    """The arm resists a pull in a direction in which the base cannot move away, such as down onto
+    its top, and the end-effector ends far from the target: this is intended.
     """
     figure = new_figure(3.8)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -97,12 +97,12 @@ def draw_errors(rows: Sequence[Row], _: Envelope) -> Figure:
     values = np.clip([row["ee_error_final_m"] for row in known], 1e-5, None)
     left.hist(values, bins=list(np.geomspace(1e-5, 1.0, 41)), color=_INSIDE)
     left.set_xscale("log")
-    left.set_xlabel("distance of the hand from where it is pulled, at the end [m]")
+    left.set_xlabel("final distance of the end-effector from its target [m]")
     left.set_ylabel("cases")
     _strips(right, known, "ee_error_final_m")
     right.set_xscale("log")
     right.set_xlim(1e-5, 1.0)
-    right.set_xlabel("the same [m]")
+    right.set_xlabel("final distance [m]")
     return figure
 
 
@@ -112,7 +112,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
         lambda row: met_itself(row) and not met_base(row),
         {"marker": "+", "s": 54, "c": "#882E72"},
     ),
-    "no solution, NaN or broken off": (
+    "no solution, NaN or error": (
         lambda row: not met_base(row) and not met_itself(row),
         {"marker": "^", "s": 34, "c": "#D55E00"},
     ),
@@ -120,7 +120,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
 
 
 def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
-    """One row of points a kind, spread evenly so that they can be told apart."""
+    """One row of points for each kind, spread evenly to separate them."""
     kinds = sorted({row["kind"] for row in rows}, reverse=True)
     for y, kind in enumerate(kinds):
         here = [row for row in rows if row["kind"] == kind]
@@ -132,4 +132,4 @@ def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
     axes.grid(visible=False, axis="y")
 
 
-PICTURES = pictures_in(globals())  # each is drawn of the cases and the envelope that they give
+PICTURES = pictures_in(globals())  # each takes the cases and their envelope

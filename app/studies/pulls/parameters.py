@@ -1,4 +1,4 @@
-"""What makes a study the study that it is: what runs, and the intervals that it draws from."""
+"""The identity of a study: its robot, controller and plant, and its random intervals."""
 
 import hashlib
 from functools import cache
@@ -12,16 +12,17 @@ from app.errors import ConfigError
 from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
-Interval = tuple[float, float]  # least and largest value; equal ones leave nothing to chance
+Interval = tuple[float, float]  # smallest and largest value; equal ones fix the value
 
-FAULTS = (
-    "sensor_delay",
-    "sensor_period",
-    "dropped",
-    "unknown_load",
-    "stated_period",
-)
-"""Disturbances that the controller has to notice: one to three in a case that has any."""
+FAULTS = {
+    "sensor_delay": "lag",
+    "sensor_period": "repeated",
+    "dropped": "repeated",
+    "unknown_load": "load",
+    "stated_period": "period",
+}
+"""Disturbances that the controller has to report, one to three in a case that has any; each with
+the fault (`app.control.readings.FAULTS`) as which it does."""
 
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
@@ -35,10 +36,10 @@ PARAMETERS = {
     "payload": "payload.mass",
     **{name: f"disturbance.{name}" for name in FAULTS},
 }
-"""Which intervals are of a parameter of the configuration, by its path."""
+"""Paths of the configuration's parameters among the intervals."""
 
 LOGARITHMIC = ("hand_stiffness",)
-"""Those in which every factor is as likely as every other, not every difference."""
+"""Intervals with equal probability for equal factors, not for equal differences."""
 
 _OWN = {
     "speed": (0.01, 1.5, "m/s"),
@@ -54,54 +55,54 @@ _MODULES = ("case", "draw", "parameters")
 
 
 class StudyRange(Strict):
-    """The intervals; within each, every value is as likely but in those that are `LOGARITHMIC`."""
+    """The intervals, each with a uniform distribution except for those in `LOGARITHMIC`."""
 
     speed: Interval = (0.1, 1.2)
-    """[m/s] largest speed of the person's hand on its way."""
+    """[m/s] largest speed of the person's hand."""
     base_delay: Interval = (0.0, 0.4)
-    """[s] between a velocity command and the base's drive."""
+    """[s] delay from a velocity command to the base's drive."""
     encoder_noise: Interval = (0.0, 0.003)
     """[rad] standard deviation of the noise of each joint's measured position."""
     mass_error: Interval = (-0.2, 0.2)
-    """[-] by how much the controller takes the arm's masses for too large."""
+    """[-] relative error of the arm's masses in the controller's model."""
     slip: Interval = (0.0, 0.3)
-    """[-] share of the base's motion that is lost at the ground."""
+    """[-] share of the base's motion that is lost to slip."""
     v_max: Interval = (0.25, 1.0)
-    """[m/s] the largest speed that the admittance law may command."""
+    """[m/s] largest speed that the admittance law may command."""
     hand_f_max: Interval = (30.0, 100.0)
     """[N] largest force of the person's spring and damper."""
     hand_stiffness: Interval = (300.0, 3000.0)
-    """[N/m] of that spring."""
+    """[N/m] stiffness of that spring."""
     hand_mass: Interval = (0.0, 2.0)
-    """[kg] of the person's hand and forearm."""
+    """[kg] mass of the person's hand and forearm."""
     height: Interval = (0.12, 0.90)
-    """[m] of the hand above the floor, at the start."""
+    """[m] height of the end-effector above the floor at the start."""
     payload: Interval = (0.0, 1.0)
-    """[kg] load in the hand that the controller knows."""
+    """[kg] load at the end-effector that the controller includes."""
     sensor_delay: Interval = (0.0, 0.02)
     """[s] age of all readings."""
     sensor_period: Interval = (0.0, 0.033)
-    """[s] for which each reading is repeated."""
+    """[s] interval between new readings."""
     dropped: Interval = (0.0, 0.5)
     """[-] share of the readings that are lost."""
     unknown_load: Interval = (0.0, 3.0)
-    """[kg] load in the hand that the controller does not know."""
+    """[kg] load at the end-effector that the controller does not include."""
     stated_period: Interval = (0.0005, 0.005)
-    """[s] control period that the controller takes for true; 0.001 is."""
+    """[s] control period that the controller assumes; the true one is 0.001."""
     faulty: float = 0.5
     """[-] share of the cases with one to three of these five; the others have none."""
     fault_at: Interval = (0.0, 0.5)
-    """[-] of the time of a pull, when these begin; the period is wrong from the start."""
+    """[-] share of the pull's time after which these begin; the period is wrong from the start."""
     duration: float = 8.0
-    """[s] longest run of a case; a slow pull is cut short to fit."""
+    """[s] longest run of a case; a slow pull is shortened to fit."""
     released: float = 0.3
-    """[-] share of the pulls in which the person lets go on the way."""
+    """[-] share of the pulls that the person releases early."""
     regrasped: float = 0.5
     """[-] share of these in which the person takes hold again."""
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        """Refuse what cannot be drawn, in the words of the options of `dbb study`.
+        """Refuse impossible ranges, in the words of the options of `dbb study`.
 
         Raises:
             ConfigError: Names the option and its range.
@@ -122,15 +123,15 @@ class StudyRange(Strict):
 
 
 class StudyParameters(Strict):
-    """All that its cases follow from; how many of them are wanted is no part of it."""
+    """Everything that determines the cases; the number of cases is no part of it."""
 
     seed: int = 0
-    """Seed of the study; case k follows from it and k alone."""
+    """Seed of the study; case k depends on it and k alone."""
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists them."""
     controller: str = "dbb"
-    """dbb, hqp (the controller that the paper prints; a slower step), one it is compared
-    with (repulsive, barrier), or none: the stack without avoidance."""
+    """dbb, hqp (the paper's controller as printed; slower), a compared method
+    (repulsive, barrier), or none: the same controller without avoidance."""
     physics: str = Field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
     ranges: StudyRange = StudyRange()
@@ -142,7 +143,7 @@ class StudyParameters(Strict):
 def code_digest() -> str:
     """16 hexadecimal digits of all code that a case's figures depend on.
 
-    Workers elsewhere, and a study that is gone on with, must have the same.
+    Remote workers, and a study that continues, must have the same code.
     """
     here = Path(__file__).parent
     root = here.parent.parent

@@ -1,4 +1,4 @@
-"""What a study found: its figures in `study.json`, and `report.html`, which needs nothing else."""
+"""The results of a study: figures in `study.json`, and the self-contained `report.html`."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from app.config import parameter
 from app.studies.page import Grid, Part, label, page_html
-from app.studies.pulls.case import entered_buffer, failed, met_base, met_itself
+from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
 from app.studies.pulls.figures import PICTURES
-from app.studies.pulls.parameters import StudyParameters
+from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
@@ -39,7 +40,8 @@ _FAILURES: dict[str, Callable[[Row], object]] = {
 _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
-_MOST_FAILURES = 200  # rows of the table of failures
+_MAX_FAILURES = 200  # rows of the table of failures
+_SOON = 0.2  # [s] from a fault's begin; later reports are late
 
 _COLUMNS = {
     "case": "case",
@@ -50,13 +52,13 @@ _COLUMNS = {
     "hand_stiffness_npm": "spring [N/m]",
     "hand_mass_kg": "hand [kg]",
     "hand_f_max_n": "spring's limit [N]",
-    "release_at_s": "let go [s]",
+    "release_at_s": "release [s]",
     "base_delay_s": "delay [s]",
     "v_max_mps": "v_max [m/s]",
     "slip": "slip",
     "mass_error": "mass error",
     "encoder_noise_rad": "noise [rad]",
-    "min_clearance_m": "least distance [m]",
+    "min_clearance_m": "smallest distance [m]",
     "contacts": "contact [ms]",
     "arm_min_clearance_m": "within the arm [m]",
     "arm_contacts": "arm contact [ms]",
@@ -65,7 +67,7 @@ _COLUMNS = {
 
 
 def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[str, Any], Envelope]:
-    """Figures of the cases, at least one, and the envelope that fits; keys end in their unit."""
+    """Figures of one or more cases, and their fitted envelope; keys end in their unit."""
     stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
     whole = tally(rows)
@@ -84,6 +86,7 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
             kind: _fared([row for row in rows if row["kind"] == kind], *_BY_KIND)
             for kind in sorted({row["kind"] for row in rows})
         },
+        "faults": {name: _reported(rows, name) for name in FAULTS},
         "envelope": {
             **fitted.model_dump(mode="json"),
             "inside": tally([row for row in rows if fitted.holds(row)]),
@@ -99,8 +102,21 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
     return summary, fitted
 
 
+def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
+    """How many cases have one of `FAULTS`, in how many it was reported, and in how many soon."""
+    none, column = parameter(PARAMETERS[name]).default, COLUMNS[name]
+    having = [row for row in rows if row.get(column, none) != none]
+    waits = [
+        row[f"fault_{FAULTS[name]}_s"] - (0.0 if name == "stated_period" else row["fault_at_s"])
+        for row in having
+        if row.get(f"fault_{FAULTS[name]}_s") is not None
+    ]
+    soon = sum(wait <= _SOON for wait in waits)
+    return {"cases": len(having), "reported": len(waits), "within_200_ms": soon}
+
+
 def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
-    """How cases fared by the force [N] that was exerted before two bodies were near."""
+    """Results by the force [N] that the person exerted before two bodies were near."""
     here = [row for row in rows if low <= exerted(row) < high]
     return {
         "from_n": low,
@@ -111,13 +127,13 @@ def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
 
 
 def _fared(rows: Sequence[Row], *events: str) -> dict[str, Any]:
-    """How many cases there are, how often what happened, and the least distance."""
+    """Number of cases, frequency of each event, and the smallest distance."""
     least = min(_known(rows, "min_clearance_m"), default=None)
     return {"cases": len(rows), **_counts(rows, *events), "least_clearance_m": least}
 
 
 def _counts(rows: Sequence[Row], *events: str) -> dict[str, int]:
-    """In how many cases each of these happened; in one it may be several."""
+    """Number of cases with each event; a case may have several."""
     return {event: sum(bool(_EVENTS[event](row)) for row in rows) for event in events}
 
 
@@ -139,7 +155,7 @@ def report_html(
     envelope: Envelope,
     pictures: Mapping[str, bytes],
 ) -> str:
-    """The page, of what `summary_of` gives and the pictures, PNG by their names."""
+    """The page, from the result of `summary_of` and PNG pictures by their names."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     said, forces = outcome(summary)
     parts = [
@@ -148,13 +164,14 @@ def report_html(
         _envelope(envelope),
         forces,
         _counted("By where the pull comes from", "from", summary["by_kind"]),
+        _counted("Faults, and when they were reported", "fault", summary["faults"]),
         _failures(rows),
     ]
     return page_html(title, _lead(parameters), parts)
 
 
 def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
-    """How the cases went, in words and by the force that was exerted."""
+    """The results of the cases, in words and by the exerted force."""
     return Part(text=_verdict(summary)), _forces(summary)
 
 
@@ -167,11 +184,13 @@ def _lead(parameters: StudyParameters) -> str:
     )
     inside = " Only cases inside of the stated envelope were drawn." if parameters.inside else ""
     return (
-        f"A person pulls the hand towards the base from random starts around and "
+        f"A person pulls the end-effector towards the base from random starts around and "
         f"above it. Robot {parameters.robot}, plant {parameters.physics}, seed "
-        f"{parameters.seed}; {told} (SI units), the stiffness logarithmically, all else "
-        f"uniformly; {_percent(parameters.ranges.released)} let go on the way, and of these "
-        f"{_percent(parameters.ranges.regrasped)} take hold again.{inside}"
+        f"{parameters.seed}; {told} (SI units); the stiffness has a logarithmic, everything else a "
+        f"uniform distribution; {_percent(parameters.ranges.faulty)} of the cases have one to "
+        f"three of {', '.join(FAULTS)}, the others none; {_percent(parameters.ranges.released)} of "
+        f"the pulls end early, in {_percent(parameters.ranges.regrasped)} of these the person "
+        f"takes hold again.{inside}"
     )
 
 
@@ -181,19 +200,19 @@ def _verdict(summary: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{s['failed']} of {s['cases']} cases failed. "
         f"{s['contact']} of {s['cases']} runs had a contact between arm and base in the plant; in "
-        f"{s['bodies_overlap']} the convex bodies met, which are fatter than the links and count "
+        f"{s['bodies_overlap']} the convex bodies met, which are larger than the links and count "
         f"as failures here. Within the arm: {s['arm_contact']} and {s['arm_bodies_overlap']}. "
         f"In {s['solver_failure']} a QP had no solution; "
-        f"{s['nan']} gave NaN; {s['error']} broke off.",
+        f"{s['nan']} gave NaN; {s['error']} stopped with an error.",
         _exerted(s),
-        f"Least distance between arm and base: {_number(least['0_%'])} m; of half of the runs "
-        f"{_number(least['50_%'])} m or more, of 95 in 100 {_number(least['5_%'])} m or more."
+        f"Smallest distance between arm and base: {_number(least['0_%'])} m; at least "
+        f"{_number(least['50_%'])} m in half of the runs, {_number(least['5_%'])} m in 95 of 100."
         if least
         else "",
         f"Of {halves['cases']} cases inside of an envelope fitted without them {halves['failed']} "
-        f"failed: with 95 % confidence fewer than {_percent(halves['rate_bound_95'])} do."
+        f"failed: the rate is below {_percent(halves['rate_bound_95'])} with 95 % confidence."
         if halves["cases"]
-        else "No case lies inside of an envelope fitted without it.",
+        else "No case is inside of an envelope fitted without it.",
         _stated(s["stated_envelope"]),
     ]
     return [line for line in lines if line]
@@ -205,16 +224,16 @@ def _exerted(s: Mapping[str, Any]) -> str:
         return ""
     return (
         f"The person exerted {_number(force['0_%'])} to {_number(force['100_%'])} N (median "
-        f"{_number(force['50_%'])} N), and the hand moved at {_number(speed['100_%'])} m/s at "
-        f"most. In {_percent(s['entered_buffer_share'])} of the runs the arm came into the buffer "
-        f"of the base."
+        f"{_number(force['50_%'])} N), and the end-effector's largest speed was "
+        f"{_number(speed['100_%'])} m/s. In {_percent(s['entered_buffer_share'])} of the runs the "
+        f"arm entered the buffer of the base."
     )
 
 
 def _stated(stated: Mapping[str, Any]) -> str:
     inside, outside = stated["inside"], stated["outside"]
     if not inside["cases"]:
-        return "No case lies inside of the envelope that the project states."
+        return "No case is inside of the envelope that the project states."
     return (
         f"Inside of the envelope that the project states {inside['failed']} of {inside['cases']} "
         f"cases failed (95 % bound {_percent(inside['rate_bound_95'])}), outside of it "
@@ -235,7 +254,7 @@ def _forces(summary: Mapping[str, Any]) -> Part:
         low, high, *_ = counts.values()
         name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
         found[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
-    return _counted("By the force that was exerted", "force until near [N]", found)
+    return _counted("By the exerted force", "force until near [N]", found)
 
 
 def _counted(title: str, what: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
@@ -247,16 +266,16 @@ def _counted(title: str, what: str, found: Mapping[str, Mapping[str, Any]]) -> P
 def _failures(rows: Sequence[Row]) -> Part:
     bad = [row for row in rows if failed(row)]
     if not bad:
-        return Part("How it fails", text=["No case failed."])
+        return Part("Failures", text=["No case failed."])
     bad.sort(key=exerted)
-    body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MOST_FAILURES]]
-    more = f" The weakest {_MOST_FAILURES} of {len(bad)}." if len(bad) > _MOST_FAILURES else ""
+    body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
+    more = f" The weakest {_MAX_FAILURES} of {len(bad)}." if len(bad) > _MAX_FAILURES else ""
     text = (
-        f"Weakest first.{more} `dbb run --case failures/case-NNNNN.json` plays one again, "
+        f"Weakest first.{more} `dbb run --case failures/case-NNNNN.json` repeats one, "
         "`dbb serve --case` shows it."
     )
     grid = Grid(list(_COLUMNS.values()), body, numbers=True)
-    return Part("How it fails", text=[text], tables=[grid])
+    return Part("Failures", text=[text], tables=[grid])
 
 
 def _number(value: Any) -> str:

@@ -1,6 +1,6 @@
-"""The whole study: cases that are not yet done, then table, failures, summary and report.
+"""The whole study: the remaining cases, then table, failures, summary and report.
 
-What is done stands in a journal, a line a case, kept at once; processes of this machine do the
+A journal has one line for each finished case, written at once. Processes of this machine do the
 work, or the workers of a running dask scheduler.
 """
 
@@ -20,7 +20,7 @@ from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
-from app.studies.pulls.case import broken_off, failed, planned_of, play_case
+from app.studies.pulls.case import broken_off, failed, play_case, spec_of
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-_AT_ONCE = 1000  # cases given to the workers together: each waiting one takes memory
+_AT_ONCE = 1000  # cases sent to the workers together: each waiting one takes memory
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
-_PATIENCE = 10.0  # [s] for a scheduler to answer
-_WORKERS_PATIENCE = 30.0  # [s] for one of its workers to be there
+_PATIENCE = 10.0  # [s] timeout of a scheduler
+_WORKERS_PATIENCE = 30.0  # [s] timeout of its first worker
 
 
 def study(
@@ -48,23 +48,23 @@ def study(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Do the cases of a study that its folder does not hold yet, and write what it says.
+    """Run the missing cases of a study, and write its results into its folder.
 
     Args:
-        parameters: What the cases follow from.
-        cases: How many, from number 0 on; a folder with fewer is gone on with.
+        parameters: Everything that determines the cases.
+        cases: Number of cases, from number 0 on; a folder with fewer is continued.
         out: An existing folder.
         scheduler: Address of a dask scheduler, or None for processes on this machine.
-        processes: How many of those.
-        on_progress: Called with how many cases are done.
+        processes: Number of these processes.
+        on_progress: Takes the number of finished cases.
 
     Returns:
-        What `study.json` holds.
+        The content of `study.json`.
 
     Raises:
-        StudyError: The folder holds another study, the scheduler is not there, or nothing of what
-            is asked for lies inside of the stated envelope.
-        DbbError: The robot cannot be loaded, or no case can be drawn.
+        StudyError: The folder has another study, the scheduler does not answer, or the ranges
+            have no part inside of the stated envelope.
+        DbbError: The robot cannot be loaded, or no case is possible.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
@@ -79,7 +79,7 @@ def study(
 
 
 def identity_of(parameters: StudyParameters) -> dict[str, Any]:
-    """What a folder's study is recognised by."""
+    """The parameters that identify the study of a folder."""
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
@@ -91,9 +91,9 @@ def _do(
     journal: Journal,
     on_progress: Callable[[float], None],
 ) -> None:
-    """Play the cases of these numbers, each kept in the journal as soon as it is back."""
+    """Run the cases of these numbers; the journal stores each result at once."""
     load = partial(load_sources, parameters.robot)
-    load()  # a border that must be sampled is sampled once
+    load()  # samples a missing border once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
     kept, lost = len(journal.rows), partial(_lost_row, parameters)
     with workers:
@@ -111,13 +111,13 @@ def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row
 
 
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
-    """The row of a case that ended its process each time."""
+    """The row of a case that ended its process in each attempt."""
     drawn = draw_case(parameters, number, load_sources(parameters.robot))
     return broken_off(drawn, "its process was killed each time")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
-    # Imported here: matplotlib is not needed before all cases are done.
+    # Imported here: matplotlib is needed only when all cases are done.
     from app.studies.pulls.figures import PICTURES
     from app.studies.pulls.report import report_html, summary_of
     from app.studies.style import png_of, styled
@@ -148,14 +148,14 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """The file of each failed case, to be played again; older ones are removed."""
+    """Write a file of each failed case for `--case`, and remove older ones."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
     kept = set()
     for row in filter(failed, rows):
-        run, path = planned_of(row, parameters), folder / f"case-{row['case']:05d}.json"
+        run, path = spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
         write_whole(path, RunCase.of(run).text())
         kept.add(path)
     for path in set(folder.glob("case-*.json")) - kept:
@@ -165,21 +165,21 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 class Journal(AbstractContextManager["Journal"]):
     """Rows of a study in a folder, by the number of their case.
 
-    Each row is one line of JSON, on the disk before `add` returns. A line that was cut off when
-    the process was killed is dropped, and its case is done again.
+    Each row is one line of JSON, on the disk before `add` returns. A line that is incomplete
+    because the process was killed is removed, and its case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open the journal of an existing folder, or begin one; use it in a `with`.
+        """Open the journal of an existing folder, or start one; use it in a `with`.
 
-        The identity is what the study's cases follow from, as JSON has it.
+        The identity is the JSON form of everything that determines the cases.
 
         Raises:
-            StudyError: The folder holds another study, or somebody works on this one, or a row
+            StudyError: The folder has another study, another process works on it, or a row
                 cannot be read.
         """
         self.rows: dict[int, Row] = {}
-        """By the number of the case."""
+        """Rows by the number of the case."""
         self._folder = folder
         self._file = (folder / _LINES).open("a+b")
         try:
@@ -197,7 +197,7 @@ class Journal(AbstractContextManager["Journal"]):
         self._file.close()
 
     def add(self, row: Row) -> None:
-        """Keep the row of a case; a second one of the same case is ignored."""
+        """Store the row of a case; a second row of the same case is ignored."""
         if row["case"] in self.rows:
             return
         self._file.write(json.dumps(row, allow_nan=False).encode() + b"\n")
@@ -206,7 +206,7 @@ class Journal(AbstractContextManager["Journal"]):
         self.rows[row["case"]] = row
 
     def _claim(self, identity: dict[str, Any]) -> None:
-        """Write down which study this is, or see that it is the same."""
+        """Write the identity of this study, or check that it is the same."""
         path = self._folder / _HEAD
         if not path.exists():
             write_json(path, identity)
@@ -218,7 +218,7 @@ class Journal(AbstractContextManager["Journal"]):
         if kept != identity:
             raise StudyError(
                 f"--out: {self._folder} holds another study ({_difference(kept, identity)}); "
-                "go on with that one's options, or choose another folder"
+                "continue it with its own options, or choose another folder"
             )
 
     def _read(self) -> None:
@@ -234,16 +234,16 @@ class Journal(AbstractContextManager["Journal"]):
             except (ValueError, KeyError, TypeError):
                 raise StudyError(
                     f"line {number} of {self._folder / _LINES} is damaged; remove it, and its case "
-                    "is done again"
+                    "runs again"
                 ) from None
-        self._file.truncate(whole)  # it is opened to append: writing goes on at its end
+        self._file.truncate(whole)  # writing continues at the end, because it is open to append
 
 
 def _difference(kept: Any, wanted: dict[str, Any]) -> str:
-    """Which parts differ, as in `seed 1, not 2`."""
+    """The parts that differ, as in `seed 1, not 2`."""
     if not isinstance(kept, dict):
         return "its parameters cannot be read"
-    if kept.get("code") != wanted.get("code"):  # then all else may differ as well
+    if kept.get("code") != wanted.get("code"):  # then everything else may differ too
         return f"code of another version: {kept.get('code')}, not {wanted.get('code')}"
     parts = []
     for key in sorted({*kept, *wanted}):
@@ -260,19 +260,20 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
 class Cluster(AbstractContextManager["Cluster"]):
     """Runs jobs as `app.jobs.pool.Workers` does, on a dask scheduler; use it in a `with`.
 
-    The scheduler is not ours to end. `tls://` addresses take their certificates from dask's own
+    It does not end the scheduler. `tls://` addresses take their certificates from dask's own
     configuration.
     """
 
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
         """Connect to a scheduler's address, as in `tls://10.0.0.7:8786`.
 
-        `make_context` gives what the jobs share; it is called for each, so it has to keep it.
+        `make_context` returns the data that the jobs share; each job calls it, so it must cache the
+        data.
 
         Raises:
-            StudyError: Nobody answers there, it has no workers, or they have another code.
+            StudyError: No scheduler answers, it has no workers, or they have other code.
         """
-        for name in ("distributed", "tornado"):  # their errors reach us anyway
+        for name in ("distributed", "tornado"):  # their errors arrive as exceptions
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self._make_context = make_context
         self._client = _connected(scheduler)
@@ -294,7 +295,7 @@ class Cluster(AbstractContextManager["Cluster"]):
     ) -> Iterator[Result]:
         """The results of all jobs, in the order in which they end.
 
-        Of a job that takes its worker's process down again and again it is what `lost` makes of it.
+        If a job ends its worker's process in each attempt, `lost` makes its result.
         """
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
@@ -317,7 +318,7 @@ def _run(
 
 
 def _connected(scheduler: str) -> Client:
-    # Imported here: nothing of dask is needed, and no port is opened, unless it is asked for.
+    # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client
 
     try:
@@ -331,7 +332,7 @@ def _connected(scheduler: str) -> Client:
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Refuse a cluster without workers, and one whose workers run other code than this process."""
+    """Refuse a cluster without workers, or with workers that have other code than this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:

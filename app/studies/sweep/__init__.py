@@ -1,1 +1,1 @@
-"""Sweeps: paths towards the base from everywhere (`dbb sweep`)."""
+"""Sweeps: paths towards the base from all directions (`dbb sweep`)."""

@@ -1,4 +1,4 @@
-"""The pictures of a sweep: around the base or on it, how the paths from each side ended."""
+"""The pictures of a sweep: the results of the paths by direction around the base or on it."""
 
 import math
 from collections.abc import Sequence
@@ -25,13 +25,13 @@ _PALE, _DEEP = 0.45, 0.95  # [-] of a colour map
 _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # of the legend
 _NEVER: dict[str, Any] = {"facecolor": "white", "edgecolor": "#B10026", "hatch": "////"}
 _UNREACHABLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DAE0", "hatch": "////"}
-_INNER, _OUTER = 0.80, 1.60  # [-] radii between which the bars stand; the footprint is within
-_LEAST = 0.06  # [-] length of a bar for a value at the scale's begin
+_INNER, _OUTER = 0.80, 1.60  # [-] inner and outer radius of the bars; the footprint is inside
+_MIN_BAR = 0.06  # [-] length of a bar at the start of the scale
 _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] and [deg] of the dots of paths along the wheel axis
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # of the dots, by p_b's place [m]
 _EDGE = 1.98  # [-] radius of a panel
 _PANEL = 3.35  # [in] side of a panel
-_MARKS_AT = 132.0  # [deg] where the texts of the scale stand: behind the base
+_MARKS_AT = 132.0  # [deg] direction of the texts of the scale: behind the base
 _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
@@ -39,27 +39,27 @@ class Quantity(NamedTuple):
     """One row of the maps."""
 
     key: str
-    """Of a path's figures."""
+    """Key among a path's figures."""
     title: str
-    """For people, with its unit."""
+    """Label with its unit."""
     scale: Normalize
-    """Of values [m or s] within its ends."""
+    """The scale, for values [m or s] within its ends."""
     limit: float | None
-    """[m or s] between good and bad, or None."""
+    """[m or s] boundary between good and bad, or None."""
     marks: tuple[tuple[float, str], ...]
-    """Values with their texts, where circles are drawn."""
+    """Values with their texts, drawn as circles."""
     more_is_better: bool = False
     """Which side of the limit is good."""
 
     def share(self, value: float) -> float:
-        """[-] where a value stands on the scale, within 0 and 1."""
+        """[-] position of a value on the scale, within 0 and 1."""
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[-] of a bar; where more is better, one that lacks it reaches to the limit in red."""
+        """[-] end of a bar; if more is better, a bad value's bar extends to the limit in red."""
         lacks = self.limit is not None and self.more_is_better and value < self.limit
         share = self.share(self.limit if lacks and self.limit is not None else value)
-        return _INNER + (_OUTER - _INNER) * max(share, _LEAST)
+        return _INNER + (_OUTER - _INNER) * max(share, _MIN_BAR)
 
     def good(self, value: float) -> bool:
         """Whether a value is on the good side of the limit."""
@@ -68,7 +68,7 @@ class Quantity(NamedTuple):
         return value >= self.limit if self.more_is_better else value <= self.limit
 
     def colour(self, value: float) -> Colour:
-        """Blue if good, yellow to red if bad; the deeper, the farther from the limit."""
+        """Blue if good, yellow to red if bad; darker with the distance from the limit."""
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
         room = limit if good is not self.more_is_better else 1.0 - limit
@@ -77,21 +77,21 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, least clearance and time, with scales that hold these paths."""
+    """Final error, smallest clearance and time, with scales that include these paths."""
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
     return (
         Quantity(
             "ee_error_final_m",
-            "final error of the hand",
+            "final error of the end-effector",
             LogNorm(1e-6, 0.3, clip=True),
             ERROR_LIMIT,
             ((1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")),
         ),
         Quantity(
             "min_clearance_m",
-            "least distance to the base",
+            "smallest distance to the base",
             PowerNorm(0.5, 0.0, widest, clip=True),
             CLEARANCE_LIMIT,
             (
@@ -112,10 +112,10 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 
 
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
-    """One figure: a column per controller; final error, least clearance and time below each other.
+    """One figure: a column per controller; final error, smallest clearance and time as rows.
 
-    A single controller has them side by side. Shown are the paths at a height [m] and a speed [m/s]
-    of what `sweep` gave.
+    A single controller has them side by side. It shows the paths of a `sweep` result at a height
+    [m] and a speed [m/s].
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
@@ -123,7 +123,7 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
     )
     closed = [row for row in result["unreachable"] if row.get("height_m") == height]
     title = (
-        f"sweep, {result['mode']}: hand at {height:g} m, {1000 * speed:.3g} mm/s on its way, "
+        f"sweep, {result['mode']}: end-effector at {height:g} m, {1000 * speed:.3g} mm/s, "
         f"{result['length_m']:g} m towards the base"
     )
     names, shown = result["controllers"], [*paths, *axis]
@@ -158,7 +158,7 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """One figure: the base in plan, a square per place; panels as in the polar map."""
+    """One figure: the base in plan, with a square for each place; panels as in the polar map."""
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     closed = [row for row in result["unreachable"] if row["kind"] == "above"]
     sides = [_least_step([*rows, *closed], key) for key in ("place_x_m", "place_y_m")]
@@ -197,7 +197,7 @@ def _panels(
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
     """A figure for these controllers, and each panel with its controller and quantity.
 
-    The scales hold all rows that are shown; `panel` [in] is the height of a panel.
+    The scales include all shown rows; `panel` [in] is the height of a panel.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -238,7 +238,7 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Its outline, the wheel axis from one y to another, and the arm's mount of a radius [m]."""
+    """Its outline, the wheel axis from one y to another, and the arm's mount with a radius [m]."""
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
     place = {"transform": style.pop("transform", ax.transData)}
@@ -270,13 +270,13 @@ def _scale(ax: Any, quantity: Quantity) -> None:
 
 
 def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
-    """From the inner circle outwards, around a path's direction, of a width [deg]."""
+    """A bar from the inner circle outwards, in a path's direction, with a width [deg]."""
     middle, style = math.radians(row["direction_deg"]), {"zorder": 2, **style}
     ax.bar(middle, radius - _INNER, math.radians(width), _INNER, **style)
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """A path along the wheel axis; in the order of p_b's place, not to scale."""
+    """A path along the wheel axis; ordered by p_b's place, not to scale."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
@@ -295,12 +295,12 @@ def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
 
 
 def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
-    """Where something touched, at a place in the axes' own coordinates."""
+    """A contact, at a place in the axes' own coordinates."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
 
 
 def _least_step(rows: Sequence[Row], key: str) -> float:
-    """[m] between two places along an axis."""
+    """[m] smallest step between two places along an axis."""
     values = sorted({float(row[key]) for row in rows})
     return min((b - a for a, b in pairwise(values)), default=1.0)

@@ -1,4 +1,4 @@
-"""What a sweep is to do: which straight hand paths towards the base, how fast, and with what."""
+"""The plan of a sweep: straight paths towards the base, their speeds, controllers and plant."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from app.config import Config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, check_name
-from app.simulation.case import Planned
+from app.simulation.case import RunSpec
 from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import Point, StartedLine
 from app.strict import Array, check_range
@@ -27,10 +27,10 @@ KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b on the paths along the wheel axis."""
 
-ERROR_LIMIT = 0.001  # [m] final error up to which a path counts as done
-CLEARANCE_LIMIT = 0.03  # [m] distance between arm and base from which a path counts as safe
-CLEAR = 0.02  # [m] beyond the buffer at which the arm starts, if nothing else is asked
-MORE_THAN_BUFFER = 0.005  # [m] what a start needs beyond the buffer at least
+ERROR_LIMIT = 0.001  # [m] largest final error of a completed path
+CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a safe path
+CLEAR = 0.02  # [m] default distance of the start beyond the buffer
+MORE_THAN_BUFFER = 0.005  # [m] smallest distance of a start beyond the buffer
 _RANGES = {
     "heights": (0.02, 2.0, "m"),
     "speeds": (0.001, 1.0, "m/s"),
@@ -39,29 +39,29 @@ _RANGES = {
     "length": (0.01, 0.5, "m"),
     "hold": (0.0, 60.0, "s"),
 }
-_FARTHEST = 0.5  # [m] a start from the base
+_FARTHEST = 0.5  # [m] largest distance of a start from the base
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
-"""Options of `dbb sweep` that are called otherwise than the field that they set."""
+"""Options of `dbb sweep` whose names differ from their field."""
 
 
 @dataclass(frozen=True)
 class Approach:
-    """One straight path of the hand towards the base, which stands at the origin facing +x."""
+    """One straight path of the end-effector towards the base at the origin, which faces +x."""
 
     kind: Kind
     """Along a ray to the base's centre at one height, parallel to the wheel axis, or down."""
     height: float = 0.0
-    """[m] of the hand's origin; for paths from above nothing."""
+    """[m] height of the end-effector's origin; None for paths from above."""
     direction_deg: float = 0.0
-    """[deg] where the hand comes from, counter-clockwise from the front."""
+    """[deg] direction of the start, counter-clockwise from the front."""
     offset: float = 0.0
-    """[m] x of the closest point p_b at the begin, on the paths along the wheel axis."""
+    """[m] initial x of the closest point p_b, on the paths along the wheel axis."""
     place: tuple[float, float] = (0.0, 0.0)
-    """[m] x and y of the hand's origin, on the paths from above."""
+    """[m] x and y of the end-effector's origin, on the paths from above."""
 
     @property
     def inwards(self) -> Array:
-        """(3,) unit vector along which the hand is led."""
+        """(3,) unit vector of the end-effector's motion."""
         if self.kind == "above":
             return np.array([0.0, 0.0, -1.0])
         if self.kind == "wheel_axis":
@@ -80,7 +80,7 @@ class Approach:
         return text
 
     def where(self) -> dict[str, object]:
-        """What tells it from others of its kind; keys end in their unit."""
+        """The values that distinguish it from others of its kind; keys end in their unit."""
         if self.kind == "above":
             return {"place_x_m": self.place[0], "place_y_m": self.place[1]}
         found: dict[str, object] = {"height_m": self.height, "direction_deg": self.direction_deg}
@@ -88,20 +88,20 @@ class Approach:
 
 
 def point_of(p: Array) -> Point:
-    """A vector (3,) as records have it."""
+    """A vector (3,) in the form of records."""
     x, y, z = p.tolist()
     return x, y, z
 
 
 def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
-    """Paths from all around, every `step` [deg], at each height [m]."""
+    """Paths from all directions, every `step` [deg], at each height [m]."""
     for height in heights:
         for k in range(round(360.0 / step)):
             yield Approach("side", height, k * step)
 
 
 def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
-    """Paths along the wheel axis and beside it, from the left and from the right."""
+    """Paths along the wheel axis and next to it, from the left and from the right."""
     for height in heights:
         for direction in (90.0, 270.0):
             for offset in AXIS_OFFSETS:
@@ -111,8 +111,7 @@ def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
     """Paths down onto the base, over a grid on its footprint that includes its rim.
 
-    `lower` and `upper` (2,) [m] are its corners; two places of the grid are at most `spacing` [m]
-    apart.
+    `lower` and `upper` (2,) [m] are its corners; the spacing of the grid is at most `spacing` [m].
     """
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower[:2], upper[:2], counts, strict=True))
@@ -122,7 +121,7 @@ def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]
 
 
 def way_out(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] from a point within a box, (2,) or (3,), along a direction to where the ray leaves it."""
+    """[m] from a point in a box, (2,) or (3,), along a direction to the surface of the box."""
     with np.errstate(divide="ignore", over="ignore"):
         ways = np.where(direction > 0.0, upper - p, lower - p) / direction
     return float(np.min(np.where(direction == 0.0, np.inf, ways)))
@@ -130,41 +129,41 @@ def way_out(p: Array, direction: Array, lower: Array, upper: Array) -> float:
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep and how they are led."""
+    """The paths of a sweep and their execution."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists them."""
     controllers: tuple[str, ...] = ("dbb",)
-    """One or several of dbb, hqp, repulsive, barrier and none, with blanks or commas."""
+    """One or several of dbb, hqp, repulsive, barrier and none, separated by blanks or commas."""
     heights: tuple[float, ...] = (0.3,)
-    """[m] of the hand on the paths from the side, one or several."""
+    """[m] height of the end-effector on the paths from the side, one or several."""
     speeds: tuple[float, ...] = (0.025,)
-    """[m/s] mean speed of the hand on its way, one or several."""
+    """[m/s] mean speed of the end-effector, one or several."""
     step: float = 5.0
     """[deg] between two directions."""
     mode: Mode = "tracking"
-    """tracking with the orientation held, or guiding, where a person pulls the hand."""
+    """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
     wheel_axis: bool = True
     """Paths along the wheel axis too."""
     above: bool = False
     """Paths down onto the base too, over a grid of places."""
     above_spacing: float = 0.15
-    """[m] at most, between two of these places."""
+    """[m] largest spacing of these places."""
     length: float = 0.2
-    """[m] of each path."""
+    """[m] length of each path."""
     hold: float = 3.0
-    """[s] how long the hand is held at the end."""
+    """[s] duration of the hold at the end."""
     start_distance: float | None = None
-    """[m] between arm and base at the start; by default 0.02 beyond the buffer."""
+    """[m] distance between arm and base at the start; default: 0.02 beyond the buffer."""
     physics: str = field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
     config: Config = field(default_factory=Config)
     """Parameters."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done, in the words of the options.
+        """Refuse impossible values, in the words of the options.
 
         Raises:
             ConfigError: A number out of its range.
@@ -180,7 +179,7 @@ class SweepPlan:
                 check_range(option, value, *bounds)
         for name in OPTIONS:
             if not getattr(self, name):
-                raise ConfigError(f"--{OPTIONS[name]}: give one or several")
+                raise ConfigError(f"--{OPTIONS[name]}: needs one or several values")
         if self.start_distance is not None:
             least = self.config.border.d_b + MORE_THAN_BUFFER
             check_range("--start-distance", self.start_distance, least, _FARTHEST, "m")
@@ -196,7 +195,7 @@ class SweepPlan:
 
     def approaches(self, model: RobotModel) -> list[Approach]:
         """All paths, each once for all speeds and controllers."""
-        # Imported here, so that a plan is checked at once.
+        # Imported here, so that a plan is checked before slow imports.
         from app.border.mobile import MobileBody
 
         found = list(ring(self.heights, self.step))
@@ -213,42 +212,42 @@ class SweepPlan:
             for speed in self.speeds:
                 yield from (Trial(start, controller, speed) for start in starts if not start.reason)
 
-    def planned(self, trial: Trial) -> Planned:
+    def spec(self, trial: Trial) -> RunSpec:
         """The run of one trial."""
         start, moving = trial.start, self.length / trial.speed
         line = StartedLine(
             start.approach.name,
             moving + self.hold,
-            "the hand is led towards the base",
+            "the end-effector moves towards the base",
             self.mode,
             start.p_ee,
             point_of(self.length * start.approach.inwards),
             moving / (moving + self.hold),
             start.q_m,
         )
-        return Planned(self.robot, line, self.config, trial.controller, self.physics, self.seed)
+        return RunSpec(self.robot, line, self.config, trial.controller, self.physics, self.seed)
 
 
 class Start(NamedTuple):
-    """Where a path begins, or why it cannot."""
+    """The start of a path, or the reason why there is none."""
 
     approach: Approach
     q_m: tuple[float, ...] = ()
-    """(n_m,) the arm's joints [rad or m], empty where there is no clear start."""
+    """(n_m,) joint positions [rad or m] of the arm, empty without a clear start."""
     p_ee: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] the hand's origin."""
+    """(3,) [m] the end-effector's origin."""
     p_b: Point = (0.0, 0.0, 0.0)
     """(3,) [m] closest point to the base on the arm."""
     clearance: float = 0.0
-    """[m] its distance to the base."""
+    """[m] distance of that point to the base."""
     reason: str = ""
-    """Why there is no clear start, or an empty string."""
+    """The reason why there is no clear start, or an empty string."""
 
 
 class Trial(NamedTuple):
-    """One run: a start, and with what it is done."""
+    """One run: a start with its speed and controller."""
 
     start: Start
     controller: str
     speed: float
-    """[m/s] mean speed of the hand on its way."""
+    """[m/s] mean speed of the end-effector."""

@@ -1,4 +1,4 @@
-"""Hand paths towards the base, from everywhere, with each controller.
+"""Paths of the end-effector towards the base, from all directions, with each controller.
 
 Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
@@ -17,7 +17,7 @@ from app.jobs.pool import Workers
 from app.jobs.progress import OnProgress, part_of
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.run import run_planned
+from app.simulation.run import run_from_spec
 from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
@@ -33,9 +33,9 @@ from app.studies.sweep.plan import (
 from app.studies.sweep.starts import StartFinder
 from app.system import write_whole
 
-START_SHARE = 0.25  # [-] of the work that the search for starts is counted as
+START_SHARE = 0.25  # [-] share of the search for starts in the progress
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
-"""Under which key of the JSON the paths of a kind stand."""
+"""The key of the JSON for the paths of each kind."""
 _KEPT = (
     "ee_error_final_m",
     "ee_error_max_m",
@@ -61,30 +61,30 @@ _FIRST = (
     "place_y_m",
     "passed",
 )
-"""Columns of `sweep.csv` that come first."""
+"""First columns of `sweep.csv`."""
 
 
 @lru_cache(maxsize=1)
 def load(robot: str, d_b: float) -> StartFinder:
-    """A robot with what finds its starts; a process keeps the last. `d_b` [m]: buffer distance."""
+    """A robot's finder of starts, cached per process. `d_b` [m]: buffer distance."""
     model = RobotModel(load_robot(robot))
     data = load_border_data(model, progress=False)
     return StartFinder(model, data, d_b)
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
-    """Lead the hand along all paths of a plan.
+    """Run all paths of a plan.
 
-    Starts are searched once for all controllers and speeds. The result does not depend on the
-    number of processes, but for its times. `on_progress` is called now and then with the share of
-    the work that is done, 0 to 1.
+    Starts are searched once for all controllers and speeds. The result, except for its times, does
+    not depend on the number of processes. `on_progress` takes the share of the work that is done,
+    0 to 1.
 
     Returns:
-        What `sweep.json` holds; keys end in their unit.
+        The content of `sweep.json`; keys end in their unit.
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
-    # Paths along the wheel axis begin with the same search for a posture.
+    # Paths along the wheel axis start with the same search for a posture.
     same = attrgetter("kind", "height", "direction_deg", "place")
     approaches = plan.approaches(make_context().model)
     groups = [tuple(group) for _, group in groupby(approaches, same)]
@@ -129,9 +129,9 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
 
 
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
-    planned, start = plan.planned(trial), trial.start
-    run, scenario = thinned(run_planned(planned, finder.model, finder.data)), planned.scenario
-    off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
+    spec, start = plan.spec(trial), trial.start
+    run, scenario = thinned(run_from_spec(spec, finder.model, finder.data)), spec.scenario
+    off = np.linalg.norm(run.trace.of("p_ee") - scenario.place(scenario.duration), axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
     found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True))
@@ -143,16 +143,16 @@ def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
 
 
 def arrival(t: Array, off: Array) -> float | None:
-    """[s] from when on the hand stays within 1 mm of its target; None if it does not.
+    """[s] time from which the end-effector stays within 1 mm of its target; None if never.
 
-    It is `off` (N,) [m] its target at the times t (N,) [s].
+    `off` (N,) [m] is its distance from the target at the times t (N,) [s].
     """
     arrived = np.append(0, np.flatnonzero(off > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
 
 
 def passes(figures: Row, error_limit: float = ERROR_LIMIT) -> bool:
-    """Whether the hand arrived within a limit [m], and nothing touched or came too near."""
+    """Whether the end-effector arrived within a limit [m] without contact or small distances."""
     clearance = figures["min_clearance_m"]
     flaws = (figures[key] for key in ("contacts", "arm_contacts", "solver_failures"))
     arrived = figures["ee_error_final_m"] <= error_limit
@@ -160,7 +160,7 @@ def passes(figures: Row, error_limit: float = ERROR_LIMIT) -> bool:
 
 
 def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
-    """For each controller and each kind of path, the worst of it and how many could not begin."""
+    """The worst values, and the number of unreachable starts, by controller and kind of path."""
     begun = {kind: [start for start in starts if start.approach.kind == kind] for kind in KINDS}
     return {
         controller: {
@@ -203,8 +203,8 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
 
 
 def write_sweep(result: Row, out: Path) -> list[str]:
-    """Write what a sweep gave into an existing folder; returns the names of the files."""
-    # Imported here: matplotlib would make the dashboard start later.
+    """Write the result of a sweep into an existing folder; returns the names of the files."""
+    # Imported here: matplotlib would delay the start of the dashboard.
     from app.studies.style import png_of, styled
     from app.studies.sweep.maps import above_map, polar_map
 

@@ -35,7 +35,7 @@ class Roboplan:
         self._scene.setJointPositions(self._q)
         oink = self._oink = Oink(self._scene)
         hand = CartesianConfiguration("", plan["hand"], np.asfortranarray(np.eye(4)))
-        weight = plan["hand_cost"] ** 2  # what it calls a cost is the square of the others'
+        weight = plan["hand_cost"] ** 2  # its cost is the square of the others'
         self._hand = FrameTask(oink, self._scene, hand, FrameTaskOptions(weight, weight))
         weights = np.full(len(joints), plan["arm_cost"] ** 2)
         weights[:2] = base_cost**2

@@ -64,7 +64,7 @@ def main(make: Callable[[Plan, Array, float], Follower], *packages: str) -> None
                 q = follower.step(target)
                 times[done] = perf_counter() - begin
                 qs[done + 1] = q
-        except Exception as error:  # whatever a library raises is what its row has to say
+        except Exception as error:  # the row reports any exception of a library
             text = f"at {done * plan['dt_s']:.2f} s: {type(error).__name__}: {error}"
             (out / f"{run['name']}.error").write_text(" ".join(text.split()), encoding="utf-8")
             continue

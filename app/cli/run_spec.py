@@ -1,4 +1,4 @@
-"""A run that is asked for, by a scenario's name or by a case: whole, or up to some times."""
+"""The run of a scenario's name or of a case's file: whole, or up to some times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.cli.records import Given
 from app.config import Config
 from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
-from app.simulation.case import Planned, RunCase, read_case
+from app.simulation.case import RunCase, RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 
@@ -27,49 +27,49 @@ if TYPE_CHECKING:
 _CASE = ".json"
 
 
-def wanted(word: str, setup: Given, config: Path | None) -> Planned:
+def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
     """The run of a scenario by its name, or of a case by its file.
 
     Raises:
-        DbbError: There is no such scenario or case, or the case has already what is given.
+        DbbError: The scenario or case does not exist, or the case already sets an option.
     """
-    # Imported here: it takes longer than to find a mistake in what was asked.
+    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
 
     if not is_case(word):
         chosen = Setup(**setup)
         tuned = configured(chosen.robot, config)
-        return planned(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
+        return spec_with(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
     own = {name: setup.get(name) for name in ("robot", "seed")}
     check_no_others({**own, "config": config}, word)
-    return of_case(read(Path(word)), setup)
+    return spec_of_case(read(Path(word)), setup)
 
 
-def planned(setup: Setup, scenario: Scenario, config: Config) -> Planned:
-    """The run of a scenario by what `Setup` says."""
-    return Planned(scenario=scenario, config=config, **asdict(setup))
+def spec_with(setup: Setup, scenario: Scenario, config: Config) -> RunSpec:
+    """The run of a scenario with the options of `Setup`."""
+    return RunSpec(scenario=scenario, config=config, **asdict(setup))
 
 
-def of_case(case: RunCase, setup: Given) -> Planned:
-    """The run of a case, with another controller or plant if they are given."""
+def spec_of_case(case: RunCase, setup: Given) -> RunSpec:
+    """The run of a case, with another controller or plant if the user set one."""
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
-    return planned(Setup(**(own | setup)), case.scenario(), case.config())
+    return spec_with(Setup(**(own | setup)), case.scenario(), case.config())
 
 
-def result_of(run: Planned, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-    """All of a run, under a bar of progress; see `run_planned`."""
-    # Imported here: what is asked for is checked before anything is loaded.
-    from app.simulation.run import run_planned
+def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
+    """A complete run with a progress bar; see `run_from_spec`."""
+    # Imported here: the options are checked before anything is loaded.
+    from app.simulation.run import run_from_spec
 
     duration = run.scenario.duration
     with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
-        return run_planned(run, model, data, on_progress=on_progress, drawn=drawn)
+        return run_from_spec(run, model, data, on_progress=on_progress, drawn=drawn)
 
 
 def filmed(
-    run: Planned, model: RobotModel, data: BorderData, times: Sequence[float]
+    run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Snapshots of a run up to the last of some times [s]."""
+    """Snapshots of a run up to the last of the given times [s]."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
@@ -80,7 +80,7 @@ def is_case(word: str) -> bool:
     """Whether a word is the file of a case rather than the name of a scenario.
 
     Raises:
-        UnknownNameError: It is neither.
+        UnknownNameError: The word is neither.
     """
     if not word.lower().endswith(_CASE):
         check_name("scenario", word, SCENARIOS)
@@ -89,10 +89,10 @@ def is_case(word: str) -> bool:
 
 
 def read(path: Path) -> RunCase:
-    """The case of a file; what differs since it was written is said.
+    """The case of a file; prints all differences since it was written.
 
     Raises:
-        DbbError: It is none.
+        DbbError: The file is not a case.
     """
     case = read_case(path)
     for difference in case.differences():
@@ -101,26 +101,26 @@ def read(path: Path) -> RunCase:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Refuse options that a replayed case already answers; None was not given.
+    """Refuse options that a repeated case already sets; None means not set.
 
     Raises:
-        ConfigError: Names the first that was.
+        ConfigError: Names the first such option.
     """
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):
             option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option}: {case} takes it from its file; leave one of them")
+            raise ConfigError(f"{option}: {case} takes it from its file; leave out one of them")
 
 
 def trace_of(path: Path) -> Trace:
-    """The run of a log, or of a case, which is run for it.
+    """The trace of a log, or of a case after a new run.
 
     Raises:
-        DbbError: It is neither.
+        DbbError: The file is neither.
     """
     from app.simulation.trace.log_file import read_trace
 
     if path.suffix.lower() != _CASE:
         return read_trace(path)
-    run = of_case(read(path), {})
+    run = spec_of_case(read(path), {})
     return result_of(run, *load_robot_and_border(run.robot), drawn=True).trace
