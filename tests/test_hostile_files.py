@@ -241,7 +241,7 @@ def expanding(path: Path, rows: int) -> Path:
 def equal(path: Path) -> Path:
     """A file that a process reads itself for its size, of 400 MB in memory."""
     table = pa.table({"t_s": pa.array(np.zeros(5 * 10**6))})
-    with pq.ParquetWriter(path, table.schema, compression="zstd") as writer:
+    with pq.ParquetWriter(path, table.schema, max_rows_per_page=10**8) as writer:
         for _ in range(10):
             writer.write_table(table)
     assert path.stat().st_size < SMALL
