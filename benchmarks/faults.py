@@ -96,6 +96,7 @@ class Left(NamedTuple):
 
 def main(
     tries: int = 20,
+    seconds: float = float("inf"),
     seed: int = 0,
     only: tuple[str, ...] = (),
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
@@ -103,7 +104,8 @@ def main(
     """Let faults befall commands; status 1 if anything was left or lost.
 
     Args:
-        tries: How many.
+        tries: How many at most.
+        seconds: [s] after which no further one begins.
         seed: Of command, fault, process and instant.
         only: Commands: serve, sweep, study, reproduce, new-robot, film, hang; all if not given.
         json: Print one JSON object.
@@ -112,13 +114,15 @@ def main(
     # Who is started in the background ignores these two, and would pass that on.
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
-    names = only or tuple(_COMMANDS)
+    names, end = only or tuple(_COMMANDS), time.monotonic() + seconds
     tally: dict[str, Counter[str]] = {name: Counter() for name in names}
     findings = []
     with tempfile.TemporaryDirectory(prefix="dbb-faults-") as folder:
         whole = _studied(Path(folder) / "whole") if "study" in names else {}
         with progress_bar("faults", tries) as on_progress:
             for k in range(tries):
+                if time.monotonic() > end:
+                    break
                 name = names[k % len(names)]
                 row = _try(name, Path(folder) / str(k), rng, whole)
                 tally[name].update(

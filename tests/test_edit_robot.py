@@ -100,7 +100,7 @@ def test_what_was_there_before_is_read_within_its_budget(
     source = tmp_path / "before"
     source.mkdir()
     text = (robot_folder("husky_panda") / "robot.toml").read_text()
-    (source / "robot.toml").write_text(text + "# nothing\n" * 2000)
+    (source / "robot.toml").write_text(text + "# nothing\n" * 20_000)
     monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(1.0, 1000))
     with pytest.raises(DescriptionError, match=f"{source}.*takes more than"):
         save_by_hand(source, tmp_path / "mine", CHANGES)

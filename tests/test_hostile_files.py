@@ -242,9 +242,9 @@ def expanding(path: Path, rows: int) -> Path:
 
 def equal(path: Path) -> Path:
     """A file that a process reads itself for its size, of 400 MB in memory."""
-    table = pa.table({"t_s": pa.array(np.zeros(10**6))})
-    with pq.ParquetWriter(path, table.schema, compression="zstd") as writer:
-        for _ in range(50):
+    table = pa.table({"t_s": pa.array(np.zeros(5 * 10**6))})
+    with pq.ParquetWriter(path, table.schema, max_rows_per_page=10**8) as writer:
+        for _ in range(10):
             writer.write_table(table)
     assert path.stat().st_size < SMALL
     return path
@@ -267,7 +267,7 @@ EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 def test_rows_that_are_not_drawn_count_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(log_file, "_CELL", 0)
+    monkeypatch.setattr(log_file, "_CELL", 1e-9)
     write_trace(tmp_path / "a.csv", trace_of(random_snapshots(2, 3)))
     read = read_arrow(tmp_path / "a.csv")
     log_file._trace(*read, Budget(1.0, 10_000))
@@ -295,11 +295,11 @@ def test_toml_and_json_are_shorter_than_other_files(read):
 
 def test_a_shape_takes_a_mesh_within_its_budget(tmp_path, monkeypatch):
     mesh = tmp_path / "a.stl"
-    trimesh.creation.icosphere(4).export(mesh)
+    trimesh.creation.icosphere(6).export(mesh)
     monkeypatch.setattr("app.robot.shapes.resolve_package_uri", lambda _: mesh)
     shape = ConvexMesh(type="convex_mesh", file="package://a/a.stl", scale=(1.0, 1.0, 2.0))
     assert shape.hull().extents == pytest.approx([2.0, 2.0, 4.0])
-    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(1.0, 1000))
+    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(1.0, 10**7))
     with pytest.raises(AssetError, match=f"package://a/a.stl: .*{BUDGET}"):
         shape.hull()
 

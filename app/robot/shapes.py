@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import coal
@@ -124,9 +123,13 @@ class ConvexMesh(_Placed):
         Raises:
             AssetError: The file is not there, or takes more than its budget to read.
         """
+        # Imported here: only this shape needs trimesh, which takes longer to import than all else.
+        with extras_named():
+            from app.robot.mesh_file import mesh_points
+
         path = resolve_package_uri(self.file)
         try:
-            points = within_budget(_mesh_points, path, size=path.stat().st_size)
+            points = within_budget(mesh_points, path, size=path.stat().st_size)
         except BudgetError as error:
             raise AssetError(f"{self.file}: {error}") from None
         return hull_mesh(points * self.scale)
@@ -168,17 +171,6 @@ class Superquadric(_Placed):
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(self.vertices())
-
-
-def _mesh_points(path: Path) -> Array:
-    """(N, 3) the vertices of a mesh file, in its unit."""
-    # Imported here: only this shape needs trimesh, which takes longer to import than all else.
-    with extras_named():
-        import trimesh
-
-    loaded = trimesh.load(path, force="mesh")
-    assert isinstance(loaded, trimesh.Trimesh)
-    return np.array(loaded.vertices)
 
 
 def hull_mesh(points: Array) -> trimesh.Trimesh:
