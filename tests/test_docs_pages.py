@@ -87,9 +87,9 @@ def test_a_block_that_nothing_makes_is_refused() -> None:
 
 
 def test_what_stands_in_a_block_is_replaced_and_nothing_else() -> None:
-    text = "before\n\n<!-- generated: rooms -->\nold\n<!-- end -->\n\nafter\n"
+    text = "before\n\n<!-- generated: rooms -->\n<stale>\n<!-- end -->\n\nafter\n"
     made = pages.generated(text)
     assert made.startswith("before\n\n<!-- generated: rooms -->\n| room |")
     assert made.endswith("|\n<!-- end -->\n\nafter\n")
-    assert "old" not in made
+    assert "<stale>" not in made
     assert pages.generated(made) == made
