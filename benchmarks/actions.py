@@ -54,8 +54,8 @@ _CONTROLS = """() => [...document.querySelectorAll(
     e.matches('input') && !e.readOnly && e.type !== 'checkbox',
     b.left + b.width * 0.5, b.top + b.height * 0.5])"""
 _PAUSES = "() => document.querySelector('#dbb-row button')?.innerText"
-"""What the button says that has the simulation pause, or continue."""
-_PRESS = "() => document.querySelector('#dbb-row button').click()"  # whatever lies over it
+"""Text of the button that pauses or continues the simulation."""
+_PRESS = "() => document.querySelector('#dbb-row button').click()"  # also under an overlay
 _AT = "([n, p]) => dbbTest.place(n, p)"
 
 
@@ -77,7 +77,7 @@ class Actions:
 
 @dataclass
 class _Server:
-    """`dbb serve` in a process of its own, and what it writes."""
+    """`dbb serve` in a process of its own, and its output."""
 
     lines: list[str] = field(default_factory=list)
 
@@ -110,7 +110,7 @@ class _Server:
 
 
 class _Run:
-    """The pages, what is done in them, and what came of it."""
+    """The pages, the actions in them, and the results."""
 
     def __init__(self, browser: Any, server: _Server, args: Actions) -> None:
         self._server, self._args, self._random = server, args, random.Random(args.seed)
@@ -235,7 +235,7 @@ class _Run:
         self._robot, self._hand = name, (node_of(poses.model, last), found.actInv(p_ee))
 
     def _calm(self, tab: DashboardTab) -> None:
-        """Let go of everything, close what lies over the page, and go to the present."""
+        """Release everything, close all overlays, and go to the present."""
         for _ in range(3):
             tab.page.keyboard.press("Escape")
         tab.page.evaluate("() => document.activeElement?.blur()")
@@ -262,7 +262,7 @@ class _Run:
     def _press(self, name: str) -> bool:
         """Press this button until it has gone; whether it was not there at first."""
         page, deadline = self._tabs[0].page, time.monotonic() + PATIENCE
-        page.wait_for_timeout(1000)  # what was done last has come
+        page.wait_for_timeout(1000)  # the last action has arrived
         absent = page.evaluate(_PAUSES) != name
         while page.evaluate(_PAUSES) == name and time.monotonic() < deadline:
             page.evaluate(_PRESS)
@@ -285,7 +285,7 @@ class _Run:
 
 
 def main(args: Actions) -> None:
-    """Use the pages and print what came of it."""
+    """Use the pages and print the results."""
     server = _Server()
     try:
         with chromium() as browser:

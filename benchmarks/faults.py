@@ -104,7 +104,7 @@ def main(
     """Let faults befall commands; status 1 if anything was left or lost.
 
     Args:
-        tries: How many at most.
+        tries: Largest number of tries.
         seconds: [s] after which no further one begins.
         seed: Of command, fault, process and instant.
         only: Commands: serve, sweep, study, reproduce, new-robot, film, hang; all if not given.
