@@ -233,7 +233,7 @@ def test_a_hand_that_its_body_does_not_hold_fails(
     row = arm_row(written(made, bodies=bodies))
     assert row.outcome == "failed"
     assert row.numbers["missed"] > 0
-    assert "does not hold the links with which it meets" in row.text
+    assert "does not enclose its colliding links" in row.text
 
 
 def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
@@ -348,7 +348,7 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
     request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
     with (
         few_samples(tmp_path),
-        pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
+        pytest.raises(RobotFileError, match="l1-lEE do not enclose .*--bodies than"),
     ):
         new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("too late"), ALONE)
 
