@@ -158,7 +158,7 @@ def test_a_damaged_file_is_sampled_anew_with_one_line_of_warning(folder, damage,
 def test_a_cache_that_cannot_be_written_is_only_a_warning(folder, caplog):
     (folder / "cache").write_text("a file where the folder should be")
     assert load().origin == "sampled"
-    assert "cannot be kept" in caplog.text
+    assert "cannot be stored" in caplog.text
     assert (folder / "cache").is_file()
 
 

@@ -140,7 +140,7 @@ def test_every_voxel_lies_in_one_sector_and_no_seam_on_the_wheels_axis():
 
 
 def test_a_base_too_large_to_be_kept_is_refused():
-    with pytest.raises(DescriptionError, match="further than"):
+    with pytest.raises(DescriptionError, match="extends more than"):
         Voxels(np.full(3, -4.0), np.full(3, 4.0), reach=0.32, size=np.full(3, 0.01), sectors=1)
 
 

@@ -75,7 +75,7 @@ def sweep(
     out: Path = Path("out/sweep"),
     json: options.Json = False,
 ) -> None:
-    """Move the end-effector towards the base from all sides, and draw a polar map.
+    """Guide the end-effector to the base from all sides; draw a map.
 
     Each path starts in a clear posture with the same distance between arm and base, and leads
     straight towards the base's centre. Directions without such a posture are listed as unreachable.
@@ -146,7 +146,7 @@ def study(
     out: Path = Path("out/study"),
     json: options.Json = False,
 ) -> None:
-    """Pull the end-effector towards the base in thousands of random cases.
+    """Pull the end-effector towards the base in many random cases.
 
     The pulls come from all sides, with noise, delay, slip and a wrong model. Hands are weak or
     strong, soft or stiff, light or heavy; some release the end-effector on the way, and some of

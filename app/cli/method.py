@@ -257,7 +257,7 @@ def bench(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Time the control step along recorded paths of the end-effector, stage by stage.
+    """Time the control step along recorded end-effector paths.
 
     Durations depend on the machine and its other work; compare only ratios within one run.
 

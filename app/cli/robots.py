@@ -33,7 +33,7 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 
 
 def robots(json: Json = False) -> None:
-    """List the described robots, and the error of each invalid description."""
+    """List the described robots and the errors of invalid ones."""
     # Imported here, because it needs the readers of descriptions.
     from app.robot.assets import absent_folders, robot_names
     from app.robot.description import load_robot

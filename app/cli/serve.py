@@ -58,7 +58,7 @@ def serve(
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
 ) -> None:
-    """Serve the dashboard: drag the end-effector, and the base moves away."""
+    """Serve the dashboard: drag the end-effector, the base gives way."""
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
     case = None
