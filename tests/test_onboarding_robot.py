@@ -348,7 +348,7 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
     request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
     with (
         few_samples(tmp_path),
-        pytest.raises(RobotFileError, match="l1-lEE do not enclose .*--bodies than"),
+        pytest.raises(RobotFileError, match=r"l1-lEE do not enclose .*--bodies than"),
     ):
         new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("too late"), ALONE)
 
