@@ -267,7 +267,9 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     tab.choose("Second robot", "off")
     wait_for(lambda: served.loop.commands[-1] == Compare(("none",), "path"))
     tab.render(3)
-    assert tab.row("Third robot").locator("input").first.input_value() == "none", "it stays"
+    assert (
+        tab.row("Third robot").locator("input").first.input_value() == "none: without avoidance"
+    ), "it stays"
     served.loop.send(Compare())
     tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
     assert tab.page.get_by_text("No comparison is running.").is_visible()

@@ -119,7 +119,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
         ("--out x.mp4 --beside nobody", "unknown controller of --beside 'nobody'"),
         ("--out x.mp4 --side-by-side", "--side-by-side needs --beside CONTROLLER"),
         ("--out x.mp4 --rate 0", "--rate: 0 1/s is not within 1 to 60 1/s"),
-        ("--out x.mp4 --span 3 2", "--span: the begin: 3 s is not within 0 to 2 s"),
+        ("--out x.mp4 --span 3 2", "--span: the start: 3 s is not within 0 to 2 s"),
         ("--out x.mp4 --span 0 99", "--span: 99 s is not within 0 to 8 s"),
     ],
 )

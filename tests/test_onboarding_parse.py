@@ -226,9 +226,9 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
 @pytest.mark.parametrize(
     ("old", "new", "why"),
     [
-        ("</robot>", "<xacro:arm/></robot>", "<xacro:arm> is xacro that nobody expanded; rename"),
-        ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is xacro that nobody expanded"),
-        (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is xacro"),
+        ("</robot>", "<xacro:arm/></robot>", "<xacro:arm> is unexpanded xacro; rename"),
+        ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is unexpanded xacro"),
+        (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is unexpanded xacro"),
         (BOX, '<mesh filename="m.glb"/>', "m.glb: there is no file"),
         (BOX, "<mesh/>", "link 'hand': a mesh has no filename; name its file, or take"),
         (f"<geometry>{BOX}</geometry>", "", "'hand': a collision has no geometry; give it one"),
@@ -530,7 +530,7 @@ def test_what_a_library_raises_becomes_one_line(
 
     monkeypatch.setattr(new_robot, "make_units", broken)
     told = refused(tmp_path, TOY)
-    assert "random poses: a library cannot take this robot" in told
+    assert "a library cannot read this robot" in told
     assert "ValueError: Several frames match the filter" in told
 
 

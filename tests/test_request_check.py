@@ -33,8 +33,8 @@ def test_what_does_not_go_together_is_refused() -> None:
     for words, fields in (
         ("--wheels: a holonomic base", {"kind": "holonomic", "wheels": ("l", "r")}),
         ("--wheel-radius: needs --half-track", {"wheel_radius": 0.1}),
-        ("--mount-xyz: is for an arm of a file of its own", {"mount_xyz": (0.1, 0.0, 0.0)}),
-        ("--mount-rpy: is for an arm of a file of its own", {"mount_rpy": (0.0, 0.0, 0.1)}),
+        ("--mount-xyz: is for an arm in its own file", {"mount_xyz": (0.1, 0.0, 0.0)}),
+        ("--mount-rpy: is for an arm in its own file", {"mount_rpy": (0.0, 0.0, 0.1)}),
         ("and no --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
     ):
         with pytest.raises(ConfigError, match=words):

@@ -346,5 +346,5 @@ def test_a_check_fails_on_any_collision_that_no_watched_pair_sees_and_says_what_
     monkeypatch.setattr(check, "_geometry", lambda _: {})
     row = check.arm_row(husky_panda())
     assert row.outcome == outcome
-    assert "a rule leaves 287 poses out" in row.text
+    assert "a rule excludes 287 poses" in row.text
     assert "link5 and hand (7.2%)" in row.text

@@ -146,7 +146,7 @@ class _Stands:
         ("guiding-front", {"release_at": float("nan")}, "--release-at: nan s"),
         ("guiding-front", {"release_at": 2.0, "regrasp_at": 1.0}, "--regrasp-at: 1 s .* 2 to 8 s"),
         ("guiding-front", {"regrasp_at": 1.0}, "--release-at: None s"),
-        ("tracking", {"release_at": 1.0}, "--release-at: nobody holds the hand in tracking"),
+        ("tracking", {"release_at": 1.0}, "--release-at: no person pulls in tracking"),
         ("way-out", {"release_at": 1.0}, "--release-at: the scenario way-out has none"),
         ("refrigerator", {"release_at": 1.0}, "--release-at: the scenario refrigerator has none"),
     ],

@@ -259,10 +259,10 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     assert (inside.hand_mass, inside.slip) == ((1.0, 1.0), (0.1, 0.1))
     assert (inside.hand_f_max, inside.height) == ((30.0, 50.0), RANGES.height)
     elsewhere = envelope.model_copy(update={"v_max": (1.2, 1.5)})
-    with pytest.raises(StudyError, match=r"--v-max: nothing is stated from 0\.25 to 1, only"):
+    with pytest.raises(StudyError, match=r"--v-max: no statement from 0\.25 to 1, only"):
         elsewhere.narrowed(RANGES)
     empty = envelope.model_copy(update={"force": 0.0})
-    with pytest.raises(StudyError, match="--hand-f-max: nothing is stated from 30 to 100, only"):
+    with pytest.raises(StudyError, match="--hand-f-max: no statement from 30 to 100, only"):
         empty.narrowed(RANGES)
 
 

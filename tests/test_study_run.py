@@ -254,7 +254,7 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (130, "")
     kept, last = err.splitlines()[-2:]
-    assert "of 500 cases are kept in" in kept
+    assert "of 500 cases are stored in" in kept
     assert last == "dbb: interrupted"
     assert "Traceback" not in err
     assert psutil.wait_procs(workers, timeout=30)[1] == []

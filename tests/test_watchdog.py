@@ -65,6 +65,7 @@ def test_a_viewer_who_pulls_holds_although_his_browser_is_too_busy_to_answer(ser
 @pytest.mark.parametrize("why", ["reads nothing", "is sent nothing"])
 def test_a_connection_that_delivers_nothing_is_closed_and_counted(served, why, monkeypatch, caplog):
     monkeypatch.setattr(viser_compat, "STUCK", 6)
+    monkeypatch.setattr(viser_compat._Knocks, "_said", {})
     with RawClient(served.server.address) as raw, RawClient(served.server.address) as other:
         wait_for(lambda: len(served.server.pages) == 2, what="two pages")
         number = min(served.server.pages)
