@@ -153,7 +153,7 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
         tab.page.get_by_text("did you mean 'guiding-front'").wait_for()
         assert ["400" in error for error in tab.errors] == [True]
         tab.errors.clear()
-        tab.page.get_by_role("link", name="?fixedDpr=0.5&border.d_b=0.1", exact=True).wait_for()
+        tab.page.get_by_role("link", name="fixedDpr=0.5&border.d_b=0.1", exact=True).wait_for()
         assert [type(c).__name__ for c in served.loop.commands[count:]] == []
         tab.page.goto(f"{served.server.address}/?fixedDpr=0.5")
         tab.wait_for_scene()

@@ -167,7 +167,7 @@ def test_every_figure_of_merit_is_that_of_the_raw_file(robot: RobotModel, taken,
     again["joint_speed_share_max"] = max(speeds)
     for key, value in again.items():
         assert figures[key] == pytest.approx(value, abs=1e-9), key
-    assert set(figures) - set(again) == {"stuck", "left_way", "step_p99_us"}
+    assert set(figures) - set(again) == {"stuck", "left_way", "fault_s", "step_p99_us"}
     assert figures["contacts"] == figures["arm_contacts"] == 2
     assert figures["floor_contacts"] == 3
     assert figures["base_path_m"] > figures["base_path_after_release_m"] > 0.0
