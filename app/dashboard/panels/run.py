@@ -88,10 +88,13 @@ class RunPanel(Panel):
         )
         self.button(BACK, lambda _: self.play(FREE), viser.Icon.HOME, color="gray")
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
-        chosen = self._scenario
-        self.on_update(chosen, lambda _: self.play(named(chosen.value, TITLES) or FREE))
-        chosen = self._controller
-        self.on_update(chosen, lambda _: sink.send(Choose(named(chosen.value, METHOD_TITLES))))
+        self.on_update(
+            self._scenario, lambda event: self.play(named(event.target.value, TITLES) or FREE)
+        )
+        self.on_update(
+            self._controller,
+            lambda event: sink.send(Choose(named(event.target.value, METHOD_TITLES))),
+        )
 
     def play(self, scenario: str) -> None:
         """Play a scenario from its beginning, by its name, or none: `FREE`."""
