@@ -111,11 +111,13 @@ class _Lowering(NativeLowering):
     _name = "compact_lowering"
 
     def run_pass(self, state: Any) -> bool:
-        codegen = state.targetctx.codegen()
-        codegen._pass_builder = partial(_pass_builder, codegen)
+        codegen, before = state.targetctx.codegen(), config.LOOP_VECTORIZE
+        config.LOOP_VECTORIZE = codegen._loopvect = 0
+        codegen._pass_builder = partial(_pass_builder, codegen)  # numba 0.61 has none
         try:
             return super().run_pass(state)
         finally:
+            config.LOOP_VECTORIZE = codegen._loopvect = before
             del codegen._pass_builder
 
 

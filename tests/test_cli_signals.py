@@ -241,7 +241,7 @@ def test_a_study_that_is_interrupted_says_what_is_kept_and_how_it_goes_on(
         main(["study", "--cases", "9", "--out", str(tmp_path)])
     assert end.value.code == 130
     told, last = capsys.readouterr().err.splitlines()
-    assert told.startswith(f"3 of 9 cases are stored in {tmp_path}; the same command")
+    assert told.startswith(f"3 of 9 cases are stored in {tmp_path}; the same command continues")
     assert last == "dbb: interrupted"
 
 

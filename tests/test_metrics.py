@@ -41,7 +41,7 @@ def taken(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]
     put_in = {700: (1, 0, 0), 701: (1, 1, 1), 702: (0, 1, 1), 703: (0, 0, 1)}
     recorder, steps = Recorder(drawn=True), []
     for k in range(2003):
-        pull = scenario.position(session.t)[0] if k < 1551 else None
+        pull = scenario.place(session.t) if k < 1551 else None
         step = session.step(pull=pull)
         if k in put_in:
             step = step._replace(contacts=Contacts(*map(bool, put_in[k])))

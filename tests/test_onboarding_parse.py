@@ -356,7 +356,7 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
     made = tmp_path / "made"
     made.mkdir()
     (made / "mine.txt").write_text("mine")
-    with pytest.raises(DbbError, match=" exists"):
+    with pytest.raises(DbbError, match="exists; remove it"):
         finish(request(tmp_path, TOY))
     assert [p.name for p in made.iterdir()] == ["mine.txt"]
 
@@ -530,7 +530,7 @@ def test_what_a_library_raises_becomes_one_line(
 
     monkeypatch.setattr(new_robot, "make_units", broken)
     told = refused(tmp_path, TOY)
-    assert "a library cannot read this robot" in told
+    assert "random poses: a library cannot read this robot" in told
     assert "ValueError: Several frames match the filter" in told
 
 

@@ -486,7 +486,7 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
     monkeypatch.setattr(run, "run_scenario", figures)
     row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == outcome
-    assert ("by less than" in row.text) is (bare < 0.075 and near > 0.05)
+    assert ("moves away by less than" in row.text) is (bare < 0.075 and near > 0.05)
 
 
 def test_what_a_library_raises_in_a_check_is_that_rows_failure(

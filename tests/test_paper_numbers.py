@@ -110,11 +110,13 @@ def test_tracking_goes_0_2_m_along_minus_y_in_30_s_by_a_cubic() -> None:
     tracking = scenario_by_name("tracking")
     T = tracking.duration
     assert (tracking.mode, T) == ("tracking", 30.0)
-    start, v_start, _ = tracking.position(0.0)
-    end, v_end, _ = tracking.position(T)
-    np.testing.assert_allclose(end - start, [0.0, -0.2, 0.0], atol=1e-12)
-    np.testing.assert_allclose([v_start, v_end], 0.0, atol=1e-12)
-    accelerations = [tracking.position(t)[2][1] for t in np.linspace(0.01, T - 0.01, 7)]
+    start, end, *between = (
+        tracking.reference(t, np.eye(3)) for t in (0.0, T, *np.linspace(0.01, T - 0.01, 7))
+    )
+    way = end.pose.translation - start.pose.translation
+    np.testing.assert_allclose(way, [0.0, -0.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose([start.velocity, end.velocity], 0.0, atol=1e-12)
+    accelerations = [each.acceleration[1] for each in between]
     np.testing.assert_allclose(np.diff(accelerations, n=2), 0.0, atol=1e-12)  # linear in time
 
 

@@ -265,7 +265,7 @@ def test_a_run_that_raises_leaves_its_reason_and_the_others_go_on(
         assert found["step_s"].shape == (10,)
         assert (found["step_s"] > 0.0).all()
     assert json.loads((out / "about.json").read_text()) == {"numpy": np.__version__}
-    asked = [still().position((k + 1) * DT)[0] for k in range(10)]
+    asked = [still().place((k + 1) * DT) for k in range(10)]
     np.testing.assert_allclose(made[1].targets, asked)
 
 

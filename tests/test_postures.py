@@ -75,7 +75,7 @@ def test_nothing_is_searched_after_the_line_that_is_taken() -> None:
 def test_the_first_line_is_taken_on_which_the_base_gives_way() -> None:
     lines = places([0.3, -0.01, -0.03, -0.02])
     assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
-    assert "by less than" in chosen(lines, D_B, shows=lambda _: False)
+    assert "the base moves away by less than" in chosen(lines, D_B, shows=lambda _: False)
     assert chosen(lines, D_B, shows=lambda _: False, anyway=True) == lines[1]
 
 

@@ -173,7 +173,7 @@ def mirrored_run(robot: RobotModel, q_start: np.ndarray) -> tuple[dict[str, Any]
         session.reset(q_start)
         began = session.T_world_ee.translation.copy()
         for _ in range(round(scenario.duration / DT)):
-            pull = scenario.position(session.t)[0] * [1.0, -1.0, 1.0]
+            pull = scenario.place(session.t) * [1.0, -1.0, 1.0]
             recorder.add(session, session.step(pull=pull))
     finally:
         session.close()

@@ -83,10 +83,10 @@ def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
     for case in cases:
         line = line_of(case)
         times = np.linspace(0.0, line.duration, 2001)
-        speeds = [np.linalg.norm(line.position(t)[1]) for t in times]
+        speeds = [np.linalg.norm(line.reference(t, np.eye(3)).velocity[:3]) for t in times]
         assert max(speeds) == pytest.approx(case["speed_mps"], rel=1e-3)
         assert line.duration <= PARAMETERS.ranges.duration + 1e-9
-        assert line.position(line.duration)[0] == pytest.approx(np.add(line.start, line.move))
+        assert line.place(line.duration) == pytest.approx(np.add(line.start, line.move))
 
 
 def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases):

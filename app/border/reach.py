@@ -14,7 +14,7 @@ import pinocchio as pin
 from app.border.score import FLOOR, ReachFit, fit_parabola, radial_profile
 from app.errors import ConfigError, DescriptionError
 from app.robot.link_pairs import PairDistances, candidate_pairs
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, length_bound
 from app.strict import Array
 
 _TRIALS = 4  # [-] configurations for the rank of a chain
@@ -84,11 +84,8 @@ class Chain:
         """[m] upper bound of the distance between the mount and the body's point."""
         pin.forwardKinematics(self.pin, self._data, np.zeros(len(self.joints)))
         first = float(np.linalg.norm(self._data.oMi[1].translation - p_base))
-        links = [np.linalg.norm(at.translation) for at in self.pin.jointPlacements[2:]]
-        slides = np.maximum(np.abs(self.lower), np.abs(self.upper))[~self.turns]
-        return first + float(
-            sum(links) + slides.sum() + np.linalg.norm(self._placement.translation)
-        )
+        links = [*list(self.pin.jointPlacements)[2:], self._placement]
+        return first + length_bound(links, np.array([self.lower, self.upper])[:, ~self.turns])
 
     @property
     def ranges(self) -> tuple[Array, Array]:

@@ -125,10 +125,10 @@ class ControlLoop:
             MeasurementError: A reading or the reference has a wrong number of entries, or the
                 first reading is that of another pose or unit.
         """
-        if reference is None:
-            self._end_reference()
-        else:
+        if reference is not None:
             reference = self._reference(checked_reference(reference))
+        elif self.controller.last.tracking:
+            self._end_reference()
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
         if np.count_nonzero(step.faults):

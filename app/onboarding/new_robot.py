@@ -264,11 +264,13 @@ def _embodied(
 
     Of several fits it takes the one whose bodies miss the fewest collisions of links.
     """
+    tell("sampling random poses")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
     units = make_units(bare, parsed.arm, geometry)
     found: list[_Embodied] = []
     while not found or (found[-1].unseen.unseen and len(found) < _MAX_FITS):
-        tell("sampling random poses")
+        if found:
+            tell("sampling other random poses")
         meetings = sample_meetings(
             bare,
             units,

@@ -115,7 +115,7 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     if robot.unseen.left_out:
         yield (
             f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
-            f"that no buffer can monitor, neighbours or close by design:  {robot.unseen.rule}; "
+            f"that no buffer can monitor, neighbours or close by design: {robot.unseen.rule}; "
             "limit the joints between them"
         )
     for name, by_links in verdict.unwatched.items():
@@ -304,7 +304,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
         else:
             seen.append(link)
     if seen:
-        yield f"no collision shape, so the visual one is used:  {', '.join(seen)}"
+        yield f"no collision shape, so the visual one is used: {', '.join(seen)}"
     mesh_paths = robot.urdf.count('filename="/')
     if mesh_paths:
         yield (

@@ -233,6 +233,16 @@ def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
     return np.array(stated if stated is not None else from_urdf, dtype=float)
 
 
+def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
+    """[m] upper bound of the distance between the two ends of a chain of joints.
+
+    It is the sum of the offsets `links`, each in the frame before it, and of the largest travels of
+    the joints that slide, whose limits [m] are `slides` (2, k), lower and upper.
+    """
+    offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
+    return offsets + float(np.abs(slides).max(axis=0).sum())
+
+
 def whole_model(description: RobotDescription) -> pin.Model:
     """Pinocchio's model on a planar root, with all joints of the URDF."""
     try:

@@ -10,7 +10,7 @@ plan: 1 is an ellipsoid, towards 0 it becomes a box. A convex polytope approxima
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import coal
@@ -125,14 +125,16 @@ class ConvexMesh(_Placed):
         """
         # Imported here: only this shape needs trimesh, which takes longer to import than all else.
         with extras_named():
-            from app.robot.mesh_file import mesh_points
+            import trimesh
 
         path = resolve_package_uri(self.file)
+        read = partial(trimesh.load, force="mesh")
         try:
-            points = within_budget(mesh_points, path, size=path.stat().st_size)
+            loaded = within_budget(read, path, size=path.stat().st_size)
         except BudgetError as error:
             raise AssetError(f"{self.file}: {error}") from None
-        return hull_mesh(points * self.scale)
+        assert isinstance(loaded, trimesh.Trimesh)
+        return hull_mesh(loaded.vertices * self.scale)
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(self.hull().vertices)

@@ -137,9 +137,7 @@ class PersonHand:
         if target is None:
             self.motion = self._mass = None
             return np.zeros(3)
-        place = np.asarray(target, dtype=float)
-        if place.shape != (3,) or not _within_reach(place):
-            checked_target(target)
+        place = checked_target(target)
         if self.motion is None:
             self.motion = np.array([p_ee, np.zeros(3)], dtype=float)
         config = self.config
@@ -176,12 +174,12 @@ def checked_target(target: Sequence[float] | Array) -> Array:
             numbers.
     """
     place = _finite_point(target, "the hand's target")
-    if _within_reach(place):
-        return place
-    z = place.item(2)
+    x, y, z = place.tolist()
     if z < 0:
         raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor, which is z = 0")
-    raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
+    if max(abs(x), abs(y), z) > _FARTHEST:
+        raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
+    return place
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
@@ -206,12 +204,6 @@ def _finite_point(point: Sequence[float] | Array, what: str) -> Array:
     if place.shape != (3,) or not all(map(math.isfinite, place.tolist())):
         raise TargetError(f"{what} must be three finite numbers, was {point!r}")
     return place
-
-
-@compiled("b1(f8[:])")
-def _within_reach(p: Array) -> bool:
-    """Whether a person can pull to p (3,) [m]; False where a coordinate is not a number."""
-    return bool(0.0 <= p[2] <= _FARTHEST and max(abs(p[0]), abs(p[1])) <= _FARTHEST)
 
 
 @compiled()

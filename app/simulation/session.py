@@ -195,8 +195,7 @@ class Session:
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
-        weights = self._weights[self.t >= self.config.disturbance.begins]
-        pushes = (*person.pushes, *weights)
+        pushes = (*person.pushes, *self._weights[self.t >= self.config.disturbance.begins])
         self.physics.step(u_a, self._disturbances.arriving(command), person.hand, pushes)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
@@ -284,11 +283,8 @@ class Disturbances:
 
     def configure(self, config: DisturbanceConfig) -> None:
         """Disturb by these amounts from the next step on."""
-        self._encoder_noise, self._dropped, self._slip = (
-            config.encoder_noise,
-            config.dropped,
-            config.slip,
-        )
+        self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
+        self._slip = config.slip
         self._command_late = round(config.base_delay / self._dt)  # [-] steps
         self._sensor_late = round(config.sensor_delay / self._dt)
         self._sensor_every = max(round(config.sensor_period / self._dt), 1)

@@ -143,11 +143,6 @@ class LineScenario(Scenario):
             pin.SE3(orientation, self.place(t)), self._along(speed), self._along(change)
         )
 
-    def position(self, t: float) -> tuple[Array, Array, Array]:
-        """Position [m], velocity [m/s], acceleration [m/s²] of the moving point at time t [s]."""
-        reference = self.reference(t, np.eye(3))
-        return reference.pose.translation, reference.velocity[:3], reference.acceleration[:3]
-
     def _along(self, rate: float) -> Array:
         """(6,) a motion by a rate times the whole way, without rotation."""
         x, y, z = self.move

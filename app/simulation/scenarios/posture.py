@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from app.avoidance.closest_points import DistanceMonitor
 from app.robot.link_pairs import LinkPairs, geometry_data
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, length_bound
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
@@ -173,11 +173,10 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
     """
     arm, hand = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[hand.parentJoint] if j > 1]
-    offsets = [arm.jointPlacements[j].translation for j in chain[1:]]
+    links = [*(arm.jointPlacements[j] for j in chain[1:]), hand.placement]
     slides = [arm.idx_vs[j] - 3 for j in chain if "JointModelP" in arm.joints[j].shortname()]
-    travel = np.abs([model.q_lower[slides], model.q_upper[slides]]).max(axis=0)
-    far = sum(float(np.linalg.norm(each)) for each in [*offsets, hand.placement.translation])
-    return arm.jointPlacements[chain[0]].translation.copy(), far + float(travel.sum())
+    limits = np.array([model.q_lower[slides], model.q_upper[slides]])
+    return arm.jointPlacements[chain[0]].translation.copy(), length_bound(links, limits)
 
 
 class FloorDistance:
