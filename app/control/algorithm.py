@@ -61,7 +61,8 @@ from app.control.limits import (
 )
 from app.control.qp import cholesky, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
-from app.control.readings import take_readings
+from app.control.readings import JUMP, LOCALISATION, take_readings
+from app.control.references import forget_reference
 from app.control.tasks import (
     add_base_rest_task,
     add_tracking,
@@ -126,6 +127,8 @@ def update_estimate(
     w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
     fill(w.qp_tried, 0.0)
     take_readings(robot, gains, w, base_pose, base_velocity, q_m, qd_m, drive)
+    if w.valid[()] == 0.0 or w.faults[JUMP] != 0.0 or w.faults[LOCALISATION] != 0.0:
+        forget_reference(w)
     if w.valid[()] == 0.0:
         return
     qd, q_pin, v_pin = coordinates(
@@ -371,6 +374,8 @@ def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
 @compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     """The tasks below T_sca, and the torques of this step."""
+    if not tracking and w.tracking[()] != 0.0:
+        forget_reference(w)
     w.tracking[()] = tracking
     put(w.u_free, free_arm_torque(w.g, w.qd, robot.joint_damping))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a

@@ -150,6 +150,16 @@ x_ref | x_d | 4 3 | 1, m | world | (26) |
     reference pose: three columns of the rotation, then the position
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
+x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
+v_sent | | 6 | m/s, rad/s | world | references | memory: its velocity
+a_sent | | 6 | m/s², rad/s² | world | references | memory: its acceleration
+x_origin | | 4 3 | 1, m | world | references | memory: first pose of the interpolating polynomial
+way | | 6 6 | m, rad | world | references | memory: its coefficients, by power of the time
+way_time | | | s | | references | memory: time since its beginning
+way_duration | | | s | | references | memory: its duration; 0 without a polynomial
+way_continues | | | 1 | | references | memory: 1 if it does not end at rest
+since_sample | | | s | | references | memory: time since the newest sample of a planner
+sample_interval | | | s | | references | memory: mean time between samples; 0 without a motion
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
 b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_ee
 lm_damping | λ | | m² | | tracking_objective | Levenberg-Marquardt damping of T_ee
