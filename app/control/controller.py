@@ -55,7 +55,8 @@ from app.robot.state import (
 )
 from app.strict import Array
 
-_take, _estimate, _law = map(direct, (take_reference, update_estimate, run_algorithm_2))
+_take = direct(take_reference)
+_estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
 _UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading", "x_sent")  # NaN until known
@@ -153,7 +154,8 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the robot's present state, at rest.
 
-        It forgets posture, torques, estimate, commands and the counts of failures.
+        It forgets posture, torques, estimate, commands and the counts of failures. A measured
+        period stays in use.
         """
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0

@@ -63,19 +63,19 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
         for j in range(3):
             if R[j, i] != w.x_sent[i, j]:
                 return True
+    differs = False
     for i in range(6):
-        if v[i] != w.v_sent[i] or a[i] != w.a_sent[i]:
-            return True
-    return False
+        differs = differs or v[i] != w.v_sent[i] or a[i] != w.a_sent[i]
+    return differs
 
 
 @compiled()
 def _leaps(way: Array, v: Array, dt: float) -> bool:
     """Whether the velocity v (6,) does not explain the way (6,) since the last reference."""
+    leaps = False
     for i in range(6):
-        if abs(way[i] - dt * v[i]) > _LEAP * dt**2:
-            return True
-    return False
+        leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
+    return leaps
 
 
 @compiled()
@@ -167,9 +167,7 @@ def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T:
     put(way[5], (6.0 * rest - 3.0 * slope + 0.5 * bend) / T**5)
 
 
-@compiled(
-    Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.b1), None)
-)
+@compiled(Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.b1), None))
 def take_reference(
     gains: Any, w: Any, R: Array, p: Array, v: Array, a: Array, interpolate: bool
 ) -> bool:
