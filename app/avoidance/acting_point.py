@@ -42,10 +42,9 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 def uphill(gradient: Array) -> Array:
     """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheel axis, its limit e_x."""
     norm = math.sqrt((gradient**2).sum())
-    direction = np.array([1.0, 0.0, 0.0])
     if norm > 0.0:
-        direction[:] = gradient / norm
-    return direction
+        return gradient / norm
+    return np.array([1.0, 0.0, 0.0])
 
 
 @compiled()

@@ -18,6 +18,7 @@ import pinocchio as pin
 from app.compiled import compiled
 from app.robot.model import RobotModel
 from app.strict import Array
+from app.structs import put
 
 _BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
 _MAX_NEWTON = 30
@@ -300,7 +301,7 @@ def distances_and_normals(rows: Array, triangles: Array, points: Array) -> Array
     """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest shape, with gradients."""
     found = np.empty((len(points), 4))
     for k in range(len(points)):
-        found[k] = nearest_of(rows, triangles, points[k, 0], points[k, 1], points[k, 2])
+        put(found[k], nearest_of(rows, triangles, points[k, 0], points[k, 1], points[k, 2]))
     return found
 
 

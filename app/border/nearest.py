@@ -19,7 +19,7 @@ from app.compiled import compiled
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
-from app.structs import assemble, make_struct, struct_type
+from app.structs import struct_type
 
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
 _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
@@ -35,13 +35,8 @@ _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
     "eps": _f8,  # [m] ε of (3)
 }
 _Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
-BORDER = struct_type(_Values, _BORDER)
+BORDER = struct_type("_Values", _BORDER)
 """The struct of a border, for signatures of compiled functions."""
-
-
-@compiled(BORDER.made_from)
-def _make(values: Any) -> Any:
-    return assemble(values)
 
 
 @compiled()
@@ -86,7 +81,8 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
 
     It is one of the pair's sampled points if the border consists of points and has some at this
     height. Otherwise it belongs to the surface, the exact offset of l_m, which is the same for all
-    pairs. NaN if l_m has no border at all.
+    pairs. The tangent at a sampled point is perpendicular to the line from p; the surface has that
+    of its contour. NaN if l_m has no border at all.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -125,7 +121,7 @@ class BorderSearch:
         sampled = np.cumsum([0, *map(len, borders)])
         eps = borders[0].eps if borders else 0.0
         values = _Values(*table, bool(borders), points, sampled, eps)
-        self.struct = make_struct(_make, values)
+        self.struct = BORDER.made_of(values)
         """`BORDER` of it."""
 
     def nearest(self, p: Array) -> Foot | None:

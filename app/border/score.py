@@ -17,6 +17,7 @@ from app.errors import DescriptionError
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.strict import Array
+from app.structs import put
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is modified to stay positive
 SHELL = 0.05  # [m] thickness of a shell
@@ -98,7 +99,9 @@ class ScoreField:
         p = np.asarray(p, dtype=float)
         signed, by_point = self.base.singularity(p)
         measures = np.column_stack([signed.ravel(), by_point.reshape(-1, 3)[:, :2]])
-        found = _fields(p.reshape(-1, 3), measures, self.p_base, self.A, self.B, self.C)
+        found = _scores_and_gradients(
+            p.reshape(-1, 3), measures, self.p_base, self.A, self.B, self.C
+        )
         return found.reshape(*p.shape[:-1], 5)
 
 
@@ -107,7 +110,7 @@ Measure = tuple[float, float, float]
 
 
 @compiled()
-def _field(
+def _score_and_gradient(
     p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, float, float, float, float]:
     """R, S and ∇S at a point; at the mount the gradient of R is undefined and counts as 0."""
@@ -123,12 +126,14 @@ def _field(
 
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:], f8, f8, f8)")
-def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C: float) -> Array:
+def _scores_and_gradients(
+    points: Array, measures: Array, p_base: Array, A: float, B: float, C: float
+) -> Array:
     """(N, 5) R, S and ∇S at points (N, 3), from measures (N, 3) there."""
     found = np.empty((len(points), 5))
     for k in range(len(points)):
         measure = (measures[k, 0], measures[k, 1], measures[k, 2])
-        found[k] = _field(points[k], measure, p_base, A, B, C)
+        put(found[k], _score_and_gradient(points[k], measure, p_base, A, B, C))
     return found
 
 
@@ -138,7 +143,7 @@ def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
     constant, quadratic = coefficients[0], coefficients[1]
     measure = (constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0]), 0.0)
     A, B, C = coefficients[6], coefficients[7], coefficients[8]
-    _, score, x, y, z = _field(p, measure, coefficients[3:6], A, B, C)
+    _, score, x, y, z = _score_and_gradient(p, measure, coefficients[3:6], A, B, C)
     return score, np.array([x, y, z])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from app.config import Config
 from app.control.admittance import largest_command
-from app.control.limits import position_bounds, velocity_bounds
+from app.control.limits import position_bound, velocity_bound
 from app.control.quantities import ControlStep
 from app.robot.model import RobotModel
 from app.strict import Array
@@ -90,8 +90,9 @@ def _joint_kind(
 ) -> BoundKind:
     """The tighter bound of a joint's acceleration: that of position or of velocity."""
     at, rates = int(upper), config.limit
-    position = position_bounds(w.q_m, w.qd_m, model.q_limits, rates.position_rate)[at, joint]
-    velocity = velocity_bounds(w.qd_m, model.qd_limits, rates.velocity_rate)[at, joint]
+    q, qd = w.q_m[joint], w.qd_m[joint]
+    position = position_bound(q, qd, model.q_limits[at, joint], rates.position_rate)
+    velocity = velocity_bound(qd, model.qd_limits[at, joint], rates.velocity_rate)
     return "position" if (position < velocity) == upper else "velocity"
 
 

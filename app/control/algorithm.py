@@ -8,6 +8,9 @@ There are no levels: each problem is one strictly convex QP, in which a task is 
 of T_sca is a spring whose stiffness follows its activation β. A row with β = 0 has no effect, so
 lines 12 and 16 to 18, which leave out what is inactive, need no branch.
 
+From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
+v_cmd by the admittance law (§4.1, `update_command`).
+
 Two problems are solved, one after the other, because the base follows its commands late.
 
 **The base** (`command_base`), with task gains slow enough for its 10 Hz:
@@ -188,7 +191,11 @@ def algorithm_2(
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """The activation of each pair, a function of its distance alone, not of time (Fig. 10)."""
+    """The activation of each pair, a function of its distance alone, not of time (Fig. 10).
+
+    `w.d_b` is the buffer distance in force, which approaches a new one at `BUFFER_RATE`; the border
+    is that of the new one at once.
+    """
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
 
@@ -206,15 +213,17 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
         if w.beta[i] > 0.0:
             p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
             n = times(w.R_base.T, w.normal[i])
-            p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(  # line 5, Algorithm 3
-                border,  # the exact surface, or the paper's points
-                i,
-                robot.score_coefficients[i],
-                p_b,
-                w.d[i],
-                gains.alpha_gain,
-                gains.alpha_min,
-                gains.alpha_max,
+            p_n, p_t, p_act, t, w.alpha[i] = (
+                find_acting_point(  # line 5, Algorithm 3, with the score (10) at p_n
+                    border,  # the exact surface or the paper's points: `nearest_border`
+                    i,
+                    robot.score_coefficients[i],
+                    p_b,
+                    w.d[i],
+                    gains.alpha_gain,
+                    gains.alpha_min,
+                    gains.alpha_max,
+                )
             )
             put(w.p_n[i], p_n)
             put(w.p_t[i], p_t)
@@ -356,7 +365,7 @@ def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
             put_rows(w.J_sca[rows], J)
             put(w.b_sca[rows], xdd - np.array([bias[0], bias[1], bias[2]]))
             fill(w.B[rows], w.beta[i])
-    w.activation[()] = w.B.max()
+    w.activation[()] = mobile_activation(w.B)
 
 
 @compiled()
@@ -529,8 +538,8 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
     """The base acceleration nearest to a_des that does not drag the end-effector along.
 
-    Minimise (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖², `limit_ee_drag`, with
-    |a_des| ≤ a_max; at β_m = 0 it is a_des.
+    Minimise (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖², `limit_ee_drag`, with a_des
+    clipped to a_max before; at β_m = 0 it is a_des.
     """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
@@ -576,7 +585,9 @@ def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """Set up the QP of the arm, for the base's assumed acceleration.
 
     Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. Subject to
-    the torques of this step, the bounds of the joints and the barriers of distances.
+    the torques of this step, the bounds of the joints and the barriers of distances. There is no
+    slack variable: the slack of a task or a row is its demand minus the result
+    (`explanation.row_slacks`). Torques are hard limits, the others are soft.
 
     Returns:
         The number of its limits.

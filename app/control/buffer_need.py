@@ -40,6 +40,7 @@ from app.compiled import compiled
 from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind, Channel
 from app.strict import Array
+from app.structs import fill, put
 
 RESERVE = 0.02  # [m] required distance between arm and base
 _LEVER = 0.25  # [m] smallest lever of ω at the side
@@ -89,7 +90,8 @@ def _least_distance(
             rise = min(max(below / (d_b[i] - d_full), 0.0), 1.0)
             f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b[i]
             least = np.inf
-            a_worse[:], w_worse[:] = 0.0, 0.0
+            fill(a_worse, 0.0)
+            fill(w_worse, 0.0)
             for side in (1.0, -1.0):
                 for k in range(count):
                     J, J_t, mass, a_max, w_max, T = channels[k]
@@ -98,7 +100,8 @@ def _least_distance(
                     w[k] = min(max(a[k] * T, -kept * w_max), kept * w_max)
                 if w.sum() <= least:
                     least = w.sum()
-                    a_worse[:], w_worse[:] = a, w
+                    put(a_worse, a)
+                    put(w_worse, w)
             total = against = 0.0
             for k in range(count):
                 total += max(w_worse[k], 0.0)

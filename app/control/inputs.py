@@ -11,12 +11,11 @@ from numba import types
 from app.avoidance.closest_points import SmoothPoints
 from app.border.cache import BorderData
 from app.border.score import ScoreField
-from app.compiled import compiled
 from app.config import Config
 from app.control.admittance import largest_command, response, virtual_damping, virtual_mass
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
-from app.structs import assemble, make_struct, struct_type
+from app.structs import struct_type
 
 _FLOAT, _FLAG = types.f8, types.b1
 _VECTOR, _MATRIX = types.Array(types.f8, 1, "C"), types.Array(types.f8, 2, "C")
@@ -55,7 +54,7 @@ _ROBOT: dict[str, Any] = {
     "score_coefficients": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
 }
 _Robot: Any = NamedTuple("_Robot", [(each, Any) for each in _ROBOT])  # type: ignore[misc]
-ROBOT = struct_type(_Robot, _ROBOT)
+ROBOT = struct_type("_Robot", _ROBOT)
 """The struct of the robot's constants, for signatures of compiled functions."""
 
 _GAINS: dict[str, Any] = {
@@ -108,7 +107,7 @@ _GAINS: dict[str, Any] = {
     "hierarchy": _FLAG,  # q̈ solves the printed hierarchy, `app.control.hqp`
 }
 _Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ignore[misc]
-GAINS = struct_type(_Gains, _GAINS)
+GAINS = struct_type("_Gains", _GAINS)
 """The struct of the gains, for signatures of compiled functions."""
 
 METHODS: Mapping[str, Mapping[str, Any]] = {
@@ -125,16 +124,6 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
     "none": {},
 }
 """The terms that each compared controller adds to the tasks or to the limits."""
-
-
-@compiled(ROBOT.made_from)
-def _make_robot(values: Any) -> Any:
-    return assemble(values)
-
-
-@compiled(GAINS.made_from)
-def _make_gains(values: Any) -> Any:
-    return assemble(values)
 
 
 def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:
@@ -161,7 +150,7 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
         **smooth.arrays(),
     }
     values = _Robot(**{name: own.get(name, getattr(model, name, None)) for name in _ROBOT})
-    return make_struct(_make_robot, _contiguous(values, _ROBOT))
+    return ROBOT.made_of(_contiguous(values, _ROBOT))
 
 
 def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
@@ -217,7 +206,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         lookahead=method.get("lookahead", False),
         hierarchy=method.get("hierarchy", False),
     )
-    return make_struct(_make_gains, _contiguous(values, _GAINS))
+    return GAINS.made_of(_contiguous(values, _GAINS))
 
 
 def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:

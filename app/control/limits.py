@@ -33,19 +33,19 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 
 
 @compiled()
-def position_bounds(q: Array, qd: Array, limits: Array, rate: float) -> Array:
-    """(2, n_m) λ² (q_limit − q) − 2 λ q̇, bounds on q̈_m from the lower and upper position limits.
+def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
+    """λ² (q_limit − q) − 2 λ q̇, the bound on a joint's acceleration from a position limit.
 
     A joint at the distance e from its limit may accelerate towards it by at most λ² e − 2 λ q̇, and
     thus reaches the limit without overshoot.
     """
-    return rate**2 * (limits - q) - 2 * rate * qd
+    return rate**2 * (limit - q) - 2 * rate * qd
 
 
 @compiled()
-def velocity_bounds(qd: Array, limits: Array, rate: float) -> Array:
-    """(2, n_m) κ (q̇_limit − q̇), bounds on q̈_m from the lower and upper velocity limits."""
-    return rate * (limits - qd)
+def velocity_bound(qd: float, limit: float, rate: float) -> float:
+    """κ (q̇_limit − q̇), the bound on a joint's acceleration from a velocity limit."""
+    return rate * (limit - qd)
 
 
 @compiled()
@@ -72,12 +72,16 @@ def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
     """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity."""
-    position = position_bounds(q, qd, q_limits, position_rate)
-    velocity = velocity_bounds(qd, qd_limits, speed_rate)
-    found = np.empty_like(position)
+    found = np.empty((2, len(q)))
     for i in range(len(q)):
-        lower = max(position[0, i], velocity[0, i])
-        upper = min(position[1, i], velocity[1, i])
+        lower = max(
+            position_bound(q[i], qd[i], q_limits[0, i], position_rate),
+            velocity_bound(qd[i], qd_limits[0, i], speed_rate),
+        )
+        upper = min(
+            position_bound(q[i], qd[i], q_limits[1, i], position_rate),
+            velocity_bound(qd[i], qd_limits[1, i], speed_rate),
+        )
         found[0, i], found[1, i] = min(lower, upper), max(lower, upper)
     return found
 

@@ -124,7 +124,9 @@ def _activate_row(
     while True:
         active, turn = kept[:size], np.zeros(m)
         if size > 0:
-            turn[active] = -side * _within(K, active, K[active, p])
+            found = _within(K, active, K[active, p])
+            for k in range(size):
+                turn[active[k]] = -side * found[k]
         turn[p] = side
         rise = side * dot(K[p], turn)  # towards the bound, per unit of y_p
         step = miss / rise if rise > _EPS * K[p, p] else np.inf
@@ -141,8 +143,9 @@ def _activate_row(
             return size + 1, True
         miss -= step * rise
         y[active[blocking]] = 0.0
-        kept[blocking : size - 1] = kept[blocking + 1 : size].copy()
         size -= 1
+        for k in range(blocking, size):
+            kept[k] = kept[k + 1]
 
 
 @compiled()
@@ -153,7 +156,7 @@ def compliances(slack_weight: Array, length: Array) -> Array:
     a light wrist would accelerate strongly to brake a heavy shoulder.
 
     Args:
-        slack_weight: (m,) [-] ε.
+        slack_weight: (m,) [-] of each row; 0 is hard, and a larger one is softer.
         length: (m,) √(C_i H⁻¹ C_iᵀ).
     """
     least = np.inf
@@ -171,15 +174,19 @@ def compliances(slack_weight: Array, length: Array) -> Array:
 def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple[int, float]:
     """The row whose value s leaves its bounds the most, and by how much; active rows count as 0.
 
-    NaN comes first, as in `np.argmax`.
+    A row with NaN counts as the most violated one.
     """
     miss = np.empty(len(s))
     for i in range(len(s)):
-        miss[i] = np.maximum(below[i] - s[i], s[i] - above[i])
+        low, high = below[i] - s[i], s[i] - above[i]
+        miss[i] = high if high > low or math.isnan(high) else low
     for i in active:
         miss[i] = 0.0
-    p = int(miss.argmax())
-    return p, miss[p]
+    p = 0
+    for i in range(len(miss)):
+        if miss[i] > miss[p] or (math.isnan(miss[i]) and not math.isnan(miss[p])):
+            p = i
+    return p, float(miss[p])
 
 
 @compiled()
@@ -200,7 +207,7 @@ def _nearest_within(
         C: (m, n) rows of the limits.
         l: (m,)
         u: (m,)
-        slack_weight: (m,) [-] ε of `compliances`.
+        slack_weight: (m,) [-] of `compliances`.
 
     Returns:
         (n,) the optimum, and whether it exists.
@@ -216,10 +223,11 @@ def _nearest_within(
             a[i, j] /= length[i]
         reached = dot(C[i], x)
         below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
-    K = np.diag(compliances(slack_weight, length))
+    K, compliance = np.empty((m, m)), compliances(slack_weight, length)
     for i in range(m):
         for j in range(m):
-            K[i, j] += dot(a[i], a[j])
+            K[i, j] = dot(a[i], a[j])
+        K[i, i] += compliance[i]
     y, kept = np.zeros(m), np.empty(m, np.int64)
     size, found = 0, False
     for _ in range(10 * m):
@@ -235,10 +243,22 @@ def _nearest_within(
     z = times(a.T, y)
     # A soft row's multiplier, of order 1/ε, hides a hard row's in rounding, but not z.
     hard = kept[:size][slack_weight[kept[:size]] == 0.0]
-    bound = np.where(y > 0.0, below, above)
-    z += times(a[hard].T, _within(K, hard, bound[hard] - times(a[hard], z)))
+    missed = np.empty(len(hard))
+    for k in range(len(hard)):
+        i = hard[k]
+        missed[k] = (below[i] if y[i] > 0.0 else above[i]) - dot(a[i], z)
+    z += times(a[hard].T, _within(K, hard, missed))
     found_x = x + backward(L, z)
     return found_x, bool(found and np.isfinite(found_x).all())
+
+
+@compiled()
+def _joined(fixed: Array, rest: Array) -> Array:
+    """(n,) the first entries, then the others."""
+    x = np.empty(len(fixed) + len(rest))
+    put(x[: len(fixed)], fixed)
+    put(x[len(fixed) :], rest)
+    return x
 
 
 @compiled()
@@ -259,7 +279,7 @@ def solve_qp(
         C: (m, n)
         l: (m,)
         u: (m,)
-        slack_weight: (m,) [-] ε of each row; rows of 0 are hard.
+        slack_weight: (m,) [-] of each row; 0 is hard, and a larger one is softer.
         fixed: (k,) the first entries of x.
 
     Returns:
@@ -269,7 +289,7 @@ def solve_qp(
     L, moved = cholesky(H[k:, k:]), times(C[:, :k], fixed)
     free = _minimum(L, c[k:] + times(H[k:, :k], fixed))
     rest, found = _nearest_within(free, L, C[:, k:], l - moved, u - moved, slack_weight)
-    return np.concatenate((fixed, rest)), found
+    return _joined(fixed, rest), found
 
 
 @compiled()
@@ -285,5 +305,5 @@ def solve_qp_step(
     """
     k = len(fixed)
     rest = _minimum(cholesky(H[k:, k:]), c[k:] + times(H[k:, :k], fixed))
-    x = np.concatenate((fixed, rest))
+    x = _joined(fixed, rest)
     return _nearest_within(x, cholesky(H), C, l, u, slack_weight)

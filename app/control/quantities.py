@@ -4,7 +4,8 @@ A `ControlStep` is the memory of these quantities. The compiled law (`app.contro
 them; logs, the explanation, studies and tests read them under the same names. All stay until the
 next step overwrites them; "memory" marks those that it builds on and that `reset` clears. The
 estimate also reads M, h, L_aa, J_ee, base_velocity and a_base_meas of the last step, and in a step
-without valid readings all kinematics are those of the last valid one.
+without valid readings all kinematics are those of the last valid one. Outside of the table are the
+control period in use (`Controller.dt`) and the state of the drive (`RobotState.drive`).
 
 Frames: `world` has its floor at z = 0; `base` is fixed to the base's reference point on the floor,
 x ahead. Coordinates: `axes` are the base's velocity axes ν, which are fixed to it: v and ω of a
@@ -24,10 +25,9 @@ import numpy as np
 from numba import types
 from typing_extensions import Self
 
-from app.compiled import compiled
 from app.robot.link_pairs import ClosestPoints, Pair, with_parts
 from app.strict import Array
-from app.structs import assemble, make_struct, struct_type
+from app.structs import struct_type
 
 
 class Quantity(NamedTuple):
@@ -149,7 +149,7 @@ J_sca | J_sca | n_s n | | | (25) | Jacobian of T_sca
 b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand side of T_sca
 B | B | n_s | 1 | | (27) | diagonal of B: the activation of each row
 activation | | | 1 | | (27) | largest entry of B
-tracking | | | 1 | | | 1 with a reference, 0 while a person guides the arm
+tracking | | | 1 | | | memory: 1 with a reference, 0 while a person guides the arm
 x_ref | x_d | 4 3 | 1, m | world | (26) |
     reference pose: three columns of the rotation, then the position
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
@@ -180,13 +180,13 @@ u_max | | n_m | N m, N | joints | torque_range | largest torque of this step
 C | C | n_l n | | | limits.py | rows of the limits l ≤ C q̈ ≤ u
 l | l | n_l | | | limits.py | lower limits
 u | u | n_l | | | limits.py | upper limits
-slack_weight | ε | n_l | 1 | | limits.py | a limit with a larger one is softer; 0 is hard
+slack_weight | ε² | n_l | 1 | | limits.py | a limit with a larger one is softer; 0 is hard
 n_limits | | | 1 | | limits.py | rows of C in the arm's QP
 a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without the base's rows
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
-a_base_cmd |  | n_b | m/s², rad/s² | axes | algorithm.py |
+a_base_cmd |  | n_b | m/s², rad/s² | axes | command_base |
     commanded base acceleration, input of the admittance law
-a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py |
+a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
     base acceleration in the arm's QP: by the drive's model, by the caller, or as commanded
 qdd | q̈ | n | rad/s², m/s² | reduced | (29) |
     solution of the arm's QP; NaN with the fallback command
@@ -237,15 +237,10 @@ _Values: Any = NamedTuple(  # type: ignore[misc]
     [(each, Any) for each in (*PINOCCHIO, *(q.name for q in QUANTITIES))],  # pyright: ignore
 )
 STEP = struct_type(
-    _Values,
+    "_Values",
     PINOCCHIO | {q.name: types.Array(types.f8, len(q.shape.split()), "C") for q in QUANTITIES},
 )
 """The struct of a step, for signatures of compiled functions."""
-
-
-@compiled(STEP.made_from)
-def _make(values: Any) -> Any:
-    return assemble(values)
 
 
 class ControlStep:
@@ -283,7 +278,7 @@ class ControlStep:
             setattr(self, each.name, part.reshape(shape))
         self.__dict__.update(pinocchio)
         values = _Values(**{name: getattr(self, name) for name in _Values._fields})
-        self.struct = make_struct(_make, values)
+        self.struct = STEP.made_of(values)
         """The same memory for compiled functions."""
 
     def __getattr__(self, name: str) -> Array:  # for type checkers, and for a clear error

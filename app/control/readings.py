@@ -384,7 +384,9 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
         at_rest = np.zeros(robot.n_b)
         put(known[0], predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, at_rest))
         advance(w.x_est, known, gains.dt)
-        w.x_est[2] *= math.exp(-gains.dt / gains.noise_window)  # nobody pulls the same for long
+        decay = math.exp(-gains.dt / gains.noise_window)  # nobody pulls the same for long
+        for i in range(len(w.q_m)):
+            w.x_est[2, i] *= decay
         put(w.qd[robot.n_b :], w.x_est[1])
 
 
@@ -415,6 +417,7 @@ def take_readings(
     """
     fill(w.faults, 0.0)
     first, repeated, q, qd = math.isnan(w.q_posture[0]), False, q_m.copy(), qd_m.copy()
+    # The velocities qd_m may be NaN, so that q_m takes their place.
     w.faults[INVALID] = 0.0 if all_finite(base_pose, base_velocity, q_m, q_m, drive) else 1.0
     if w.faults[INVALID] == 0.0:
         q = unwrap(q_m, w.q_last[1], robot.q_limits, first)

@@ -193,7 +193,8 @@ def take_reference(
         is_sample = _leaps(way, v, gains.dt)
     if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference
         put_rows(w.x_origin, w.x_sent)
-        fill(w.way.reshape(-1), 0.0)
+        for k in range(6):
+            fill(w.way[k], 0.0)
         put(w.way[1], w.v_sent)
         put(w.way[2], w.a_sent / 2.0)
     put_rows(w.x_sent, R.T)

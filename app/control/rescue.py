@@ -1,6 +1,7 @@
-"""The last resort for a QP whose active-set search does not converge: ProxQP.
+"""The last resort for a QP whose active-set search ends without a solution: ProxQP.
 
-It is rare, and takes a millisecond. The compared method `hqp` uses ProxQP in every step
+The search ends so after 10 m passes, with hard rows that seem infeasible, or with data that are not
+finite. It is rare, and takes a millisecond. The compared method `hqp` uses ProxQP in every step
 (`app.control.hqp`).
 """
 

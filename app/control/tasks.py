@@ -13,6 +13,7 @@ import pinocchio as pin
 from app.compiled import compiled
 from app.control.qp import backward, forward
 from app.strict import Array
+from app.structs import put
 
 
 class Reference(NamedTuple):
@@ -70,12 +71,13 @@ def rotation_by(vector: Array) -> Array:
 def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
     """x_d ⊖ x, (6,): linear [m] over angular [rad], as a rotation vector in axes of the world."""
     error = np.empty(6)
-    error[:3] = p_ref - p
+    for i in range(3):
+        error[i] = p_ref[i] - p[i]
     turn = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
             turn[i, j] = R_ref[i, 0] * R[j, 0] + R_ref[i, 1] * R[j, 1] + R_ref[i, 2] * R[j, 2]
-    error[3:] = rotation_vector(turn)
+    put(error[3:], rotation_vector(turn))
     return error
 
 
@@ -243,8 +245,8 @@ def add_base_rest_task(
     H, c = H.copy(), c.copy()
     share = np.empty((n - n_b, n_b + 1))
     for j in range(n_b):
-        share[:, j] = backward(L_aa, forward(L_aa, H[n_b:, j]))
-    share[:, n_b] = backward(L_aa, forward(L_aa, c[n_b:]))
+        put(share[:, j], backward(L_aa, forward(L_aa, H[n_b:, j])))
+    put(share[:, n_b], backward(L_aa, forward(L_aa, c[n_b:])))
     M_ab = H[n_b:, :n_b].copy()
     for i in range(n_b):
         for j in range(n_b):

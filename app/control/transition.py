@@ -10,6 +10,7 @@ import numpy as np
 from app.compiled import compiled
 from app.control.qp import backward, cholesky, forward
 from app.strict import Array
+from app.structs import put
 
 
 @compiled()
@@ -110,7 +111,7 @@ def uncompensated_base_jacobian(J_ee: Array, qd_max: Array, J_m_inv: Array, spee
                 moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
     L, found = cholesky(rest), np.empty_like(moved)
     for j in range(n_b):
-        found[:, j] = backward(L, forward(L, moved[:, j]))
+        put(found[:, j], backward(L, forward(L, moved[:, j])))
     return found
 
 
@@ -129,8 +130,9 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
         drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.
     """
     n_b = len(inertia)
-    hung, right = np.diag(inertia), np.empty(n_b)
+    hung, right = np.zeros((n_b, n_b)), np.empty(n_b)
     for i in range(n_b):
+        hung[i, i] = inertia[i]
         right[i] = inertia[i] * (desired[i] - hold[i])
         for j in range(n_b):
             for k in range(len(drag)):

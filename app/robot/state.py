@@ -19,6 +19,7 @@ import pinocchio as pin
 from app.compiled import compiled
 from app.errors import MeasurementError
 from app.robot.model import RobotModel
+from app.structs import put, put_rows
 
 Array = np.ndarray
 _FLOAT = np.dtype(float)
@@ -151,7 +152,7 @@ def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
         X, Y, Z = J[0, k] * v[k], J[1, k] * v[k], J[2, k] * v[k]
         A, B, C = J[3, k] * v[k], J[4, k] * v[k], J[5, k] * v[k]
         twist, bias, before = twists[joint], biases[joint], biases[joint - 1]
-        twist[:] = x + X, y + Y, z + Z, a + A, b + B, c + C
+        put(twist, (x + X, y + Y, z + Z, a + A, b + B, c + C))
         bias[0] = before[0] + b * Z - c * Y + y * C - z * B
         bias[1] = before[1] + c * X - a * Z + z * A - x * C
         bias[2] = before[2] + a * Y - b * X + x * B - y * A
@@ -288,7 +289,7 @@ def tip_motion(
     """
     last, n_b = len(twists) - 1, B.shape[1]
     J_p = np.zeros((6, n_b + J.shape[1] - 3))
-    J_p[:3] = point_jacobian(J, B, last, p)
+    put_rows(J_p, point_jacobian(J, B, last, p))
     for i in range(3):
         for k in range(3):
             for j in range(n_b):
@@ -298,7 +299,8 @@ def tip_motion(
     v, Jdqd = np.empty(6), np.empty(6)
     v[0], v[1], v[2] = point_velocity(twists[last], p)
     Jdqd[0], Jdqd[1], Jdqd[2] = point_bias(twists[last], biases[last], p)
-    v[3:], Jdqd[3:] = twists[last, 3:], biases[last, 3:]
+    put(v[3:], twists[last, 3:])
+    put(Jdqd[3:], biases[last, 3:])
     return J_p, v, Jdqd
 
 
