@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 from numba.core import config
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.experimental import structref
 
 from app.compiled import compiled
@@ -92,7 +92,7 @@ def struct_type(name: str, fields: dict[str, types.Type]) -> StructType:
 
 
 @compiled()
-def put(into: np.ndarray, values: np.ndarray) -> None:
+def put(into: np.ndarray, values: np.ndarray | tuple[float, ...]) -> None:
     """Copy values into an array; ``into[:] = values`` compiles to fifty times as much code."""
     for i in range(len(into)):
         into[i] = values[i]

@@ -248,3 +248,23 @@ def test_the_paths_compare_each_quantity_of_the_table(border_data: BorderData) -
     named = {q.name for q in QUANTITIES} - NOT_COMPARED
     assert set(plain) == named
     assert set(differences(step, plain)) == named
+
+
+def test_a_step_reads_no_other_quantities_of_the_last_one(border_data: BorderData) -> None:
+    """Of the table, a step uses the memory and the quantities that its description lists, alone."""
+    memory = {q.name for q in QUANTITIES if q.meaning.startswith("memory")}
+    listed = {"M", "h", "L_aa", "J_ee", "base_velocity", "a_base_meas"}
+    others = [q.name for q in QUANTITIES if q.name not in memory | listed]
+    path = Path("dbb", "differential", "beside")
+    robot = robot_of(path.base)
+    plain, spoiled = (Controller(robot, border_data, Config(), dt=DT) for _ in range(2))
+    plant = Plant(robot, path.way)
+    start = plant.place()
+    for k in range(60):
+        given = plant.measure(), reference_at(k * DT, start, path.way) if k % 20 < 10 else None
+        a, b = (each.step_with_drive(*given) for each in (plain, spoiled))
+        for name in memory | {"u_cmd", "v_cmd", "qdd", "a_base_cmd"}:
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+        plant.move(a.u_cmd, a.v_cmd, np.zeros(3))
+        for name in others:
+            getattr(spoiled.last, name)[...] = np.nan

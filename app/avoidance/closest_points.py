@@ -89,9 +89,8 @@ class SmoothPoints:
     one end to the other as the capsule turns. Weights exp((min d - d_k)/τ) over nodes of the core
     make it move instead, because every d_k is continuous. If one point is clearly nearest, it is
     the result. If `a` has several convex parts, the normal is the mean of theirs at that point,
-    with the same
-    weights: the gradient of a smooth distance, which is shorter than 1 in a corner between two
-        parts.
+    with the same weights: the gradient of a smooth distance, which is shorter than 1 in a corner
+    between two parts.
 
     A flat face may be nearest anywhere, so its points nearest to the corners of `a` are nodes too.
     """

@@ -67,7 +67,7 @@ class NearPair(NamedTuple):
     arm_beta: float
     """[-] activation of the arm's own rows against the base, 0 without rows."""
     held: bool
-    """Whether the method's hard inequality for the pair is at its bound."""
+    """Whether the barrier of the pair's distance is active in the arm's QP."""
     force: ForceSplit | None
     """The force of an active pair of L_m if the controller moves the base, otherwise None."""
 
@@ -106,7 +106,7 @@ class Explanation(NamedTuple):
     base_asked: ByAxis
     """(n_b,) commanded base acceleration."""
     base_given: ByAxis
-    """(n_b,) measured base acceleration."""
+    """(n_b,) base acceleration that the arm's QP assumes: `a_base_meas`."""
     levels: tuple[Level, ...]
     """Slack of each task, highest priority first."""
     bounds: tuple[Bound, ...]

@@ -412,12 +412,11 @@ def take_readings(
         base_pose: (3,) x, y [m], φ [rad].
         base_velocity: (n_b,) [m/s or rad/s].
         q_m: (n_m,) [rad or m] positions.
-        qd_m: (n_m,) [rad/s or m/s] velocities; NaN where the driver has none.
+        qd_m: (n_m,) [rad/s or m/s] velocities; NaN, thus not checked, where the driver has none.
         drive: (n_d,) of the drive.
     """
     fill(w.faults, 0.0)
     first, repeated, q, qd = math.isnan(w.q_posture[0]), False, q_m.copy(), qd_m.copy()
-    # The velocities qd_m may be NaN, so that q_m takes their place.
     w.faults[INVALID] = 0.0 if all_finite(base_pose, base_velocity, q_m, q_m, drive) else 1.0
     if w.faults[INVALID] == 0.0:
         q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
