@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from dataclasses import fields, replace
 from pathlib import Path
@@ -170,6 +172,16 @@ def test_a_missing_column_and_an_empty_cell_are_named(csv_lines):
     cells[1] = ""
     with pytest.raises(LogError, match="column base_x_m: 1 cells are empty"):
         read([head, names, rows[0], ",".join(cells), *rows[2:]])
+
+
+def test_a_log_without_a_newer_quantity_is_read_with_its_default(csv_lines):
+    (head, names, *rows), read = csv_lines
+    k = names.replace('"', "").split(",").index("activation")
+    lines = list(csv.reader([names, *rows]))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(line[:k] + line[k + 1 :] for line in lines)
+    trace = read([head, *text.getvalue().splitlines()])
+    assert {snapshot.activation for snapshot in trace.snapshots} == {0.0}
 
 
 def test_meta_data_are_checked_field_by_field(csv_lines):

@@ -33,8 +33,9 @@ class Files:
     out: Path | None = None
     """Folder for `log.csv` and `metrics.json`."""
     log: Path | None = None
-    """File ending in .csv or .parquet for 50 rows per second with all displayed quantities, for
-    `dbb report` and `dbb replay`; or in .mcap for Foxglove, Rerun and other viewers."""
+    """File ending in .csv or .parquet for `dbb report` and `dbb replay`, with one row per control
+    step and all displayed quantities in every 20th row; or in .mcap for Foxglove, Rerun and other
+    viewers."""
     ros: options.Flag = False
     """Write ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
 

@@ -78,8 +78,10 @@ def make_physics(
         from app.simulation.plants.mujoco_wheels import MujocoWheels
 
         return MujocoWheels(model, dt=dt, door=door)
-    if door is not None:
-        raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
-    from app.simulation.plants.kinematic import Kinematic
+    if kind == "kinematic":
+        from app.simulation.plants.kinematic import Kinematic
 
-    return Kinematic(model, dt=dt)
+        if door is not None:
+            raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
+        return Kinematic(model, dt=dt)
+    raise NotImplementedError(f"make_physics has no branch for the plant {kind}")

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +95,10 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     """
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
-    known = columns_of(meta)
+    names = _quantities(found.column_names, meta)
+    known = [column for name in names for column in QUANTITIES[name].columns(meta)]
     _check_names(found.column_names, known)
-    layout = Layout.of(meta)
+    layout = Layout.of(meta, names)
     if len(found) != rows:
         raise LogError(f"it has {len(found)} rows, and its meta data say {rows}")
     if rows * len(layout.columns) * _NUMBER > budget.memory:
@@ -112,21 +114,35 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
         table[:, k] = _cast(column, found[column.name], rows).to_numpy()
     _check_times(table[:, 0])
     cells = {c: _cells(c, found[c.name], drawn[c.name]) for c in known}
-    return Trace(layout, table, _snapshots(meta, cells))
+    return Trace(layout, table, _snapshots(meta, cells, names))
 
 
-def _snapshots(meta: TraceMeta, cells: Mapping[Column, Sequence[Any]]) -> list[Snapshot]:
-    fields: dict[str, list[Any]] = {}
-    for name, quantity in QUANTITIES.items():
+def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:
+    """The quantities of a file: an older one may lack columns of a field with a default value."""
+    optional = {each.name for each in fields(Snapshot) if each.default is not MISSING}
+    present = frozenset(found)
+    return [
+        name
+        for name, quantity in QUANTITIES.items()
+        if name not in optional or present.intersection(c.name for c in quantity.columns(meta))
+    ]
+
+
+def _snapshots(
+    meta: TraceMeta, cells: Mapping[Column, Sequence[Any]], names: Sequence[str]
+) -> list[Snapshot]:
+    values: dict[str, list[Any]] = {}
+    for name in names:
+        quantity = QUANTITIES[name]
         columns = quantity.columns(meta)
         rows = zip(*(cells[column] for column in columns), strict=True)
         try:
-            fields[name] = [quantity.value(row, meta) for row in rows]
+            values[name] = [quantity.value(row, meta) for row in rows]
         except (DbbError, ValueError, TypeError, KeyError, AttributeError) as error:
             names = ", ".join(column.name for column in columns[:3])
             raise LogError(f"columns {names}: {error}") from None
-    by_row = zip(*fields.values(), strict=True)
-    return [Snapshot(**dict(zip(fields, row, strict=True))) for row in by_row]
+    by_row = zip(*values.values(), strict=True)
+    return [Snapshot(**dict(zip(values, row, strict=True))) for row in by_row]
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:

@@ -1,7 +1,8 @@
 """The record of a run: one declaration per quantity, with columns, units and its computation.
 
 A `Snapshot` has all quantities at one instant, for display; a `Trace` has their columns over time.
-A new quantity is one more field here: log files, reports and live readings use it automatically.
+A new quantity is one more field here, at the end and with a default value: log files and live
+readings use it automatically, and older log files without it can still be read.
 """
 
 import json
