@@ -234,7 +234,7 @@ def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_tol
         assert title(server) == "The other robot"
         assert server.shared.tuning.config == server.shared.tuning.usual == OWN
         (note,) = told
-        assert "all parameters are at their defaults, as it cannot start with yours" in note
+        assert "all parameters are at their defaults: the robot cannot start with yours" in note
         assert "(the hand does not come there)" in note
         server.shared.tuning.undo()  # nothing is lost
         assert server.shared.tuning.config.border.d_b == 0.3

@@ -119,7 +119,7 @@ class EditPanel(Panel):
         if not NAME.fullmatch(name):  # before it becomes a part of a path
             raise ConfigError("a name starts with a letter and has only letters, digits and _")
         if name in robot_names() and not (name == own and is_own(own)):
-            raise ConfigError(f"there is a robot {name!r} already; give another name")
+            raise ConfigError(f"a robot {name!r} exists; choose another name")
         there = robot_folder(own)
         save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
         shared, switch = self._shared, self._shared.robot_switch
