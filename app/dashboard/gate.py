@@ -41,9 +41,8 @@ _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] duration of a message from its first part to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 DENSITY = "fixedDpr"
-"""The only parameter of viser in a page's address: drawn pixels per pixel of the page. viser's
-other
-parameters are refused, because one of them selects another server."""
+"""The only parameter of viser in a page's address: drawn pixels per pixel of the page. The others
+are refused, because one of them selects another server."""
 ReadLink = Callable[[str], tuple[str, str]]
 """Reads an address's query: returns its errors, or an empty text, and its valid part."""
 _LONGEST_PATH = 255  # [characters] of an address's path; no file has a longer one
@@ -58,8 +57,7 @@ _POLICY = (
     "connect-src 'self' ws://{host} data: blob:; worker-src 'self' blob: data:; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""viser's page contains its scripts, and it compiles its markdown. It connects to this server
-only."""
+"""viser's page contains its scripts and compiles its markdown. It connects only to this server."""
 _HEADERS = {
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
@@ -102,9 +100,8 @@ _TAKEN = (
     _messages.FileTransferPart,
     _messages.FileTransferPartAck,
 )
-"""Messages of this program's page. viser accepts others too: one opens a tunnel to this machine,
-and
-one about an unknown form is stored forever and sent to every viewer."""
+"""Messages of this program's page. viser accepts others too: one opens a tunnel to this machine;
+another one about an unknown form is stored forever and sent to every viewer."""
 _Point = tuple[float, float, float]
 _NARROWER: dict[type, dict[str, Any]] = {
     _messages.ScenePointerMessage: {
@@ -114,8 +111,7 @@ _NARROWER: dict[type, dict[str, Any]] = {
         "screen_pos": tuple[tuple[float, float]],
     }
 }
-"""Types of this program's page, where viser's annotations allow values that its handlers fail
-on."""
+"""Narrower types: viser's annotations also allow values on which its handlers fail."""
 _VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
@@ -125,8 +121,7 @@ class RefusedError(ValueError):
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
-        """The message if its types are valid, so that its sender gets the current value; or
-        None."""
+        """The message if its types are valid (its sender then gets the current value), or None."""
 
 
 class GarbageError(RefusedError):

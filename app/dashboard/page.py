@@ -53,7 +53,7 @@ LIGHT = (
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
 SHOWN = "guiding-lateral"
 """The scenario of the demonstration: the arm is pulled along the wheels' axis."""
-FARTHER = 1.5  # [-] factor on its path, with which the arm hits a base that does not evade
+FARTHER = 1.5  # [-] factor on its path, with which the arm hits a base that does not give way
 UNTOUCHED = 20.0  # [s] without input before a demonstration starts
 REST = 3.0  # [s] pause between two demonstrations
 

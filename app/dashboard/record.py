@@ -123,7 +123,7 @@ class Course:
         duration: [s] end of the scenario.
         until: [s] time of the scenario's last snapshot, or its end if it ended in time.
         stopped: Whether the scenario was stopped before its end.
-        least: [m] smallest distance of all pairs.
+        least: [m] least distance of all pairs.
         pull: [N] largest external force.
         speed: [m/s] peak speed of the end-effector.
         path: [m] length of the base's path.
@@ -190,7 +190,7 @@ class Event(NamedTuple):
 
 
 class Strip:
-    """Data of the time line: smallest distance and largest β of each bin, events, and snapshots."""
+    """Data of the time line: least distance and largest β of each bin, events, and snapshots."""
 
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
@@ -202,17 +202,17 @@ class Strip:
         """Reset everything except the number of restarts, which increases by one."""
         self.runs += 1
         self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
-        """Start [s] of each bin, smallest distance [m] and largest β in this bin."""
+        """Start [s] of each bin, least distance [m] and largest β in this bin."""
         self.closed = self._numbered = 0
         """Numbers of rows and of events since the restart, with those that were deleted."""
         self.events: dict[int, Event] = {}
         """Events by their numbers, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Snapshot] = deque(maxlen=round(KEPT / BIN / 2))
-        """Snapshots: from each two bins, the snapshot with the smallest distance."""
+        """Snapshots: from each two bins, the snapshot with the least distance."""
         self.nearest: Snapshot | None = None
         self.hardest: Snapshot | None = None
-        """Snapshots with the smallest distance and with the largest external force so far."""
+        """Snapshots with the least distance and with the largest external force so far."""
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
 

@@ -64,9 +64,8 @@ class DashboardServer:
         """Serve until another thread calls `stop`, or until Ctrl-C.
 
         Raises:
-            LoopError: The simulation or the drawing has ended with an error. The pages show it
-                until
-                the server ends.
+            LoopError: The simulation or the drawing has ended with an error. The pages
+                show the error until the server ends.
         """
         try:
             with contextlib.suppress(KeyboardInterrupt):

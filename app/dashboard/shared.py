@@ -121,8 +121,7 @@ class Tuning:
         """Continue with the simulation of another robot, which runs with `config`.
 
         Each configuration of the history keeps its changes, now relative to the new robot's
-        defaults
-        `usual`. If `config` differs from the newest one, it becomes a further step.
+        defaults `usual`. If `config` differs from the newest one, it becomes a further step.
         """
         with self._lock:
             self._steps = [usual.changed(each.changes(self.usual)) for each in self._steps]
