@@ -319,7 +319,10 @@ def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
 def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
     with served_dashboard(start_loop=Loops()) as (server, _):
         change = server.shared.robot_switch
-        for name, words in (("absent", "pip install x"), ("nobody", "robot 'nobody' does not exist")):
+        for name, words in (
+            ("absent", "pip install x"),
+            ("nobody", "robot 'nobody' does not exist"),
+        ):
             with pytest.raises(Exception, match=words):
                 change.begin(name, {}, "dbb", server.shared.loop)
         assert change.progress is None
