@@ -35,20 +35,20 @@ from websockets.http11 import Request, Response
 from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half this size
-LARGEST_PICTURE = 32 * 2**20  # [bytes] of a screenshot, which a page sends on request
-_MOST_PIXELS = 2**24  # [-] of a screenshot
+LARGEST_PICTURE = 32 * 2**20  # [bytes] size of a screenshot, which a page sends on request
+_MOST_PIXELS = 2**24  # [-] pixels of a screenshot
 _MOST_WAITING = 2  # [-] unread messages of a connection
-_SLOWEST = 10.0  # [s] duration of a message from its first part to the last
+_SLOWEST = 10.0  # [s] time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 DENSITY = "fixedDpr"
 """The only parameter of viser in a page's address: drawn pixels per pixel of the page. The others
 are refused, because one of them selects another server."""
 ReadLink = Callable[[str], tuple[str, str]]
 """Reads an address's query: returns its errors, or an empty text, and its valid part."""
-_LONGEST_PATH = 255  # [characters] of an address's path; no file has a longer one
+_LONGEST_PATH = 255  # [characters] length of a path; no file has a longer path
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
-_LONGEST_NAME = 1000  # [characters] of a name: element, file or scene node
-_LONGEST_VALUE = 2**16  # [characters] of a widget's new value
+_LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
+_LONGEST_VALUE = 2**16  # [characters] length of a widget's new value
 _DEEPEST = 6  # [-] nested containers
 _LARGEST_NUMBER = 2**53  # [-] JavaScript represents all smaller integers exactly
 _POLICY = (
@@ -73,9 +73,9 @@ body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywh
 <p>{why}.</p>{more}</html>
 """
 """Page of a refused address."""
-_WAY_OUT = """<p>If this server is meant to be reached under this name, restart it with
-<code>--allow-host {name}</code>; who can open it can move the robot.</p>"""
-_LONGEST_REASON = 400  # [characters] of the reason for a refusal
+_WAY_OUT = """<p>To reach this server under this name, restart it with
+<code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
+_LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
 """Headers of which this module or viser reads a single value."""
 _SCRIPT, _CONTROLS, _STYLE = (
@@ -178,7 +178,7 @@ class Gate:
             finally:
                 websockets_server.serve = original
         if not seen:
-            raise ServerError("this version of viser starts its server in a way that is not known")
+            raise ServerError("this version of viser starts its server in an unknown way")
 
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
         """Wrap viser's answer to requests: check each request first, and add the headers."""
@@ -217,10 +217,10 @@ class Gate:
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
-            why = f"{len(self._uploads)} pages are open, which is the most that this server serves"
+            why = f"{len(self._uploads)} pages are open: this is the limit of the server"
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
-            why = "there is no file of so long a name"
+            why = "no file has a name of this length"
         else:
             why, rest = self._read_link(query)
             if not why:
@@ -237,7 +237,7 @@ class Gate:
         """Wrap viser's handler of connections, which then gets only checked messages."""
 
         async def handle(connection: ServerConnection) -> None:
-            if connection.subprotocol != _VERSION:  # viser would print each one
+            if connection.subprotocol != _VERSION:  # viser would print each wrong version
                 return await connection.close(1002, "this page is of another version; reload it")
             connection.transport.max_size = 2**13  # [bytes] read at once, before other connections
             uploads = Uploads(self._largest_upload, self._uploads)
@@ -442,9 +442,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     source = getattr(message, "source_component_uuid", None)
     shown = None if source is None else widget(source)
     if shown is not None and not isinstance(shown.value, UploadedFile):
-        raise RefusedError(
-            "this element accepts no files", message
-        )  # a file would replace its value
+        raise RefusedError("this element accepts no files", message)  # a file would be its value
     if isinstance(message, _RECORDS[_messages.FileTransferStartUpload]):
         uploads.begin(message.transfer_uuid, message.size_bytes, message.part_count)
     elif isinstance(message, _RECORDS[_messages.FileTransferPart]):
@@ -461,7 +459,7 @@ def is_picture(content: bytes) -> bool:
 
 
 def is_alike(value: object, current: object) -> bool:
-    """Whether `value` has the type of a widget's current value, for example also a number."""
+    """Whether `value` has the type of a widget's current value; all numbers have one type."""
     if isinstance(current, tuple):
         return (
             isinstance(value, list)

@@ -1,7 +1,7 @@
-"""Background jobs of the page: cancellable work that runs in parallel to the simulation.
+"""Background jobs of the page: cancellable work in parallel to the simulation.
 
-All viewers share one job. Work that fully occupies a core runs in its own process (`Job.run`). This
-process imports this module first; therefore each function here imports what it needs itself.
+Work that fully occupies a core runs in a separate process (`Job.run`), which imports this module
+first. Therefore each function here imports the modules that it needs.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Job:
         with self._lock:
             running = self.progress  # read once, because the work's thread may clear it
             if running is not None:
-                raise ConfigError(f"{running.title}: {running.text}; cancel that first")
+                raise ConfigError(f"{running.title}: {running.text}; cancel this job first")
             self.progress = Progress(title, text)
         self.problem = ""
         self._cancelled.clear()
@@ -232,7 +232,7 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
 
 
 def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
-    """Write the film of a log in real time."""
+    """Write the film of a log, which plays in real time."""
     from contextlib import closing
 
     from app.dashboard.export.browser import chromium

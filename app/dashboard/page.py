@@ -125,7 +125,7 @@ class Page:
         """Draw the viewer's point in time; update panels, plots and labels only if `texts`."""
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
         if not newest.follows(self._newest):
-            self.grip.release()  # the simulation has restarted without any pull
+            self.grip.release()  # the simulation has restarted and has dropped all pulls
         self._newest = newest
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # the past cannot be changed

@@ -21,7 +21,7 @@ SPACING = 0.01  # [m] distance between two points of a track
 _LONGEST = 1500  # largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the time line
 _QUIET = 1.0  # [s] after this pause the same event counts as a new one
-_MOST_EVENTS = 400
+_MOST_EVENTS = 400  # largest number of stored events
 
 
 class Rows:
@@ -121,7 +121,7 @@ class Course:
         name: Name of the scenario; empty if none has started.
         running: Whether the scenario is moving the robot.
         duration: [s] end of the scenario.
-        until: [s] time of the scenario's last snapshot, or its end if it ended in time.
+        until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
         stopped: Whether the scenario was stopped before its end.
         least: [m] least distance of all pairs.
         pull: [N] largest external force.

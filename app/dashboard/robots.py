@@ -140,7 +140,7 @@ class RobotSwitch(Job):
     def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
         """Prepare another robot; the running one ends when the other one is shown.
 
-        The parameters of the robot are its own defaults with `changes`.
+        The new robot gets its own defaults with `changes`.
 
         Raises:
             ConfigError: The robot does not exist or is incomplete, or another switch is running.
@@ -313,14 +313,12 @@ class RobotBuild(Job):
             try:
                 self.run(build_robot, request)
             finally:
-                remove_abandoned(
-                    request.out.parent
-                )  # the process may have ended before its cleanup
+                remove_abandoned(request.out.parent)  # the process may end before its cleanup
             self.built = request.name
             self._switch.look()
             self._forget()  # the robot's folder has all required files
 
-        self.start(request.name, "begins", work)
+        self.start(request.name, "starting", work)
 
     def close(self) -> None:
         """Cancel the job and delete the upload."""

@@ -64,8 +64,8 @@ class DashboardServer:
         """Serve until another thread calls `stop`, or until Ctrl-C.
 
         Raises:
-            LoopError: The simulation or the drawing has ended with an error. The pages
-                show the error until the server ends.
+            LoopError: The simulation or the drawing has ended with an error, which the pages show
+                until the server ends.
         """
         try:
             with contextlib.suppress(KeyboardInterrupt):
@@ -93,7 +93,7 @@ class DashboardServer:
             page.end()
 
     def _newcomer(self) -> viser.ClientHandle | None:
-        """Return the first connected viewer who has no page yet, or None."""
+        """Return the first viewer who has connected since the last calls, or None."""
         clients = self.viser.get_clients()
         first = sorted(clients.keys() - self._here)[:1]
         self._here = self._here & clients.keys() | {*first}
@@ -120,9 +120,8 @@ class DashboardServer:
             begin = time.thread_time()
             self._draw_picture()
             # With many viewers the frame rate drops, so that drawing does not use all the time.
-            # After
-            # a delay that is not computing time, continue from now: a burst of late frames would
-            # only add to the delay.
+            # After a delay that is not computing time, continue from now: a burst of late frames
+            # would only add to the delay.
             rest = (time.thread_time() - begin) * (1.0 / LARGEST_SHARE - 1.0)
             due = max(due + FRAME, time.monotonic() + rest)
 

@@ -163,8 +163,7 @@ class SharedState(SceneData):
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case
-        """A scenario that starts at the loop's initial state, for a button that plays it, or
-        None."""
+        """A scenario from the loop's initial state, for a button that plays it; or None."""
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)

@@ -25,9 +25,7 @@ class Timeline:
         """Start live; `loop` has the snapshots of the last 60 s, and `strip` has older ones."""
         self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
-        self._replay: tuple[float, float, float] | None = (
-            None  # [s] start, [s] time at the start, [-] speed
-        )
+        self._replay: tuple[float, float, float] | None = None  # [s] clock, [s] time, [-] speed
         self._newest = loop.latest()
         self._marked: list[Snapshot] = []
         self._lock = threading.RLock()
@@ -128,7 +126,7 @@ class Timeline:
         """Return the snapshots of the marked interval, or of the last 60 s, oldest first.
 
         Raises:
-            LogError: The interval has less than two snapshots.
+            LogError: The interval has fewer than two snapshots.
         """
         self.shown()
         with self._lock:

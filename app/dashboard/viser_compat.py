@@ -126,9 +126,7 @@ def open_server(
     logging.getLogger("websockets").setLevel(logging.WARNING)  # no records of each connection
     for name in ("websockets.server", "asyncio", logger.name):
         logging.getLogger(name).addFilter(_knocks)  # a filter is added once only
-    warnings.filterwarnings(
-        "ignore", "Queued a .* on a closed connection"
-    )  # to a viewer who has just left
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # normal at its end
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
     gate = Gate({host, *allowed}, largest_upload, read_link)
     with _silence(), gate.closed():
@@ -188,7 +186,7 @@ def scene_picture(
     """
     connection = _connection(client)
     if connection is None:
-        raise RuntimeError("the page has gone")
+        raise RuntimeError("the page has disconnected")
     with _pictures:
         connection.protocol.max_message_size += LARGEST_PICTURE
         try:
@@ -281,12 +279,7 @@ class Channel:
             act, kind = self._acts[word]
             values = [kind(value) for value in values]
             signature(act).bind(*values)
-        except (
-            ValueError,
-            TypeError,
-            KeyError,
-            OverflowError,
-        ):  # not a message of this program's page
+        except (ValueError, TypeError, KeyError, OverflowError):  # not a message of this page
             return
         act(*values)
 
@@ -367,9 +360,7 @@ class Watchdog:
             last + 1 >= queue.message_counter for last, queue in zip(sent, queues, strict=True)
         ):
             unsent = 0
-        elif not any(
-            queue.atomic_counter for queue in queues
-        ):  # false while a picture is being composed
+        elif not any(queue.atomic_counter for queue in queues):  # no picture is being composed
             unsent += 1
         return _Seen(answer, unanswered, sent, unsent)
 

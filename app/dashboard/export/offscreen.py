@@ -415,9 +415,8 @@ def write_film(
     words = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {size} -r {rate} -i -".split()
     with whole_file(path) as beside, tempfile.TemporaryFile() as said:
         command = [get_ffmpeg_exe(), *words, "-an", "-c:v", name, *more, str(beside)]
-        # ffmpeg has its own process group: Ctrl-C reaches this process only, which ends ffmpeg. As
-        # in
-        # this process, a file that grows too large causes an error message and no signal.
+        # ffmpeg has its own process group: Ctrl-C reaches this process only, which ends ffmpeg. A
+        # file that grows too large causes an error message and no signal, as in this process.
         process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,

@@ -69,7 +69,7 @@ class Link(NamedTuple):
         given = {name: words.pop(name) for name in _NAMES if name in words}
         unknown = next((name for name in words if "." not in name), None)
         if unknown is not None:
-            raise UnknownNameError("parameter", unknown, (*_NAMES, "border.d_b or another such"))
+            raise UnknownNameError("parameter", unknown, (*_NAMES, "a path such as border.d_b"))
         check_range(DENSITY, _number(DENSITY, given.get(DENSITY, "1")), 0.1, 4.0, "")
         for name, choices in (
             ("scenario", SCENARIOS),
@@ -88,7 +88,7 @@ class Link(NamedTuple):
         if "at" in given:
             at = _number("at", given["at"])
             if not found.scenario:
-                raise ConfigError("at: is the time of a scenario; name it")
+                raise ConfigError("at: this time needs a scenario; name one")
             check_range("at", at, 0.0, SCENARIOS[found.scenario].duration, "s")
             found = found._replace(at=at)
         return found
@@ -241,9 +241,7 @@ class SharePanel(Panel):
             'style="width:100%" onclick="this.select()">'
         )
         run = f'<img src="data:," alt="" style="display:none" onerror="{_COPY}">'
-        self._address.content = small(
-            f"Copied. It is also the address of this page now:<br>{box}{run}"
-        )
+        self._address.content = small(f"Copied. This page now has the same address:<br>{box}{run}")
         self._address.visible = True
 
     def _save(self, event: Any) -> None:
@@ -282,7 +280,9 @@ def play_case(shared: SharedState, text: str, name: str) -> str:
     case = RunCase.read(text, name)
     robot = shared.model.description
     if case.robot != robot.name:
-        raise CaseError(f"{name} is of the robot {case.robot}: choose it in the tab Robot first")
+        raise CaseError(
+            f"{name} needs the robot {case.robot}: choose this robot in the tab Robot first"
+        )
     play = Play(case.scenario())
     shared.tuning.load(case.config())
     for command in (Choose(case.controller), play):

@@ -208,9 +208,7 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh = mesh.copy()
-    mesh.merge_vertices(
-        merge_tex=True, merge_norm=True
-    )  # separate triangles would shrink individually
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # otherwise each triangle shrinks alone
     for aggression in AGGRESSIONS:
         light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
         if len(light.faces) <= MOST_FACES:
