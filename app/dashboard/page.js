@@ -114,8 +114,7 @@
   };
 
   const CARD = 150; // [px] for every card, so that the scene does not move with the text
-  // [px] height of the scene, and heights that the guide's card and the drawer cover above and
-  // below.
+  // [px] height of the scene, and heights that the guide's card and the drawer cover.
   const scene = () => {
     const rect = (element) => element?.getBoundingClientRect() ?? { height: 0 };
     const [box, drawer] = [window.__viserMutable?.canvas, document.querySelector("[data-drawer]")].map(rect);
@@ -152,8 +151,7 @@
     if (place === null || (!drawer && matches(NARROW).matches)) return;
     if (drawer) drawer.dataset.drawer = "open";
     const tab = [...document.querySelectorAll("[role=tab]")].find((each) => each.innerText.trim() === place);
-  // A drawer shows the names of a closed group of tabs in one line; a click on the line opens the
-  // group.
+    // A drawer shows the names of a closed group of tabs in one line, which opens the group.
     const line = (each) => each.innerText.trim().split(" · ").includes(place);
     const group = drawer && place && !tab && [...drawer.querySelectorAll("div, span, p")].filter(line).pop();
     if (group) return group.click();

@@ -1,5 +1,4 @@
-// Helpers inside the page. They use private hooks of viser's client; therefore viser's version is
-// fixed.
+// Helpers inside the page. viser's version is fixed, because they use private hooks of its client.
 (() => {
   // Software rendering is intended here: without this change, a warning covers a part of the page.
   // The server then assumes a GPU and sends full detail.
