@@ -428,7 +428,7 @@ def answered(payload):
 def test_an_answer_that_is_no_picture_or_unpacks_to_much_is_refused(payload):
     pass_on(answered(png()))
     pass_on(answered(b""))  # a page that could make none
-    with pytest.raises(RefusedError, match="no picture"):
+    with pytest.raises(RefusedError, match="not a requested picture"):
         pass_on(answered(payload))
 
 
