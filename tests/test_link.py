@@ -65,7 +65,7 @@ def test_a_camera_comes_back_to_the_centimetre():
         ("look=1,2,3,1,2,0", "exactly above or below"),
         ("look=1,2,3,4,5,1e9", "100 m"),
         ("scenario=guiding-front&at=99", "0 to 8 s"),
-        ("at=3", "name it"),
+        ("at=3", "needs a scenario"),
         ("scenario=guiding-front&at=soon", "not a number"),
         ("scenaro=tracking", "did you mean 'scenario'"),
         ("utm_source=mail", "unknown parameter 'utm_source'"),

@@ -176,13 +176,13 @@ def test_a_robot_is_made_once_and_can_be_stopped(
     monkeypatch.setattr(robots, "build_robot", wait_for_ever_for_a_request)
     making.build(request)
     wait_for(lambda: making.progress is None or making.progress.text == "waiting", what="work")
-    with pytest.raises(ConfigError, match="cancel that first"):
+    with pytest.raises(ConfigError, match="cancel this job first"):
         making.build(request)
     making.cancel()
     ended(making)
     assert "cancelled" in making.problem
     assert list((tmp_path / "user").iterdir()) == []
-    with pytest.raises(ConfigError, match="there is a robot 'husky_panda' already"):
+    with pytest.raises(ConfigError, match="a robot 'husky_panda' exists"):
         making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "husky_panda"))
     with pytest.raises(RobotFileError, match="letters, digits"):
         making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))

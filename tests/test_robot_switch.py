@@ -234,7 +234,7 @@ def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_tol
         assert title(server) == "The other robot"
         assert server.shared.tuning.config == server.shared.tuning.usual == OWN
         (note,) = told
-        assert "all parameters are at their defaults, as it cannot start with yours" in note
+        assert "all parameters are at their defaults: the robot cannot start with yours" in note
         assert "(the hand does not come there)" in note
         server.shared.tuning.undo()  # nothing is lost
         assert server.shared.tuning.config.border.d_b == 0.3
@@ -319,7 +319,10 @@ def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
 def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
     with served_dashboard(start_loop=Loops()) as (server, _):
         change = server.shared.robot_switch
-        for name, words in (("absent", "pip install x"), ("nobody", "no robot 'nobody'")):
+        for name, words in (
+            ("absent", "pip install x"),
+            ("nobody", "robot 'nobody' does not exist"),
+        ):
             with pytest.raises(Exception, match=words):
                 change.begin(name, {}, "dbb", server.shared.loop)
         assert change.progress is None

@@ -467,7 +467,7 @@ def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
     assert name == "stiff-arm.toml"
     assert decode_config(content) == ("stiff/arm", config, ())
     desk.tuning.reset()
-    assert upload(desk, content).notes == ["mine.toml: 2 not at defaults."]
+    assert upload(desk, content).notes == ["mine.toml: 2 changed from the defaults."]
     assert desk.tuning.config == config
     desk.tuning.undo()
     assert desk.tuning.config == Config()

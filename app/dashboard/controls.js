@@ -1,6 +1,7 @@
-// What a page shows and says beside viser's own widgets, begun by `Channel`: the strip above any page,
-// the card of the guide, the time line below, number boxes that take a number once it is complete, keys.
-// `box` is the widget that brings the page's words to the server, `ranges` are those of the boxes.
+// Elements of the page in addition to viser's widgets, created by `Channel`: the header, the guide's
+// card, the time line, number boxes that accept a complete number only, and keys.
+// `box` is the widget that carries the page's messages to the server; `ranges` has the ranges of the
+// number boxes.
 window.dbbControls = (box, ranges) => {
   const HEIGHT = 100; // [px] of the bar
   const FULL = 0.3; // [m] distance that fills the strip
@@ -12,7 +13,7 @@ window.dbbControls = (box, ranges) => {
     for (const kind of kinds.split(" ")) to.addEventListener(kind, act, { signal: ending.signal, ...more });
   };
   let count = 0;
-  const told = new Map(); // what the page has said of itself, by its words
+  const told = new Map(); // the last values of each message
   const ask = (word, ...values) =>
     window.__viserMutable?.sendMessage({ type: "GuiUpdateMessage", uuid: box,
       updates: { value: JSON.stringify([`${Date.now()}.${count++}`, word, ...values]) } });
@@ -27,7 +28,7 @@ window.dbbControls = (box, ranges) => {
   const head = make("header", document.body, "dbb-head");
   const name = make("div", head, "dbb-name");
   make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
-  make("p", name, "", "Drives a mobile robot's base out of its own arm's way");
+  make("p", name, "", "Moves a mobile robot's base out of its own arm's way");
   const live_ = make("div", head, "dbb-live");
   const card = make("section", document.body, "dbb-card");
   card.setAttribute("aria-label", "Guide");
@@ -41,7 +42,7 @@ window.dbbControls = (box, ranges) => {
   const button = (parent, text, title, act) => {
     const element = make("button", parent, "", text);
     element.title = title;
-    listen(element, "click", (e) => (act(), e.detail && element.blur())); // keys stay on it
+    listen(element, "click", (e) => (act(), e.detail && element.blur())); // with a key the focus stays
     return element;
   };
   button(past, "Back to now", "Escape or N", () => ask("now"));
@@ -49,7 +50,7 @@ window.dbbControls = (box, ranges) => {
   const where = make("b", make("span", row));
   button(row, "−1 s", "B", () => ask("step", -1));
   button(row, "−20 ms", "One snapshot back", () => ask("step", -0.02));
-  button(row, "+20 ms", "One snapshot forward; at the newest one a step is simulated", () => ask("step", 0.02));
+  button(row, "+20 ms", "One snapshot forward; at the newest snapshot, one simulation step", () => ask("step", 0.02));
   button(row, "+1 s", "F", () => ask("step", 1));
   const play = button(row, "▶ Replay", "Play the past from here", () => ask("play", Number(rate.value)));
   const rate = make("select", row);
@@ -71,10 +72,10 @@ window.dbbControls = (box, ranges) => {
   strip.setAttribute("aria-label", "Time line");
   edge.hidden = past.hidden = hint.hidden = card.hidden = true;
 
-  // ---- what it shows
+  // ---- content of the bar
   let kept = 600, bin = 0.1, rows = [], events = new Map();
   let now = 0, at = 0, begin = null, end = null, live = true, paused = false, d_b = 0.15, playing = false;
-  let span = 30, right = null; // [s] shown, and its end; null goes with now
+  let span = 30, right = null; // [s] shown interval and its end; null follows the newest time
   const until = () => right ?? Math.max(now, span);
   const from = () => until() - span;
   const middle = () => Math.min(Math.max(at, from()), until());
@@ -93,7 +94,7 @@ window.dbbControls = (box, ranges) => {
     const times = [...events.values()].map((e) => e[1]).filter((t) => (t - at) * way > 0.03);
     if (times.length) ask("go", way > 0 ? Math.min(...times) : Math.max(...times));
   };
-  const nearest = (e) => { // the mark whose head is there
+  const nearest = (e) => { // the event whose mark is under the pointer
     const px = local(e);
     let found = null, off = e.clientY - strip.getBoundingClientRect().top < 14 ? 8 : 0;
     for (const event of events.values()) {
@@ -114,7 +115,7 @@ window.dbbControls = (box, ranges) => {
     ink.setTransform(dpr, 0, 0, dpr, 0, 0);
     ink.clearRect(0, 0, w, h);
     const text = getComputedStyle(bar).color, foot = h - 13, head = 12;
-    const name = (words, side, left, low) => { // over curves, on a ground of its own
+    const name = (words, side, left, low) => { // on a background, because curves are below it
       ink.textAlign = side;
       ink.lineWidth = 3;
       ink.strokeStyle = getComputedStyle(bar).backgroundColor;
@@ -128,7 +129,7 @@ window.dbbControls = (box, ranges) => {
       ink.fillRect(x(begin), 0, Math.max(x(end ?? now) - x(begin), 2), foot);
     }
     const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
-    ink.fillStyle = "rgba(142, 107, 216, .55)"; // β from above
+    ink.fillStyle = "rgba(142, 107, 216, .55)"; // β, drawn downwards
     for (const [t, , beta] of shown) if (beta > 0)
       ink.fillRect(x(t), head, Math.max(x(t + bin) - x(t), 1), beta * (foot - head) * 0.5);
     ink.lineWidth = 1.6;
@@ -201,7 +202,7 @@ window.dbbControls = (box, ranges) => {
     draw();
   };
 
-  // ---- scrubbing: the newest place is asked for at most 20 times a second
+  // ---- scrubbing: at most 20 requests per second, each with the newest time
   let wanted = null, waits = 0, pinch = null;
   const fingers = new Map();
   const scrub = (e) => {
@@ -260,8 +261,8 @@ window.dbbControls = (box, ranges) => {
   });
   listen(window, "resize", draw);
 
-  // ---- numbers: what is typed is one number at its end, not one after each key
-  const typed = new Map(); // boxes that are typed into, and what they held before
+  // ---- number boxes: the server gets the complete number, not each key
+  const typed = new Map(); // edited boxes and their previous values
   const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
   let passing = false;
   const pass = (input, text) => {
@@ -285,7 +286,7 @@ window.dbbControls = (box, ranges) => {
     if (fits) return;
     const range = low === null && high === null ? "" : low === null ? ` up to ${high}` : high === null ? ` from ${low}` : ` from ${low} to ${high}`;
     const name = label?.textContent.replace("•", "").trim() || "this box";
-    ask("refused", `${name} takes a number${range}, not ${text ? `“${text.slice(0, 40)}”` : "nothing"}; it stays at ${before}.`);
+    ask("refused", `${name} needs a number${range}, not ${text ? `“${text.slice(0, 40)}”` : "nothing"}; the value stays ${before}.`);
   };
   const number = (e) => e.target instanceof HTMLInputElement && e.target.closest(".mantine-NumberInput-root");
   listen(window, "focusin", (e) => {
@@ -309,28 +310,28 @@ window.dbbControls = (box, ranges) => {
     } else if (e.key === "Escape") {
       const open = (kinds) => [...document.querySelectorAll(kinds)].some((each) => each.offsetHeight);
       if (open("[role=listbox]")) return;
-      const over = !card.hidden || open(".mantine-Modal-content"); // messages go with the past
+      const over = !card.hidden || open(".mantine-Modal-content"); // only otherwise does Escape leave the past
       ask("escape");
       if (!over && !live) ask("now");
     }
   }, { capture: true });
-  // A change comes before the box has made a number of what is typed.
+  // "change" comes before the box itself converts the text to a number.
   listen(window, "change focusout", (e) => number(e) && take(e.target), { capture: true });
   listen(window, "pointerdown", (e) => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
-  // ---- a list from which a person has chosen lets go of the keys, which are the page's again
+  // ---- after a choice, a list loses the focus, so that the page's keys work again
   listen(window, "click", (e) => e.target.closest?.("[role=option]") && document.activeElement?.blur());
 
-  // ---- what stands for what in the plots, under the pointer
+  // ---- explanation of a plot's line, under the pointer
   let hints = {};
   listen(window, "pointerover", (e) => {
     const line = e.target.closest?.(".u-legend .u-series"), plot = line?.closest(".uplot");
     if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
   });
 
-  // ---- the hand is pulled by keys as long as Shift is held
+  // ---- while Shift is held, keys pull the end-effector
   const PULLS = { ArrowUp: [1, 0, 0], ArrowDown: [-1, 0, 0], ArrowLeft: [0, 1, 0], ArrowRight: [0, -1, 0],
     PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
   const elsewhere = (e) => e.target.closest?.("input, textarea, [role=slider], [role=tab]");
@@ -345,11 +346,11 @@ window.dbbControls = (box, ranges) => {
   // ---- a double click resets the view
   listen(window, "dblclick", (e) => e.target.tagName === "CANVAS" && e.target !== strip && ask("look"));
 
-  // ---- a first visit begins with a welcome
+  // ---- a first visit starts with the guide
   try {
     if (!localStorage.getItem("dbb-tour-seen")) ask("tour");
     localStorage.setItem("dbb-tour-seen", "yes");
-  } catch {} // a browser that keeps nothing
+  } catch {} // the browser has no storage
 
   ask("link", window.dbbAsked());
   return {
@@ -389,7 +390,7 @@ window.dbbControls = (box, ranges) => {
       [now, at, begin, end, live, paused, d_b, playing] = told;
       say();
     },
-    // For tests: where a time is on the page, what is shown, and what happened.
+    // For tests: position of a time on the page, and the content of the time line.
     pixel: (t) => [strip.getBoundingClientRect().left + x(t), strip.getBoundingClientRect().top + 25],
     seen: () => ({ from: from(), until: until(), now, at, rows, events: [...events.values()] }),
     end: () => {

@@ -1,4 +1,4 @@
-"""Drag: a viewer pulls the end-effector by a gizmo, or any link of the arm by itself."""
+"""Drag: a viewer pulls the end-effector with a gizmo, or any link of the arm directly."""
 
 from collections.abc import Callable
 from time import monotonic
@@ -16,52 +16,58 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 GIZMO = "/hand"  # scene node of the gizmo
-NUDGE = 0.02  # [m] of one key press
-MOST_NUDGED = 0.15  # [m] from the hand to where keys pull it
+NUDGE = 0.02  # [m] displacement by one key press
+MOST_NUDGED = 0.15  # [m] largest distance between the end-effector and its target by keys
 SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
 class Hold(NamedTuple):
-    """Where a person holds the robot."""
+    """The point of the robot that a person holds."""
 
     link: str | None = None
     """Name of the joint that moves the link; None for the end-effector."""
     point: tuple[float, float, float] | None = None
-    """(3,) [m] in that joint's frame; None for the end-effector."""
+    """(3,) [m] position in the joint's frame; None for the end-effector."""
 
 
 class Grip:
-    """What one viewer holds. Several may pull at once: their forces add."""
+    """Pull of one viewer. Several viewers may pull at once: their forces add up."""
 
     def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
-        """Nothing held by the viewer of number `who`; pulls go to `sink`."""
+        """Create a grip without a pull.
+
+        Args:
+            sink: Simulation that gets the pulls.
+            notifier: Shows messages to the viewer.
+            who: Number of the viewer.
+        """
         self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None
         self._warned = False
-        self._moved = 0.0  # [s] when it was pulled last
-        self._target, self._by_keys = np.zeros(3), False  # [m] of a pull by keys
+        self._moved = 0.0  # [s] time of the last pull
+        self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
         self.reach: Callable[[Array], None] | None = None
-        """Instead of a pull: moves the end-effector to a place (3,) [m]."""
+        """If set, called with the target (3,) [m] of the end-effector instead of a pull."""
 
     @property
     def holds_hand(self) -> bool:
-        """Whether the end-effector is held by this viewer's gizmo."""
+        """Whether this viewer pulls the end-effector."""
         return self._hold is not None and self._hold.link is None
 
     @property
     def holds_anything(self) -> bool:
-        """Whether the viewer pulls at all."""
+        """Whether this viewer pulls any point of the robot."""
         return self._hold is not None
 
     def take(self, hold: Hold) -> None:
-        """Take hold of the robot; of what was held before, the person lets go."""
+        """Start to hold a point of the robot; release the previous one."""
         if self._hold is not None:
             self.release()
         self._hold, self._warned, self._moved = hold, False, monotonic()
         self._by_keys = False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
-        """Pull what is held to a place (3,) [m] in the world, or to the floor below it."""
+        """Pull the held point to a target (3,) [m] in the world, which the floor limits."""
         if self._hold is None:
             return
         self._moved = monotonic()
@@ -71,34 +77,34 @@ class Grip:
             return
         x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._warned:
-            self._warned = True  # once a drag, not twenty times a second
+            self._warned = True  # warn once per drag
             self._notifier.warn(client, "The floor is at z = 0; the hand stays above it.")
         self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
-        """Pull the end-effector a step along a direction (3,) of the base's frame, as keys do."""
+        """Pull the end-effector one step along `ahead` (3,) in the base's frame."""
         if not self.holds_hand:
             self.take(Hold())
             self._target, self._by_keys = np.array(snapshot.p_ee), True
         step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
         reach = self._target + step - snapshot.p_ee
-        most = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
-        self._target = snapshot.p_ee + most * reach
+        scale = MOST_NUDGED / max(float(np.linalg.norm(reach)), MOST_NUDGED)
+        self._target = snapshot.p_ee + scale * reach
         self.pull(self._target, client)
 
     def release_keys(self) -> None:
-        """Let go of what keys pull; a gizmo that is dragged stays in the hand."""
+        """Release a pull by keys; a pull by the gizmo continues."""
         if self._by_keys:
             self.release()
 
     def release(self) -> None:
-        """Let go."""
+        """Release the held point."""
         if self._hold is not None:
             self._hold = None
             self._sink.send(Release(self._who))
 
     def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
-        """Let go of what has not been pulled elsewhere for so long [s], and say why."""
+        """Release the held point if it was not pulled for `seconds` [s], and warn the viewer."""
         if self._hold is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
@@ -117,9 +123,14 @@ class DragHandles:
         notifier: Notifier,
         arm_joints: dict[int, str],
     ) -> None:
-        """Put the gizmo into the scene and listen to it and to the arm's links.
+        """Add the gizmo to the scene, and handle drags of the gizmo and of the arm's links.
 
-        `arm_joints` are the names of the arm's joints, by their index in the drawn model.
+        Args:
+            scene: The scene.
+            robot: The drawn robot.
+            grip: Pull of this viewer.
+            notifier: Shows errors to the viewer.
+            arm_joints: Names of the arm's joints, by their index in the drawn model.
         """
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
@@ -130,7 +141,7 @@ class DragHandles:
         self._links: object = None
 
     def update(self, snapshot: Snapshot) -> None:
-        """Let the gizmo follow the hand unless this viewer drags it."""
+        """Move the gizmo to the end-effector unless this viewer drags it."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:
@@ -140,7 +151,7 @@ class DragHandles:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
-        """One event of the gizmo: start, update or end."""
+        """Handle an event of the gizmo: start, update or end."""
         if event.phase == "end":
             self.grip.release()
             return

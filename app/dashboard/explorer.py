@@ -1,4 +1,4 @@
-"""A posture of the robot, and the controller's answer there, while the simulation pauses."""
+"""Postures of the robot, and the controller's response to them, while the simulation is paused."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,23 +16,23 @@ from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot, make_snapshot
 from app.strict import Array
 
-CLOSE = 0.002  # [m] from a place the hand counts as there
+CLOSE = 0.002  # [m] tolerance of the end-effector's position
 
 
 class Posture(NamedTuple):
-    """Where the robot stands."""
+    """Pose of the base and joint positions of the arm."""
 
     base_pose: Array
     """(3,) x, y [m] and heading [rad] of the base."""
     q_m: Array
-    """(n_m,) [rad or m] the arm's joints."""
+    """(n_m,) [rad or m] joint positions of the arm."""
 
 
 class Explorer:
-    """Asks the control law about postures, by one control step from rest; for one thread."""
+    """Evaluates the control law for postures, by one control step from rest; not thread-safe."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
-        """Begin with the posture of a snapshot."""
+        """Start with the posture of a snapshot."""
         pairs = [(Pair(*pair.name.split("-")), pair.mobile) for pair in snapshot.pairs]
         found = LinkPairs(
             tuple(pair for pair, mobile in pairs if mobile),
@@ -51,7 +51,7 @@ class Explorer:
         self._answer = snapshot
 
     def ask(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """A snapshot with the robot in a posture; all else is that of another snapshot."""
+        """Return a snapshot of the robot in `posture`; other values are those of `snapshot`."""
         asked = (
             posture.base_pose.tobytes(),
             posture.q_m.tobytes(),
@@ -72,14 +72,20 @@ class Explorer:
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """(n_m,) [rad or m] each, of the arm's joints."""
+        """Lower and upper limits (n_m,) [rad or m] of the arm's joints."""
         return self._model.q_lower, self._model.q_upper
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """The posture near another with the hand at a place (3,) [m], pointing as there if it can.
+        """Find a posture with the end-effector at a position, starting from another posture.
+
+        The end-effector keeps its direction if possible.
+
+        Args:
+            posture: Initial posture.
+            place: (3,) [m] position in the world.
 
         Returns:
-            The nearest that the arm comes, and [m] how far off it is.
+            The posture that comes closest, and its distance [m] to the position.
         """
         search, best = self._search, (posture, np.inf)
         search.stand(posture.base_pose)

@@ -1,8 +1,8 @@
-"""The gate: who may connect and what a page may send is checked once, before viser sees it.
+"""Checks of connections and of the pages' messages, before viser handles them.
 
-viser has no place for such checks, so that what it hands to `websockets` when it starts is wrapped:
-requests are checked by `is_allowed` and answered with headers that keep foreign pages out; each
-message is checked by `checked` before viser takes it apart. The types of messages are viser's own
+viser has no hook for these checks. Therefore the functions that viser passes to `websockets` when
+it starts are wrapped. `is_allowed` checks requests, and each answer gets headers that keep other
+websites out. `checked` checks each message before viser reads it. The types of messages are viser's
 annotations, which viser itself does not check.
 """
 
@@ -34,30 +34,30 @@ from websockets.http11 import Request, Response
 
 from app.errors import ServerError
 
-LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
-LARGEST_PICTURE = 32 * 2**20  # [bytes] which only a page that was asked for one may send
-_MOST_PIXELS = 2**24  # [-] of such a picture
-_MOST_WAITING = 2  # [-] messages of a viewer that have come and are not taken yet
-_SLOWEST = 10.0  # [s] from the first part of a message to its last
-_MOST_VIEWERS = 32  # [-] connections at a time
+LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half this size
+LARGEST_PICTURE = 32 * 2**20  # [bytes] size of a screenshot, which a page sends on request
+_MOST_PIXELS = 2**24  # [-] pixels of a screenshot
+_MOST_WAITING = 2  # [-] unread messages of a connection
+_SLOWEST = 10.0  # [s] time from the first part of a message to the last
+_MOST_VIEWERS = 32  # [-] simultaneous connections
 DENSITY = "fixedDpr"
-"""The one name of viser's own that a page's address may carry, of how many pixels are drawn for one
-of the page; others would tell the page whom to obey."""
+"""The only parameter of viser in a page's address: drawn pixels per pixel of the page. The others
+are refused, because one of them selects another server."""
 ReadLink = Callable[[str], tuple[str, str]]
-"""Of an address's query: why it is wrong, or an empty text, and the query without what is."""
-_LONGEST_PATH = 255  # [characters] of an address, beyond which no file can be looked for
-_MOST_UPLOADS = 2  # [-] unfinished ones
-_LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
-_LONGEST_VALUE = 2**16  # [characters] of what a widget is set to
-_DEEPEST = 6  # [-] containers in one another
-_LARGEST_NUMBER = 2**53  # [-] up to which a page has every integer; beyond it none is meant
+"""Reads an address's query: returns its errors, or an empty text, and its valid part."""
+_LONGEST_PATH = 255  # [characters] length of a path; no file has a longer path
+_MOST_UPLOADS = 2  # [-] simultaneous uploads
+_LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
+_LONGEST_VALUE = 2**16  # [characters] length of a widget's new value
+_DEEPEST = 6  # [-] nested containers
+_LARGEST_NUMBER = 2**53  # [-] JavaScript represents all smaller integers exactly
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data: blob:; "
     "connect-src 'self' ws://{host} data: blob:; worker-src 'self' blob: data:; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""viser's page has its scripts in it and compiles its markdown; it speaks to nobody else."""
+"""viser's page contains its scripts and compiles its markdown. It connects only to this server."""
 _HEADERS = {
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
@@ -65,25 +65,25 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Of every answer, with the policy."""
+"""Headers of each answer, with the policy."""
 _ANSWER = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
 <meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
 <style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
 body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
 <p>{why}.</p>{more}</html>
 """
-"""What a person sees of a refused address."""
-_WAY_OUT = """<p>If this server is meant to be reached under this name, restart it with
-<code>--allow-host {name}</code>; who can open it can move the robot.</p>"""
-_LONGEST_REASON = 400  # [characters] of it
+"""Page of a refused address."""
+_WAY_OUT = """<p>To reach this server under this name, restart it with
+<code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
+_LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
-"""Headers that are asked for one value here or by viser."""
+"""Headers of which this module or viser reads a single value."""
 _SCRIPT, _CONTROLS, _STYLE = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
     for name in ("page.js", "controls.js", "page.css")
 )
 _HEAD = f'<head><meta charset="utf-8"><script>{_SCRIPT}{_CONTROLS}</script><style>{_STYLE}</style>'
-"""What stands in the page before viser's own client."""
+"""Content of the page before viser's own client."""
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -100,8 +100,8 @@ _TAKEN = (
     _messages.FileTransferPart,
     _messages.FileTransferPartAck,
 )
-"""What this program's page sends. viser has others: one opens a tunnel to this machine for anybody,
-and one of a form that nobody has is kept, and told to every viewer, for ever."""
+"""Messages of this program's page. viser accepts others too: one opens a tunnel to this machine;
+another one about an unknown form is stored forever and sent to every viewer."""
 _Point = tuple[float, float, float]
 _NARROWER: dict[type, dict[str, Any]] = {
     _messages.ScenePointerMessage: {
@@ -111,46 +111,48 @@ _NARROWER: dict[type, dict[str, Any]] = {
         "screen_pos": tuple[tuple[float, float]],
     }
 }
-"""Where viser's annotations allow what its handlers do not bear: what this program's page sends."""
-_VERSION = f"viser-v{__version__}"  # the protocol that a page names
+"""Narrower types: viser's annotations also allow values on which its handlers fail."""
+_VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
 class RefusedError(ValueError):
-    """A message that viser must not see, and why, in words that follow "Refused: "."""
+    """A refused message; the reason continues the sentence "Refused: "."""
 
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
-        """It, if it has at least its own types: to tell its sender what holds instead."""
+        """The message if its types are valid (its sender then gets the current value), or None."""
 
 
 class GarbageError(RefusedError):
-    """What is no message of a page at all: whoever sends it is none."""
+    """Data that no page sends; the connection is closed."""
 
 
 class Gate:
-    """What stands between a server of viser and whoever connects to it."""
+    """Checks between a viser server and its connections."""
 
     def __init__(self, names: Collection[str], largest_upload: int, read_link: ReadLink) -> None:
-        """Prepare.
+        """Create a gate.
 
-        `names` are those by which browsers may reach the server, `largest_upload` [bytes] of one
-        file, 0 if there is nothing to upload.
+        Args:
+            names: Names under which browsers may reach the server.
+            largest_upload: [bytes] largest size of a file; 0 without uploads.
+            read_link: Reads an address's query.
         """
         self._own_names = {name.lower() for name in names}
         self._largest_upload, self._read_link = largest_upload, read_link
-        self._uploads: set[Uploads] = set()  # of each viewer who is there
+        self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
-        """Finds the widget of a page, by the page's connection and the widget's name."""
+        """Find a widget of a page, from the page's connection and the widget's name."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-        """Is called with the connection and the reason when a message was refused."""
+        """Called with the connection and the reason when a message is refused."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:
-        """A server that viser starts meanwhile stands behind this gate.
+        """Check all connections of the server that viser starts in this context.
 
         Raises:
-            ServerError: No server was started in the expected way; it must not be used.
+            ServerError: No server was started in the expected way; the server must not be used.
         """
         with _lock:
             original, seen = websockets_server.serve, []
@@ -176,10 +178,10 @@ class Gate:
             finally:
                 websockets_server.serve = original
         if not seen:
-            raise ServerError("this version of viser starts its server in a way that is not known")
+            raise ServerError("this version of viser starts its server in an unknown way")
 
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps viser's own answer to requests: behind this gate's, with safe headers."""
+        """Wrap viser's answer to requests: check each request first, and add the headers."""
 
         async def process(connection: ServerConnection, request: Request) -> Response | None:
             answer = self._refusal(request)
@@ -201,7 +203,7 @@ class Gate:
         return process
 
     def _refusal(self, request: Request) -> Response | None:
-        """The refusal of a request, or None if it may go on to viser."""
+        """Return the refusal of a request, or None if viser may answer the request."""
         headers, more = request.headers, ""
         path, _, query = request.path.partition("?")
         if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
@@ -215,15 +217,15 @@ class Gate:
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
-            why = f"{len(self._uploads)} pages are open, which is the most that this server serves"
+            why = f"{len(self._uploads)} pages are open: this is the limit of the server"
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
-            why = "there is no file of so long a name"
+            why = "no file has a name of this length"
         else:
             why, rest = self._read_link(query)
             if not why:
                 return None
-            # Relative, for a server that a proxy has below a path.
+            # A relative address, because a proxy may serve this page below a path.
             status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
             more = f'<p>Without that: <a href="{address}">{escape(rest) or "the page"}</a></p>'
         body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
@@ -232,12 +234,12 @@ class Gate:
         return Response(status.value, status.phrase, fields, body)
 
     def _handler(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps viser's handler of connections, which gets only messages that were checked."""
+        """Wrap viser's handler of connections, which then gets only checked messages."""
 
         async def handle(connection: ServerConnection) -> None:
-            if connection.subprotocol != _VERSION:  # viser would print each one
+            if connection.subprotocol != _VERSION:  # viser would print each wrong version
                 return await connection.close(1002, "this page is of another version; reload it")
-            connection.transport.max_size = 2**13  # [bytes] that are read before others' turn
+            connection.transport.max_size = 2**13  # [bytes] read at once, before other connections
             uploads = Uploads(self._largest_upload, self._uploads)
             self._uploads.add(uploads)
             try:
@@ -249,7 +251,7 @@ class Gate:
 
 
 class _Checked:
-    """A connection whose messages have been checked; all else is the connection's own."""
+    """A connection that returns checked messages only; it is otherwise the original connection."""
 
     def __init__(self, connection: ServerConnection, gate: Gate, uploads: Uploads) -> None:
         self._connection, self._gate, self._uploads = connection, gate, uploads
@@ -258,7 +260,7 @@ class _Checked:
         return getattr(self._connection, name)
 
     async def recv(self) -> bytes:
-        """The next message that viser may see; who sends another is told, or is no page."""
+        """Return the next allowed message; answer refused ones, and disconnect on garbage."""
         while True:
             try:
                 data = await self._message()
@@ -269,7 +271,7 @@ class _Checked:
                 self._gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """The next message; `websockets` limits its bytes while they arrive, this its time."""
+        """Return the next message; `websockets` limits its size, and this method its duration."""
         message, late, abort = bytearray(), None, self._connection.transport.abort
         try:
             async for part in self._connection.recv_streaming(decode=False):
@@ -282,42 +284,42 @@ class _Checked:
 
 
 def read_no_link(query: str) -> tuple[str, str]:
-    """Of a server whose pages nobody shares: only the density of the picture may be named."""
+    """Read the query of a page without links: only `DENSITY` is allowed."""
     others = [name for name, _ in parse_qsl(query, keep_blank_values=True) if name != DENSITY]
     return (f"unknown parameter {others[0]!r}", "") if others else ("", query)
 
 
 @lru_cache(maxsize=2)
 def with_script(page: bytes, encoding: str) -> bytes:
-    """The page of viser with `_HEAD` before its own; `encoding` is gzip or identity."""
+    """Insert `_HEAD` into viser's page; `encoding` is "gzip" or "identity"."""
     html = (gzip.decompress if encoding == "gzip" else bytes)(page)
     html = html.replace(b"<head>", _HEAD.encode(), 1)
     return gzip.compress(html) if encoding == "gzip" else html
 
 
 def draws_in_software(request: Request | None) -> bool:
-    """Whether the page that opened a connection has said that it has no GPU to draw with."""
+    """Whether the page that opened a connection has reported that it has no GPU."""
     return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
 
 
 def is_allowed(origin: str | None, host: str | None, own_names: Collection[str]) -> bool:
     """Whether a request may be answered.
 
-    A browser names the page's origin in every websocket's request; it has to be the address that
-    the request is sent to. That address has to be a number, localhost, or this server's name:
-    else a foreign name that has been made to point here would be its own origin.
+    A browser sends the page's origin with each websocket request. The origin must be the address of
+    the request. This address must be a number, localhost or a name of this server. Otherwise
+    another website could let its own name point to this machine, and would be accepted.
 
     Args:
-        origin: The request's header `Origin`; None for programs that are no browsers.
-        host: Its header `Host`.
-        own_names: Names by which browsers may reach the server, in small letters.
+        origin: The request's header `Origin`; None for programs that are not browsers.
+        host: The request's header `Host`.
+        own_names: Names under which browsers may reach the server, in lower case.
     """
     if host is None:
         return origin is None
     try:
         here, page = urlsplit(f"//{host}"), urlsplit(origin or "")
-        whole = here.netloc == host and here.port != 0  # looked at: one that is no number raises
-    except ValueError:  # no address at all
+        whole = here.netloc == host and here.port != 0  # raises if the port is not a number
+    except ValueError:  # not an address
         return False
     if not (whole and _is_here(here.hostname, own_names)):
         return False
@@ -336,7 +338,7 @@ def _is_here(name: str | None, own_names: Collection[str]) -> bool:
 
 
 def _record(message: type) -> type:
-    """A record with the fields of a message of viser, whose types msgspec checks."""
+    """Return a record with the fields of a viser message, whose types msgspec checks."""
     hints = get_type_hints(message) | _NARROWER.get(message, {})
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
@@ -353,83 +355,94 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """What one viewer is uploading: viser keeps what it gets until each part of a file is there.
+    """Unfinished uploads of one viewer.
 
-    As a page sends them, parts come in their order: else viser would keep them for ever.
+    viser stores the parts of a file until the file is complete. Parts must come in order, as a page
+    sends them; otherwise viser would store them forever.
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Nothing yet; a file may have `largest` [bytes]; few at a time, whoever sends them."""
+        """Create an empty list.
+
+        Args:
+            largest: [bytes] largest size of a file.
+            everyone: Uploads of all viewers, who share `_MOST_UPLOADS`.
+        """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
-        """By transfer: how many bytes are still to come, and which parts."""
+        """Number of missing bytes and missing parts of each transfer."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Take note of a file that is announced; an empty one has no parts.
+        """Register an announced file; an empty file has no parts.
 
         Raises:
-            RefusedError: It is too large, or another is not finished.
+            RefusedError: The file is too large, or too many uploads are unfinished.
         """
         if size > self._largest:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
         if not min(size, 1) <= parts <= size:
-            raise RefusedError("this is no upload")
+            raise RefusedError("this is not an upload")
         if sum(len(each.unfinished) for each in {self, *self._everyone}) >= _MOST_UPLOADS:
-            raise RefusedError("one upload after the other")
+            raise RefusedError("too many uploads at a time; wait for the end of the others")
         if parts:
             self.unfinished[transfer] = size, range(parts)
 
     def add(self, transfer: str, part: int, size: int) -> None:
-        """Take note of a part of so many bytes.
+        """Register a received part with its `size` [bytes].
 
         Raises:
-            RefusedError: Nothing was announced of which it is the next part.
+            RefusedError: The part is not the next part of an announced file.
         """
         left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
-            raise RefusedError("not what was announced")
+            raise RefusedError("this part does not belong to an announced upload")
         self.unfinished[transfer] = left - size, parts[1:]
         if not parts[1:]:
             del self.unfinished[transfer]
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
-    """The bytes of a message that viser may see.
+    """Return the bytes of an allowed message.
 
-    Uploads are those of the same viewer; `widget` finds a widget of the page by its name, or None.
+    Args:
+        data: The received message.
+        uploads: Uploads of the same viewer.
+        widget: Finds a widget of the page by its name, or None.
 
     Raises:
-        GarbageError: It is none that a page sends, or of other types.
-        RefusedError: Its values are not of their kinds, beyond a number of a page or too large.
+        GarbageError: A page does not send messages of this type, or a field has a wrong type.
+        RefusedError: A value does not match its widget, is too large, or is not finite.
     """
     if not isinstance(data, bytes):
-        raise GarbageError("this is no message")
+        raise GarbageError("this is not a message")
     if len(data) > LARGEST_MESSAGE and b"GetRenderResponseMessage" not in data[:200]:
         raise RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
     try:
         message = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise GarbageError(f"this is no message ({error})") from None
+        raise GarbageError(f"this is not a message ({error})") from None
     if isinstance(message, _RECORDS[_messages.GetRenderResponseMessage]):
         if not is_picture(message.payload):
-            raise RefusedError("this is no picture that a page was asked for", message)
+            raise RefusedError("this is not a requested picture", message)
         return data
     for name in message.__struct_fields__:
         longest = _LONGEST_VALUE if name == "updates" else _LONGEST_NAME
         if not _is_plain(getattr(message, name), longest, _DEEPEST):
-            raise RefusedError(f"{name} is too long, too deep or no number of a page", message)
+            raise RefusedError(
+                f"{name} is too long, too deeply nested or not a number of a page", message
+            )
     if isinstance(message, _RECORDS[_messages.GuiUpdateMessage]):
         if set(message.updates) != {"value"}:
-            raise RefusedError("of a widget only its value can be set", message)
+            raise RefusedError("only the value of a widget can be set", message)
         shown, value = widget(message.uuid), message.updates["value"]
         if shown is not None and not is_alike(value, shown.value):
-            raise RefusedError("the value is not of the widget's kind", message)
+            raise RefusedError("the value does not match the widget", message)
         if value not in getattr(shown, "options", (value,)):
-            raise RefusedError(f"there is no {str(value)[:60]!r} to choose", message)
+            raise RefusedError(f"{str(value)[:60]!r} is not one of the choices", message)
     source = getattr(message, "source_component_uuid", None)
     shown = None if source is None else widget(source)
     if shown is not None and not isinstance(shown.value, UploadedFile):
-        raise RefusedError("there is nothing to upload to", message)  # it would become its value
+        raise RefusedError("this element accepts no files", message)  # a file would be its value
     if isinstance(message, _RECORDS[_messages.FileTransferStartUpload]):
         uploads.begin(message.transfer_uuid, message.size_bytes, message.part_count)
     elif isinstance(message, _RECORDS[_messages.FileTransferPart]):
@@ -438,15 +451,15 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
 
 def is_picture(content: bytes) -> bool:
-    """Whether it is empty, as where none could be made, or a PNG that does not unpack to much."""
+    """Whether `content` is empty (the page has no picture) or a PNG of limited size."""
     head = content.partition(b"IDAT")[0]
     size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
     whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS
-    return not content or (whole and b"acTL" not in head)  # one of many frames
+    return not content or (whole and b"acTL" not in head)  # not an animation
 
 
 def is_alike(value: object, current: object) -> bool:
-    """Whether a widget with a current value can be set to another: a number to a number."""
+    """Whether `value` has the type of a widget's current value; all numbers have one type."""
     if isinstance(current, tuple):
         return (
             isinstance(value, list)
@@ -461,9 +474,9 @@ def is_alike(value: object, current: object) -> bool:
 
 
 def _is_plain(value: Any, longest: int, depth: int) -> bool:
-    """Whether numbers are a page's, texts at most `longest` long and containers at most so deep."""
+    """Check numbers, the length of texts (at most `longest`) and the nesting (at most `depth`)."""
     if isinstance(value, int | float):
-        return abs(value) <= _LARGEST_NUMBER  # and no NaN
+        return abs(value) <= _LARGEST_NUMBER  # False for NaN
     if isinstance(value, str):
         return len(value) <= longest
     if isinstance(value, dict | list | tuple):

@@ -1,7 +1,7 @@
-"""Background jobs: work beside the simulation, the same for all viewers, that can be cancelled.
+"""Background jobs of the page: cancellable work in parallel to the simulation.
 
-Work that takes a core runs in a process of its own (`Job.run`), which imports this module first:
-what a function of such work needs, it imports.
+Work that fully occupies a core runs in a separate process (`Job.run`), which imports this module
+first. Therefore each function here imports the modules that it needs.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ if TYPE_CHECKING:
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
 
-logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
-_CORES = max(1, usable_cores() - 1)  # of a job: one core is the simulation's
-FILM_RATE = 25.0  # [1/s] pictures of a film
-_PATIENCE = 10.0  # [s] for a thread to end
+logger = logging.getLogger("app.dashboard")  # for all jobs that viewers can start
+_CORES = max(1, usable_cores() - 1)  # for a job; the simulation needs one core
+FILM_RATE = 25.0  # [1/s] frame rate of a film
+_PATIENCE = 10.0  # [s] timeout for the end of a thread
 
 
 def give_back() -> None:
-    """Collect what only cycles hold, and give the freed memory back.
+    """Run the garbage collector and return the freed memory to the system.
 
-    Python looks for old cycles only once they are a quarter of all objects, and few objects may
-    hold much: a model, a border, an open pipe.
+    Python collects old reference cycles only if they are a quarter of all objects. A few objects
+    can use much memory, for example a model, a border or an open pipe.
     """
     gc.collect()
     give_freed_memory_back()
@@ -53,42 +53,42 @@ def give_back() -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the work on `title` is: `share` is 0 to 1, or below 0 if it is unknown."""
+    """Progress of the work `title`: `share` is from 0 to 1, or negative if unknown."""
 
     title: str
     text: str
     share: float = -1.0
     began: float = field(default_factory=time.monotonic)
-    """[s] of the monotonic clock."""
+    """[s] start, on the monotonic clock."""
 
 
 class Job:
-    """At most one piece of work at a time.
+    """A background job; at most one runs at a time.
 
-    Any thread may call any of the methods.
+    All methods are thread-safe.
     """
 
     def __init__(self) -> None:
         self.progress: Progress | None = None
-        """Of the work under way, or None."""
+        """Progress of the running job, or None."""
         self.problem = ""
-        """Why the last work failed, or an empty string."""
+        """Error message of the last job, or an empty string."""
         self._cancelled = threading.Event()
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
 
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
-        """Do a piece of work in a thread, which ends early by `Cancelled`.
+        """Run `work` in a new thread.
 
-        Any other exception becomes `problem`.
+        If `work` raises `Cancelled` or another exception, `problem` is its message.
 
         Raises:
-            ConfigError: Another one is under way.
+            ConfigError: Another job is running.
         """
         with self._lock:
-            running = self.progress  # read once: its thread may end
+            running = self.progress  # read once, because the work's thread may clear it
             if running is not None:
-                raise ConfigError(f"{running.title}: {running.text}; cancel that first")
+                raise ConfigError(f"{running.title}: {running.text}; cancel this job first")
             self.progress = Progress(title, text)
         self.problem = ""
         self._cancelled.clear()
@@ -98,34 +98,34 @@ class Job:
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Run `work(report, *args)` in a process; see `run_in_process`. Part of a started work."""
+        """Run `work(report, *args)` by `run_in_process`; called by a running job."""
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
-        """Renew `progress`; part of a started work."""
+        """Update `progress`; called by a running job."""
         if self.progress is not None:
             self.progress = replace(self.progress, text=text, share=share)
 
     def check(self) -> None:
-        """Go on if nobody has cancelled the work.
+        """End the job that calls this if it was cancelled.
 
         Raises:
-            Cancelled: Somebody has.
+            Cancelled: The job was cancelled.
         """
         if self.cancelled:
             raise Cancelled("cancelled")
 
     def cancel(self) -> None:
-        """End the work under way; nothing of it is left."""
+        """Request the end of the running job."""
         self._cancelled.set()
 
     @property
     def cancelled(self) -> bool:
-        """Whether the work under way was to end; some ends only after a while."""
+        """Whether the running job was cancelled; it may end later."""
         return self._cancelled.is_set()
 
     def close(self) -> None:
-        """Cancel, and wait until the work has ended."""
+        """Cancel the running job and wait for its end."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
@@ -138,7 +138,7 @@ class Job:
             problem = f"{title}: cancelled"
         except (DbbError, OSError) as error:
             problem = f"{title}: {str(error).removeprefix(f'{title}: ')}"
-        except Exception as error:  # nobody joins this thread: the viewers have to learn of it
+        except Exception as error:  # no thread joins this one: tell the viewers
             logger.exception("%s failed", title)
             problem = f"{title}: {plain(error)}"
         finally:
@@ -148,7 +148,7 @@ class Job:
 
 
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
-    """A robot by its name, and its border; how that is sampled where it is not cached."""
+    """Return a robot's model and border; `sampling` applies to a border that is not cached."""
     from app.border.cache import load_border_data
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
@@ -158,14 +158,14 @@ def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
 
 
 def sample_border(report: Report, robot: str) -> BorderData:
-    """Pairs and clouds of a robot, sampled if they are not cached."""
+    """Return link pairs and point clouds of a robot; sample them if they are not cached."""
     text = "sampling its border (once)"
     report(text, 0.0)
     return _loaded(robot, processes=_CORES, on_progress=lambda share: report(text, share))[1]
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """The URDFs of an uploaded zip: a stranger's, which may take long to read."""
+    """Return the URDFs of an uploaded zip, which is untrusted and may take long to read."""
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -174,7 +174,7 @@ def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
 
 
 def build_robot(report: Report, request: Request) -> None:
-    """Description, border and report of a new robot, in the folder that the request names."""
+    """Create description, border and report of a new robot in the folder of the request."""
     text = ""
 
     def say(what: str) -> None:
@@ -195,7 +195,7 @@ def build_robot(report: Report, request: Request) -> None:
 
 
 def check_rows(report: Report, robot: str) -> list[Row]:
-    """All checks of a robot that is saved, as `dbb check-robot` makes them."""
+    """Run all checks of `dbb check-robot` on a saved robot."""
     from app.onboarding.check import check_robot
     from app.robot.description import load_robot
 
@@ -204,7 +204,7 @@ def check_rows(report: Report, robot: str) -> list[Row]:
 
 
 def write_report(report: Report, log: Path, page: Path) -> None:
-    """The report of a log as a page."""
+    """Write the report of a log as an HTML page."""
     from app.simulation.trace.log_file import read_trace
     from app.studies.run_report import run_report
 
@@ -214,7 +214,7 @@ def write_report(report: Report, log: Path, page: Path) -> None:
 
 
 def write_replay(report: Report, log: Path, page: Path) -> None:
-    """The replay of a log as a page."""
+    """Write the replay of a log as an HTML page."""
     from app.dashboard.export import Look
     from app.dashboard.export.offscreen import replay_html
     from app.dashboard.scene.camera import first_view
@@ -232,7 +232,7 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
 
 
 def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
-    """The film of a log, at its own pace."""
+    """Write the film of a log, which plays in real time."""
     from contextlib import closing
 
     from app.dashboard.export.browser import chromium
@@ -240,7 +240,7 @@ def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
     from app.simulation.trace.log_file import read_trace
 
     report("starting a browser", 0.0)
-    with chromium() as browser:  # first of all: without one the rest is in vain
+    with chromium() as browser:  # first, because all later work needs it
         read = read_trace(log)
         model, data = _loaded(read.meta.robot, progress=False)
         begin, end = read.snapshots[0].t, read.snapshots[-1].t

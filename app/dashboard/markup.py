@@ -1,4 +1,4 @@
-"""HTML of panels: text, tables and banners of one look."""
+"""HTML of panels: text, tables and banners in a uniform style."""
 
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -11,34 +11,34 @@ ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
-DEFECT = "A defect of the program; its log, where it was started, says which."
-"""What a page shows of an exception that no user can cause."""
+DEFECT = "A defect of the program; the log in the program's terminal has the details."
+"""Text of a page for an unexpected exception."""
 
 
 def plain(error: BaseException) -> str:
-    """What a page says of an error: never the name of a Python exception."""
+    """Return a page's text for an error, without the name of a Python exception."""
     return str(error) if isinstance(error, DbbError) else DEFECT
 
 
 def small(html: str, *styles: str) -> str:
-    """Text of a panel."""
+    """Return a text of a panel."""
     look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
     return _tag("div", html, look, *styles)
 
 
 def framed(html: str, colour: str) -> str:
-    """The same with a frame of a colour."""
+    """Return a text of a panel in a coloured frame."""
     frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
     return small(html, frame)
 
 
 def problem(text: str) -> str:
-    """A text that says what went wrong, which may hold anything."""
+    """Return an error message, which is escaped."""
     return _tag("span", escape(text), f"color:{BAD_COLOUR}")
 
 
 def banner(kind: str, title: str, text: str) -> str:
-    """What stands above all tabs: an "error" or a "notice", whose texts may hold anything."""
+    """Return a banner above all tabs, an "error" or a "notice", whose texts are escaped."""
     return _tag(
         "div",
         f"<b>{escape(title)}</b><br>{escape(text)}",
@@ -49,49 +49,49 @@ def banner(kind: str, title: str, text: str) -> str:
 
 
 def table(rows: Iterable[str], *styles: str, tight: bool = False) -> str:
-    """A table of rows, each made by `row`, as wide as its panel; `tight` if its cells touch."""
+    """Return a table of rows from `row`, as wide as its panel; `tight`: no space between cells."""
     style = _style("width:100%;font-variant-numeric:tabular-nums", *styles)
     space = ' cellpadding="0"' if tight else ""
     return f"<table{space}{style}>{''.join(rows)}</table>"
 
 
 def row(*cells: str, hint: str = "", style: str = "") -> str:
-    """A row of cells, each made by `cell`, with a text for the pointer over it."""
+    """Return a row of cells from `cell`; `hint` is shown under the pointer."""
     title = f' title="{escape(hint)}"' if hint else ""
     return f"<tr{title}{_style(style)}>{''.join(cells)}</tr>"
 
 
 def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str:
-    """A cell over so many columns; `head` for the title of a column of data."""
+    """Return a cell that covers `span` columns; `head` for the title of a column of data."""
     name, across = "th" if head else "td", f' colspan="{span}"' if span > 1 else ""
     return f"<{name}{across}{_style(*styles)}>{html}</{name}>"
 
 
 def readings(values: Mapping[str, str], *styles: str) -> str:
-    """A table of what is read, by its name; styles are the table's."""
+    """Return a table of values by their names; `styles` apply to the table."""
     return table((reading(*each) for each in values.items()), *styles)
 
 
 def reading(name: str, value: str) -> str:
-    """A row of a reading: its name and value."""
+    """Return a row with a name and a value."""
     return row(cell(name, FAINT), cell(value, RIGHT))
 
 
 def spread(*texts: str) -> str:
-    """Texts over the width of the panel, the first at its left and the last at its right end."""
+    """Distribute texts over the panel's width, from its left edge to its right edge."""
     style = "display:flex;justify-content:space-between;font-variant-numeric:tabular-nums"
     return _tag("div", "".join(_tag("span", text) for text in texts), style)
 
 
 def grid(heads: Iterable[str], rows: Iterable[Iterable[str]], *styles: str) -> str:
-    """A table of numbers below their heads; the first of each row is its name."""
+    """Return a table of numbers with the columns' titles `heads`; a row starts with its name."""
     head = row(*(cell(name, RIGHT, head=True) for name in heads))
     body = (row(cell(name), *(cell(text, RIGHT) for text in texts)) for name, *texts in rows)
     return table((head, *body), *styles)
 
 
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
-    """A bar that is filled by a share, 0 to 1; with a stroke at another one."""
+    """Return a bar filled to `share` (0 to 1), with a mark at `stroke` (0 to 1)."""
     filled = f"width:{100 * share:.0f}%;height:100%;background:{colour};border-radius:2px"
     html = _tag("div", "", filled)
     if stroke is not None:
@@ -102,18 +102,18 @@ def bar(share: float, colour: str = "currentColor", stroke: float | None = None)
 
 
 def chip(text: str, ground: str, ink: str) -> str:
-    """A short text on a ground of a colour."""
+    """Return a short text on a coloured background."""
     look = f"background:{ground};color:{ink};border-radius:4px;padding:.1em .5em"
     return _tag("b", text, look, ONE_LINE)
 
 
 def mark(sign: str, colour: str) -> str:
-    """A sign of a colour, such as a dot."""
+    """Return a coloured sign, such as a dot."""
     return _tag("b", sign, f"color:{colour}")
 
 
 def minus(text: str) -> str:
-    """A number's text with a true minus."""
+    """Replace hyphens by minus signs in a number's text."""
     return text.replace("-", "−")
 
 

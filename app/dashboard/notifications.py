@@ -9,7 +9,7 @@ import viser
 from app.dashboard.markup import plain
 from app.errors import DbbError
 
-logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
+logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
 _LONGEST = 2000  # [characters] of a notification
 
 
@@ -19,33 +19,33 @@ class Notifier:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._shown: dict[tuple[int, str], tuple[str, int, Any]] = {}
-        """By viewer and title: the text, how often it was said, and its handle."""
+        """Text, number of repetitions and handle of each message, by viewer and title."""
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
-        """Something was refused; goes away by itself."""
+        """Report for some seconds that an action was refused."""
         self._show(client, "Not possible", text, "orange", 6.0)
 
     def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
-        """What one viewer, or all, should know; goes away by itself."""
+        """Show a message to one viewer, or to all if `client` is None, for some seconds."""
         self._show(client, title, text, "blue", 6.0)
 
     def fail(self, client: viser.ClientHandle | None, error: BaseException) -> None:
-        """A defect of the program: stays for longer, and goes to the log."""
+        """Report an internal error for half a minute, and log it."""
         logger.error("the dashboard failed", exc_info=error)
         self._show(client, "Internal error", plain(error), "red", 30.0)
 
     def clear(self, client: viser.ClientHandle) -> None:
-        """Take away what a viewer is shown."""
+        """Remove all messages of a viewer."""
         for key, (_, _, handle) in list(self._shown.items()):
             if key[0] == client.client_id:
                 handle.remove()
                 del self._shown[key]
 
     def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """The callback for viser, none of whose exceptions is lost; its event has a `client`.
+        """Wrap a callback for viser so that its exceptions are reported; its event has a `client`.
 
-        It is `async`, so that viser runs it on its event loop: in order, and one at a time. So it
-        must be short.
+        The result is `async`, so that viser runs it in its event loop, one call after the other.
+        Therefore the callback must be short.
         """
 
         async def guarded(event: Any) -> None:
@@ -54,12 +54,12 @@ class Notifier:
         return guarded
 
     def attempt(self, client: viser.ClientHandle | None, act: Callable[[], None]) -> None:
-        """Do what a viewer asked for, who learns of it if it goes wrong."""
+        """Run an action of a viewer, and show its error to this viewer."""
         try:
             act()
         except DbbError as error:
             self.warn(client, str(error))
-        except Exception as error:  # the person who pressed must learn of it
+        except Exception as error:  # the viewer must see it
             self.fail(client, error)
 
     def _show(
@@ -70,17 +70,17 @@ class Notifier:
         colour: Any,
         seconds: float,
     ) -> None:
-        text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may be of a file
+        text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may come from a file
         clients = [client] if client is not None else list(self._server.get_clients().values())
         here = {each.client_id for each in clients} | set(self._server.get_clients())
         for key in tuple(self._shown):
-            if key[0] not in here:  # a handle would keep all of the page of who has gone
+            if key[0] not in here:  # a handle would keep a closed page in memory
                 self._shown.pop(key, None)
         for each in clients:
             key = (each.client_id, title)
             before, count, old = self._shown.get(key, ("", 0, None))
             if old is not None:
-                old.remove()  # of one kind there is one at a time
+                old.remove()  # one message of each kind at a time
             count = count + 1 if before == text else 1
             body = text if count == 1 else f"{text} ({count} times)"
             handle = each.add_notification(title, body, color=colour, auto_close_seconds=seconds)

@@ -1,6 +1,6 @@
-// Runs in the page before viser's client does: what the server cannot see or say of a browser.
+// Runs in the page before viser's client: reports the browser's state and adjusts viser's page.
 (() => {
-  // How it draws goes into a cookie, which comes with the connection that the client opens next.
+  // The cookie reports the renderer; the browser sends it when the client connects.
   const gl = document.createElement("canvas").getContext("webgl2");
   const info = gl?.getExtension("WEBGL_debug_renderer_info");
   const name = info?.UNMASKED_RENDERER_WEBGL ?? gl?.RENDERER;
@@ -8,7 +8,8 @@
   const software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
   document.cookie = `dbb-draws=${software ? "software" : "gpu"}; path=/; SameSite=Strict`;
-  // viser's client would say so in a box that stays over the scene; the server tells it for a while.
+  // viser's client would warn in a box that stays over the scene; instead the server shows a
+  // notification.
   if (software) {
     const { getParameter } = WebGL2RenderingContext.prototype;
     WebGL2RenderingContext.prototype.getParameter = function (asked) {
@@ -16,13 +17,13 @@
     };
   }
 
-  // A tablet held upright has no room for panels beside the scene: it gets the phone's drawer.
+  // An upright tablet is too narrow for panels next to the scene: it gets the phone's drawer.
   const matches = window.matchMedia.bind(window);
   const NARROW = "(max-width: 56em)";
   window.matchMedia = (query) => matches(query === "(max-width: 36em)" ? NARROW : query);
 
-  // The drawer begins closed, and its first row opens it; viser's own way to close it would take
-  // the strip away with it.
+  // The drawer starts closed, and a click on its first row opens or closes it. viser's own way to
+  // close the drawer would hide this row too.
   const makeDrawer = () => {
     const drawer = document.querySelector(
       ".mantine-Paper-root[style*='position: fixed'][style*='bottom: 0']:not([data-drawer])",
@@ -40,8 +41,8 @@
     });
   };
 
-  // Who walks by Tab reaches folders too, and the space bar presses what he has come to, not the
-  // page's own key.
+  // With Tab, the focus reaches folders too. The space bar then presses the focused element and
+  // does not act as the page's key.
   let byKeys = false;
   const HEADS = ".mantine-Paper-root > .mantine-Paper-root[style*='cursor: pointer']";
   const makeHeads = () => {
@@ -50,7 +51,7 @@
       head.setAttribute("role", "button");
     }
   };
-  // Names for screen readers: of icons by their picture, of sliders and boxes by the label beside them.
+  // Names for screen readers: from an icon's picture, and from the label of a slider or a box.
   const ICONS = { "list-search": "All commands", adjustments: "Display settings", x: "Close" };
   const makeNames = () => {
     document.getElementById("root")?.setAttribute("role", "main");
@@ -59,14 +60,14 @@
       const kind = icon && [...icon.classList].find((name) => name.startsWith("tabler-icon-"))?.slice(12);
       if (icon) each.setAttribute("aria-label", ICONS[kind] ?? kind?.replaceAll("-", " ") ?? "Close");
     }
-    for (const each of document.querySelectorAll("[data-scrollarea-viewport]")) each.tabIndex = 0; // scrolls by keys
+    for (const each of document.querySelectorAll("[data-scrollarea-viewport]")) each.tabIndex = 0; // keys scroll it
     for (const each of document.querySelectorAll("[role=slider][aria-label=''], .mantine-Input-input:not([aria-label])")) {
       let label = each.labels?.[0];
       for (let at = each.parentElement; at && !label; at = at.parentElement) label = at.querySelector("label");
       if (label) each.setAttribute("aria-label", label.textContent.replace("•", "").trim());
     }
   };
-  const press = (event) => { // on its way to the page's own keys
+  const press = (event) => { // before the page's own keys
     byKeys ||= event.key === "Tab";
     const [at, space] = [event.target, event.key === " "];
     if (!byKeys || !(space || event.key === "Enter")) return;
@@ -77,7 +78,7 @@
     if (!event.repeat) at.click();
   };
 
-  // The camera stays above the floor, wherever it looks to.
+  // The camera stays above the floor for every target.
   let guarded = null;
   const stayAbove = () => {
     const control = window.__viserMutable?.cameraControl;
@@ -92,15 +93,15 @@
     hold();
   };
 
-  // A light drawing has fewer pixels, unless the address says how many.
+  // Low detail has fewer pixels, unless the address sets the number.
   let light = false;
   const thinOut = () => {
     if (location.search.includes("fixedDpr")) return;
     points.devSettings.set({ fixedDpr: light ? 0.7 * devicePixelRatio : null });
   };
 
-  // What holds of the page is told as names: those of the marks in panels that are displayed,
-  // "narrow", and "untouched" until anybody has touched it; a page of a test says so by itself.
+  // The page's state is reported as names: those of the visible marks, "narrow", and "untouched"
+  // before the first input of a person. A test sets `dbbTouched` itself.
   let touched = !!self.dbbTouched;
   const look = () => {
     const closed = document.querySelector("[data-drawer=closed]");
@@ -112,8 +113,8 @@
     window.dbb?.tell("scene", ...scene());
   };
 
-  const CARD = 150; // [px] of any card: the scene must not move with its text
-  // [px] height of the scene, and how much of it the guide's card and the drawer of a narrow page cover.
+  const CARD = 150; // [px] for every card, so that the scene does not move with the text
+  // [px] height of the scene, and heights that the guide's card and the drawer cover.
   const scene = () => {
     const rect = (element) => element?.getBoundingClientRect() ?? { height: 0 };
     const [box, drawer] = [window.__viserMutable?.canvas, document.querySelector("[data-drawer]")].map(rect);
@@ -123,24 +124,24 @@
     return [box.height, above, below].map((px) => Math.round(Math.max(px, 0)));
   };
 
-  // What the page's address asks for is told once; the client may connect again and again.
+  // The query of the page's address is sent once, even if the client connects several times.
   let asked = location.search.slice(1);
   window.dbbAsked = () => [asked, (asked = "")][0];
-  const touch = (event) => { // by a person, also through a screen reader; not by this script
+  const touch = (event) => { // input of a person, also with a screen reader; not of this script
     if (touched || !event.isTrusted) return;
     touched = true;
     look();
   };
 
-  // What the server asks of the page: a light drawing, a title, and to open the panel with a name, or the
-  // drawer alone for an empty one, since something stands there. A drawer may still be to come.
+  // Requests of the server: low detail, a title, or a panel to open by its name. With an empty name
+  // only the drawer opens. The drawer may not exist yet.
   let place = null;
   window.dbbPanels = {
     light: (on) => (light = on),
     open: (name) => (place = name),
     title: (text) => (document.title = text),
   };
-  // Tabs of a dock answer to the pointer and to keys only, those of a panel to clicks only.
+  // Tabs of a dock react to the pointer and to keys only, and tabs of a panel to clicks only.
   const openTab = (tab) => {
     tab?.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
     tab?.click();
@@ -150,7 +151,7 @@
     if (place === null || (!drawer && matches(NARROW).matches)) return;
     if (drawer) drawer.dataset.drawer = "open";
     const tab = [...document.querySelectorAll("[role=tab]")].find((each) => each.innerText.trim() === place);
-    // A drawer shows the names of a closed group of tabs in one line, which opens it.
+    // A drawer shows the names of a closed group of tabs in one line, which opens the group.
     const line = (each) => each.innerText.trim().split(" · ").includes(place);
     const group = drawer && place && !tab && [...drawer.querySelectorAll("div, span, p")].filter(line).pop();
     if (group) return group.click();
@@ -158,7 +159,7 @@
     place = null;
   };
 
-  // viser's client says when it is there; timers from before do not outlive its start.
+  // viser's client sets this property when it starts; earlier timers do not survive its start.
   let points, timer;
   Object.defineProperty(window, "__viserTestpoints", {
     configurable: true,

@@ -1,4 +1,4 @@
-"""One viewer's page: its own panels, layers, camera and place in time."""
+"""Page of one viewer: its panels, layers, camera and point in time."""
 
 from __future__ import annotations
 
@@ -50,19 +50,19 @@ LIGHT = (
     "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
     "shadows. Change it in the tab View."
 )
-PATIENCE = 1.0  # [s] without a sign of life of the simulation or of the viewer's browser
+PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
 SHOWN = "guiding-lateral"
-"""The scenario that shows what the base does: it is pulled at along its wheels' axis."""
-FARTHER = 1.5  # [-] of its path: so the arm runs into a base that does not give way
-UNTOUCHED = 20.0  # [s] for which nobody touches a page before it shows something of itself
-REST = 3.0  # [s] between two times
+"""The scenario of the demonstration: the arm is pulled along the wheels' axis."""
+FARTHER = 1.5  # [-] factor on its path, with which the arm hits a base that does not give way
+UNTOUCHED = 20.0  # [s] without input before a demonstration starts
+REST = 3.0  # [s] pause between two demonstrations
 
 
 class Page:
-    """One viewer's panels, layers, camera and place in time.
+    """Panels, layers, camera and point in time of one viewer.
 
-    Built and drawn by one thread only; callbacks assign to its view or send commands. Build it
-    within the client's `atomic`, so that nobody sees it unfinished.
+    Only one thread creates and draws a page. Callbacks only assign to the view or send commands.
+    Create a page within the client's `atomic`, so that the viewer never sees an incomplete page.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Page:
         page_picture: PagePicture | None = None,
         before: Page | None = None,
     ) -> None:
-        """Fill the page of a client; `before` is its page of another robot, now empty."""
+        """Create the page of a client; `before` is its closed page of another robot."""
         self._client, self._shared, self._notifier = client, shared, notifier
         plots = [plan.title for plan in shared.plans]
         view = View.first(shared.mobile, plots)
@@ -96,7 +96,7 @@ class Page:
         self.channel.on("scene", self._camera.cover)
         self.closed = False
         newest = shared.loop.latest()
-        self._refusal, self._newest = newest.refusal, newest  # of before this viewer came
+        self._refusal, self._newest = newest.refusal, newest  # older than this page
         self._dark, self._light = self.view.dark, self.view.light
         set_theme(client.gui, dark=self.view.dark)
         client.gui.set_panel_label(shared.parts.title)
@@ -122,13 +122,13 @@ class Page:
         self.draw(texts=True)
 
     def draw(self, *, texts: bool) -> None:
-        """Draw the instant at which the viewer is; panels, plots and labels only if `texts`."""
+        """Draw the viewer's point in time; update panels, plots and labels only if `texts`."""
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
         if not newest.follows(self._newest):
-            self.grip.release()  # time has begun anew, and the simulation has forgotten all pulls
+            self.grip.release()  # the simulation has restarted and has dropped all pulls
         self._newest = newest
         if self.grip.holds_anything and not self.timeline.live:
-            self.timeline.go_live()  # nobody pulls in the past
+            self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
         if self._scene.select_border(shown):
             spoken = self._shared.spoken
@@ -152,7 +152,7 @@ class Page:
             self._renew_beside(moment)
 
     def _renew(self, moment: Moment) -> None:
-        """Renew what is read of the instant, which comes with its picture."""
+        """Update the panels that must appear together with the picture."""
         for panel in self._panels:
             if panel.of_instant:
                 panel.update(moment)
@@ -160,7 +160,7 @@ class Page:
         self._show_refusal(moment.newest)
 
     def _renew_beside(self, moment: Moment) -> None:
-        """Renew the rest, which may take a while."""
+        """Update the other panels, which may take longer."""
         _show(self._hung, hung_html(self._shared.loop.silence))
         self._change.show("")
         if self._light != self.view.light:
@@ -172,15 +172,15 @@ class Page:
 
     @property
     def untouched(self) -> bool:
-        """Whether the viewer's browser has said that nobody has touched this page yet."""
+        """Whether the browser has reported that the viewer has not touched this page yet."""
         return "untouched" in self.channel.seen and not self.closed
 
     def fail(self, title: str, error: BaseException) -> None:
-        """Show, for good, that the simulation or the drawing has ended."""
+        """Show permanently that the simulation or the drawing has ended."""
         _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
-        """The page of the same viewer with another robot, in place of this one."""
+        """Replace this page by a page of another robot, for the same viewer."""
         if self.closed:
             return self
         self.close()
@@ -190,17 +190,17 @@ class Page:
             return Page(self._client, shared, self._notifier, self.viewer.page_picture, self)
 
     def close(self) -> None:
-        """Let go of what the viewer held; nothing is drawn any more."""
+        """Release all pulls of the viewer, and stop drawing."""
         self.closed = True
         self.grip.release()
 
     def end(self) -> None:
-        """Close it, and end what is saved for the viewer, who is gone."""
+        """Close the page of a disconnected viewer, and cancel the export of files."""
         self.close()
         self.viewer.files.cancel()
 
     def _add(self, panel: PanelType) -> PanelType:
-        """A panel that is renewed with the others."""
+        """Add a panel to those that are updated, and return the panel."""
         self._panels.append(panel)
         return panel
 
@@ -246,7 +246,7 @@ class Page:
             add_help(gui, self._shortcuts())
 
     def _shows(self) -> dict[str, Callable[[], None]]:
-        """The guide's demonstrations, by its state."""
+        """Return the guide's demonstrations by the guide's states."""
         loop = self._shared.loop
 
         def watch() -> None:
@@ -285,12 +285,12 @@ class Page:
         ]
 
     def _escape(self) -> None:
-        """Close what lies over the page."""
+        """Close the guide and the messages."""
         self.guide.go("")
         self._notifier.clear(self._client)
 
     def _nudge(self, *ahead: float) -> None:
-        """A key pulls the hand, (3,) along the base's axes."""
+        """Pull the end-effector along `ahead` (3,) in the base's frame, as a key requests."""
         direction = np.clip(np.array([*ahead, 0.0, 0.0, 0.0][:3], dtype=float), -1.0, 1.0)
         if np.isfinite(direction).all():
             self.grip.nudge(direction, self._shared.loop.latest(), self._client)
@@ -299,17 +299,17 @@ class Page:
         self.view.dark = not self.view.dark
 
     def _show_refusal(self, newest: Snapshot) -> None:
-        """What was found out to be impossible only when it was tried."""
+        """Show a new refusal of the simulation."""
         if newest.refusal is not None and newest.refusal != self._refusal:
             self._notifier.warn(self._client, newest.refusal.message)
         self._refusal = newest.refusal
 
 
 def shown_play(robot: RobotDescription) -> Play:
-    """The command that plays the demonstration of a robot.
+    """Return the command that plays the demonstration of a robot.
 
     Raises:
-        UnreachableError: The robot has no line for it.
+        UnreachableError: The robot cannot follow the scenario's line.
     """
     scenario = scenario_of(robot, SHOWN)
     if isinstance(scenario, LineScenario):
@@ -319,9 +319,9 @@ def shown_play(robot: RobotDescription) -> Play:
 
 
 class Demonstration:
-    """What a page that nobody touches shows of itself, until somebody does.
+    """Demonstration on an untouched page, until the viewer touches the page.
 
-    Plays a scenario beside a ghost without avoidance; called by the thread that draws.
+    The demonstration plays a scenario, and a ghost without avoidance. The drawing thread calls it.
     """
 
     def __init__(self) -> None:
@@ -329,7 +329,7 @@ class Demonstration:
         self._plays = False
 
     def update(self, pages: Sequence[Page], loop: LoopHandle, robot: RobotDescription) -> None:
-        """Begin, go on or end, by who is there."""
+        """Start, continue or end the demonstration, depending on the viewers."""
         newest = loop.latest()
         alone = len(pages) == 1 and pages[0].untouched and newest.controller == "dbb"
         if self._plays and not alone:
@@ -354,13 +354,13 @@ class Demonstration:
                 loop.send(Compare(("none",)))
                 loop.send(play)
                 pages[0].guide.go("demo")
-            except DbbError:  # a robot that cannot play it
+            except DbbError:  # the robot cannot play the scenario
                 self._plays = False
                 loop.send(Compare())
 
 
 def hung_html(silence: float) -> str:
-    """That the simulation hangs, if it has been silent [s] for long."""
+    """Return a message that the simulation hangs, or "" if `silence` [s] is short."""
     if silence < PATIENCE:
         return ""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."
@@ -368,10 +368,10 @@ def hung_html(silence: float) -> str:
 
 
 def _show(handle: viser.GuiHtmlHandle, html: str) -> None:
-    """Show a text that is there only now and then."""
+    """Show a text, or hide the element if the text is empty."""
     handle.content, handle.visible = html, bool(html)
 
 
 def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
-    """Show the same on a page that is not drawn any more."""
+    """Show the failure on a page that is no longer drawn."""
     gui.add_html(banner("error", title, plain(error)))

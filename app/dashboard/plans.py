@@ -1,4 +1,4 @@
-"""The plots of a robot: their titles, curves, colours and ranges."""
+"""Plots of a robot: titles, curves, colours and ranges."""
 
 import math
 from collections.abc import Sequence
@@ -21,25 +21,25 @@ class PlotPlan(NamedTuple):
     """Content of a plot."""
 
     title: str
-    """With the unit."""
+    """Title with the unit."""
     curves: Sequence[Curve]
     colours: tuple[str, ...]
     y_range: Any
-    """As uPlot takes it."""
+    """Range in uPlot's format."""
     height: int
-    """[px] without title and legend."""
+    """[px] height without title and legend."""
     fill: bool = False
     """Whether the area under the lines is filled."""
     dashed: int = 0
-    """How many of the last lines are thresholds."""
+    """Number of lines at the end that are thresholds."""
     hints: tuple[str, ...] = ()
-    """Hints at the lines' names: symbol, unit, range and equation."""
+    """Hints for the lines' names: symbol, unit, range and equation."""
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
-    """All plots of a robot; `names` are its link pairs, in the order of the snapshots.
+    """Return all plots of a robot; `names` are its link pairs, in the order of the snapshots.
 
-    The pair of base and `door` has a plot of its own, that comes with it.
+    The pair `door` of base and door has a separate plot.
     """
     axes = model.description.base.axes
     torques = [
@@ -99,7 +99,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 
 
 def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
-    """Distances of some pairs beside d_b; the height is in pixels."""
+    """Plan a plot of the distances of some pairs and of d_b, with a height [px]."""
     apart = "signed distance d [m] of the convex bodies, negative where they overlap"
     d_b = tunable("border.d_b")
     curves = [
@@ -121,15 +121,15 @@ def _distances(title: str, model: RobotModel, names: list[str], height: int) -> 
 
 
 def _about_torques(model: RobotModel) -> tuple[str, ...]:
-    """Hints at the lines of the joints' torques."""
+    """Return the hints for the lines of the joint torques."""
     return tuple(
-        f"{name}: u_a over its limit of {most:g} N m, −1 to 1, (26)"
+        f"{name}: u_a divided by its limit of {most:g} N m, −1 to 1, (26)"
         for name, most in zip(model.description.arm.joints, model.tau_max, strict=True)
     )
 
 
 def distance(snapshot: Snapshot, pair: str) -> float:
-    """[m] signed distance of a pair, such as `lm-lEE`; not a number where there is none."""
+    """Return the signed distance [m] of a pair such as `lm-lEE`, or NaN if the pair is absent."""
     return next((reading.d for reading in snapshot.pairs if reading.name == pair), math.nan)
 
 
@@ -138,7 +138,7 @@ def _series(count: int) -> tuple[str, ...]:
 
 
 def _avoidance(i: int, axis: Axis) -> Curve:
-    """The acceleration of avoidance along an axis of the base."""
+    """Return the curve of the avoidance acceleration along an axis of the base."""
     unit = "rad/s²" if axis.angular else "m/s²"
     return Curve(
         f"{'turn' if axis.angular else axis.way} {acceleration_symbol(axis)} [{unit}]",
@@ -147,7 +147,7 @@ def _avoidance(i: int, axis: Axis) -> Curve:
 
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:
-    """A range that holds [low, high] and grows, with a tenth of a margin, if the data need it."""
+    """Return a range of at least [low, high], which grows with the data with a margin of 10 %."""
     return {
         "min": {"pad": 0.1, "soft": low, "mode": 1},
         "max": {"pad": 0.1, "soft": high, "mode": 1},

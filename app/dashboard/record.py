@@ -1,4 +1,4 @@
-"""What pages keep of the past: curves, ways of base and hand, and what happened when."""
+"""History for the page: curves, paths of the base and the end-effector, and events."""
 
 from bisect import bisect_left, bisect_right
 from collections import deque
@@ -15,17 +15,17 @@ from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import Outcome, outcome
 from app.strict import Array
 
-KEPT = 600.0  # [s] how far back a viewer can look
-PERIOD = 0.04  # [s] least time between two rows of them
-SPACING = 0.01  # [m] between two points of a track
-_LONGEST = 1500  # points of a track
-BIN = 0.1  # [s] of which the time line keeps the least distance and the largest activation
-_QUIET = 1.0  # [s] after which the same happening is another event
-_MOST_EVENTS = 400
+KEPT = 600.0  # [s] length of the history
+PERIOD = 0.04  # [s] shortest time between two rows of a `Record`
+SPACING = 0.01  # [m] distance between two points of a track
+_LONGEST = 1500  # largest number of points of a track
+BIN = 0.1  # [s] length of a bin of the time line
+_QUIET = 1.0  # [s] after this pause the same event counts as a new one
+_MOST_EVENTS = 400  # largest number of stored events
 
 
 class Rows:
-    """What snapshots say over time, in bounded memory."""
+    """A table of values of the snapshots over time, in bounded memory."""
 
     def __init__(
         self,
@@ -33,21 +33,25 @@ class Rows:
         longest: int,
         is_due: Callable[[Array, Array], bool],
     ) -> None:
-        """An empty table.
+        """Create an empty table.
 
-        A row is a time and its values; so many of the newest are kept. `is_due` says of two rows
-        whether the second one is taken in after the first.
+        A row consists of a time and the snapshot's values. The newest `longest` rows are kept.
+
+        Args:
+            values: Returns the values of a snapshot.
+            longest: Largest number of rows.
+            is_due: Whether a new row is added, from the last row and the new one.
         """
         self._values, self._is_due, self._longest = values, is_due, longest
         self.begin()
 
     def begin(self) -> None:
-        """An empty table."""
+        """Delete all rows."""
         self._rows: list[Array] = []
         self._times: list[float] = []
 
     def add(self, snapshot: Snapshot) -> None:
-        """Take it in if it is due."""
+        """Add the row of a snapshot if it is due."""
         row = np.array([snapshot.t, *self._values(snapshot)])
         if not self._rows or self._is_due(self._rows[-1], row):
             self._rows.append(row)
@@ -55,12 +59,12 @@ class Rows:
             del self._rows[: -self._longest], self._times[: -self._longest]
 
     def table(self) -> Array:
-        """(N, 1 + C) times [s] and values."""
+        """Return times [s] and values, (N, 1 + C)."""
         return np.array(self._rows)
 
 
 class Curve(NamedTuple):
-    """One line of a plot: its label in the legend, and its value at a snapshot."""
+    """A line of a plot: its label in the legend, and its value for a snapshot."""
 
     label: str
     value: Callable[[Snapshot], float]
@@ -70,20 +74,22 @@ class Record(Rows):
     """Values of curves over time."""
 
     def __init__(self, curves: Iterable[Curve]) -> None:
-        """An empty table, whose columns after the time are the curves."""
+        """Create an empty table; the columns after the time are the curves."""
         curves = tuple(curves)
         self._width = 1 + len(curves)
         super().__init__(
             lambda snapshot: [curve.value(snapshot) for curve in curves],
             int(KEPT / PERIOD) + 2,
-            # Half a millisecond of grace: times are sums of floats.
+            # Times are sums of floats: half a millisecond of tolerance.
             lambda before, row: row[0] >= before[0] + PERIOD - 5e-4,
         )
 
     def columns(self, until: float, length: float) -> Array:
-        """(1 + C, N) times [s] and values of a stretch of time, N ≥ 1.
+        """Return times [s] and values of an interval, (1 + C, N) with N ≥ 1.
 
-        It ends at a time [s], and has a length [s].
+        Args:
+            until: [s] end of the interval.
+            length: [s] length of the interval.
         """
         if not self._rows:
             return np.zeros((self._width, 1))
@@ -92,10 +98,10 @@ class Record(Rows):
 
 
 class Track(Rows):
-    """A line with a point for each centimetre."""
+    """A line through positions that are at least `SPACING` apart."""
 
     def __init__(self, place: Callable[[Snapshot], Array]) -> None:
-        """No points yet; `place` gives them, (3,) [m]."""
+        """Create a line without points; `place` returns a snapshot's position (3,) [m]."""
         super().__init__(
             place,
             _LONGEST,
@@ -103,35 +109,35 @@ class Track(Rows):
         )
 
     def until(self, t: float) -> Array:
-        """(K, 3) [m] the points passed until a time [s]."""
+        """Return the positions (K, 3) [m] up to time `t` [s]."""
         table = self.table().reshape(-1, 4)
         return table[table[:, 0] <= t, 1:]
 
 
 class Course:
-    """The scenario that was begun last, and what it has come to.
+    """Results of the last scenario.
 
     Attributes:
-        name: Of the scenario; empty at the free start.
-        running: Whether it leads the hand.
-        duration: [s] at which it ends.
-        until: [s] how long it led, as far as snapshots say; one may be missing.
-        stopped: Whether it ended before its time.
-        least: [m] the least distance of all pairs.
-        pull: [N] the largest pull.
-        speed: [m/s] peak speed of the hand.
-        path: [m] travel of the base.
-        touched: Whether anything has come to touch, or into something else.
-        inside: Whether something did so at the beginning, and has not stopped since.
-        left: Whether something did so at the beginning, and has stopped.
-        case: What it takes to play again what was played last, or None.
+        name: Name of the scenario; empty if none has started.
+        running: Whether the scenario is moving the robot.
+        duration: [s] end of the scenario.
+        until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
+        stopped: Whether the scenario was stopped before its end.
+        least: [m] least distance of all pairs.
+        pull: [N] largest external force.
+        speed: [m/s] peak speed of the end-effector.
+        path: [m] length of the base's path.
+        touched: Whether a contact or penetration began after the first snapshot.
+        inside: Whether bodies have been in contact or penetration since the first snapshot.
+        left: Whether a contact or penetration of the first snapshot has ended.
+        case: The case that repeats the last run, or None.
     """
 
     def __init__(self) -> None:
         self.begin()
 
     def begin(self) -> None:
-        """No scenario has begun."""
+        """Reset all results."""
         self.case: RunCase | None = None
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
@@ -140,7 +146,7 @@ class Course:
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """Take it in."""
+        """Add the snapshot's values."""
         ended = self.running and not snapshot.scenario
         self.running, self.case = bool(snapshot.scenario), snapshot.case or self.case
         if ended and snapshot.t >= self.duration:
@@ -154,7 +160,7 @@ class Course:
             self.path += float(np.linalg.norm(place - self._place))
         self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
         self.duration = snapshot.scenario_ends or snapshot.t
-        exact = [score.clearance for score in snapshot.scores[:1]]  # of each control step
+        exact = [score.clearance for score in snapshot.scores[:1]]  # includes all steps
         self.least = min(self.least, snapshot.nearest.d, *exact)
         self.pull = max(self.pull, pulled(snapshot))
         self.speed = max(self.speed, snapshot.hand_speed)
@@ -169,49 +175,49 @@ class Course:
 
     @property
     def outcome(self) -> Outcome:
-        """In a word; contact counts where the plant reports it."""
+        """The outcome in one word; a contact counts only if the plant reports it."""
         return outcome(self.least, touched=self.contact)
 
 
 class Event(NamedTuple):
-    """What happened, for a mark on the time line."""
+    """An event, which the time line marks."""
 
     t: float
-    """[s] when it began."""
+    """[s] time of its start."""
     kind: str
     """One of "scenario", "parameter", "person", "buffer", "limit" and "contact"."""
     text: str
 
 
 class Strip:
-    """What happened when: the least distance and β of each `BIN`, events, and a thinned past."""
+    """Data of the time line: least distance and largest β of each bin, events, and snapshots."""
 
     def __init__(self, chain: Sequence[str]) -> None:
-        """Nothing yet; `chain` names the robot's bodies, the mobile one first."""
+        """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
         self._chain, self.runs = chain, -1
-        """How often time has begun anew."""
+        """Number of restarts."""
         self.begin()
 
     def begin(self) -> None:
-        """Forget all but how often that was done."""
+        """Reset everything except the number of restarts, which increases by one."""
         self.runs += 1
         self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
-        """Time [s] at which a bin begins, least distance [m] and largest β in it."""
+        """Start [s] of each bin, least distance [m] and largest β in this bin."""
         self.closed = self._numbered = 0
-        """How many rows, and events, there have been, also those that are kept no longer."""
+        """Numbers of rows and of events since the restart, with those that were deleted."""
         self.events: dict[int, Event] = {}
-        """By their number, in order."""
+        """Events by their numbers, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Snapshot] = deque(maxlen=round(KEPT / BIN / 2))
-        """Snapshots, that of the least distance of each two bins."""
+        """Snapshots: from each two bins, the snapshot with the least distance."""
         self.nearest: Snapshot | None = None
         self.hardest: Snapshot | None = None
-        """Snapshots of the least distance and of the hardest pull so far."""
+        """Snapshots with the least distance and with the largest external force so far."""
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """Take it in."""
+        """Add a snapshot."""
         if self._bin and int(snapshot.t / BIN + 1e-6) != int(self._bin[0].t / BIN + 1e-6):
             self._close()
         self._bin.append(snapshot)
@@ -234,7 +240,7 @@ class Strip:
         self._bin = []
 
     def _note(self, t: float, kind: str, subject: str, text: str) -> None:
-        """A new event, or the same one that goes on, whose text is renewed."""
+        """Add an event, or update the text of the same event if it continues."""
         number, seen = self._seen.get((kind, subject), (-1, -np.inf))
         if t - seen <= _QUIET and number in self.events:
             self.events[number] = self.events[number]._replace(text=text)
@@ -247,7 +253,7 @@ class Strip:
 
 
 def pulled(snapshot: Snapshot) -> float:
-    """[N] of the hardest pull at any point of the robot."""
+    """Return the largest external force [N] on any point of the robot."""
     forces = [np.linalg.norm(pull.force) for pull in snapshot.pulls]
     return float(max([np.linalg.norm(snapshot.hand_force), *forces]))
 
@@ -255,7 +261,7 @@ def pulled(snapshot: Snapshot) -> float:
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
 ) -> list[tuple[str, str, str]]:
-    """What has begun between two snapshots: kind, subject and text of each event."""
+    """Return kind, subject and text of each event that began between two snapshots."""
     if before is None:
         return [("scenario", "", f"{now.scenario} starts")] if now.scenario else []
     found = []

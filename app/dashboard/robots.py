@@ -1,4 +1,4 @@
-"""Robots of the page: another one replaces the running one, a new one is built of a zip."""
+"""Robots of the page: replacement of the running robot, and new robots from a zip."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ if TYPE_CHECKING:
     from app.onboarding.check import Row
 
 _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
-"""pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""
+"""pybullet needs every mesh; MuJoCo and the viewer use the convex bodies if one is missing."""
 
 
 class RobotEntry(NamedTuple):
-    """A described robot."""
+    """A robot that can be chosen."""
 
     name: str
     title: str
     about: str
     """Base and arm in a few words."""
     problem: str | None
-    """Why it cannot be shown, with the command that helps where there is one; or None."""
+    """Reason why the robot cannot be shown, with a command that helps if there is one; or None."""
     own: bool
-    """Whether it is one of the user's."""
+    """Whether the user has created the robot."""
     report: bool
-    """Whether there is a report on how it was made."""
+    """Whether a report about the robot's creation exists."""
 
     @property
     def label(self) -> str:
-        """In a list."""
+        """The robot's entry in a list."""
         return self.name if self.problem is None else f"{self.name} (not available)"
 
 
 def robot_entries() -> list[RobotEntry]:
-    """All of them, by name."""
+    """Return all robots, sorted by name."""
     return [_entry(name) for name in robot_names()]
 
 
@@ -74,29 +74,29 @@ def _entry(name: str) -> RobotEntry:
 class OwnLoop(LoopHandle, Protocol):
     """A simulation that can be started and stopped."""
 
-    def start(self) -> None: ...  # waits for the first snapshot
+    def start(self) -> None: ...  # returns after the first snapshot
 
-    def stop(self) -> None: ...  # may be called again
+    def stop(self) -> None: ...  # further calls have no effect
 
 
 Changes = Mapping[str, float | str]
-"""Parameters that are not at a robot's defaults, by path."""
+"""Parameters that differ from a robot's defaults, by path."""
 StartLoop = Callable[[RobotModel, BorderData, Config, str], OwnLoop]
-"""Begins the simulation of a robot with parameters and a controller; `start` then waits for it."""
+"""Create the simulation of a robot with parameters and a controller; `start` then starts it."""
 
 
 class RunningRobot(NamedTuple):
-    """A robot that runs and can be drawn."""
+    """A robot whose simulation runs and that can be drawn."""
 
     loop: OwnLoop
     model: RobotModel
     clouds: Mapping[str, Cloud]
-    """P_i of every pair of L_m, by the pair's name."""
+    """Point clouds P_i of all pairs of L_m, by the pairs' names."""
     parts: RobotParts
     config: Config
-    """The parameters that it runs with."""
+    """Parameters of the simulation."""
     note: str
-    """What the viewers should know, or an empty string."""
+    """Message for the viewers, or an empty string."""
 
 
 def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
@@ -104,13 +104,13 @@ def _named(name: str, entries: Sequence[RobotEntry]) -> RobotEntry | None:
 
 
 class RobotSwitch(Job):
-    """At most one switch of the robot at a time; the same for all viewers.
+    """Switch of the robot, the same for all viewers; at most one switch runs at a time.
 
     Any thread may call `begin` and `cancel`; the drawing thread calls `take` and `shown`.
     """
 
     def __init__(self, start_loop: StartLoop | None) -> None:
-        """Nothing under way; without `start_loop` the robot cannot be switched."""
+        """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
         self._start_loop = start_loop
         self._entries: list[RobotEntry] | None = None
@@ -125,29 +125,29 @@ class RobotSwitch(Job):
 
     @property
     def entries(self) -> list[RobotEntry]:
-        """All robots, as of the last search."""
+        """All robots that the last search found."""
         return self.look() if (known := self._entries) is None else known
 
     def look(self) -> list[RobotEntry]:
-        """Search; this reads every robot's files."""
+        """Search for robots; this reads the files of every robot."""
         self._entries = found = robot_entries()
         return found
 
     def look_again(self) -> None:
-        """Search in a thread that serves nobody: there may be another robot now."""
+        """Search for new robots in a separate thread."""
         threading.Thread(target=self.look, name="robots", daemon=True).start()
 
     def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
-        """Prepare a robot beside the running one, which ends once the other one is shown.
+        """Prepare another robot; the running one ends when the other one is shown.
 
-        It gets its own defaults with `changes`.
+        The new robot gets its own defaults with `changes`.
 
         Raises:
-            ConfigError: There is no such robot, it lacks something, or a switch is under way.
+            ConfigError: The robot does not exist or is incomplete, or another switch is running.
         """
-        entry = _named(name, self.entries) or _named(name, self.look())  # it may be new
+        entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
         if entry is None or self._start_loop is None:
-            raise ConfigError(f"there is no robot {name!r} to choose")
+            raise ConfigError(f"the robot {name!r} does not exist")
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
         replaced: LoopHandle | None = running
@@ -158,31 +158,31 @@ class RobotSwitch(Job):
             try:
                 self._replace(replaced, self._prepare(entry, changes, controller))
             finally:
-                replaced = None  # else it would be kept until after memory was given back
+                replaced = None  # frees the old loop before memory is returned
 
         self.start(entry.title, "reading the description", work)
 
     def take(self) -> RunningRobot | None:
-        """The robot to be shown from now on, if one has become ready; once."""
+        """Return a robot that has become ready, once; otherwise None."""
         ready, self._ready = self._ready, None
         return ready
 
     def shown(self) -> None:
-        """Every viewer sees the robot that was taken."""
+        """Report that every viewer sees the new robot."""
         self._taken.set()
 
     def close(self) -> None:
-        """End what is under way, and the simulation that was begun here last."""
+        """Cancel the switch, and stop the last simulation that it started."""
         self._taken.set()
         super().close()
         if self._loop is not None:
             self._loop.stop()
 
     def _replace(self, replaced: LoopHandle | None, robot: RunningRobot) -> None:
-        """Have a robot shown, and end the simulation of the one before."""
+        """Let the new robot be shown, then stop the simulation of the old one."""
         self._loop = robot.loop
         self._ready = robot
-        self._taken.wait()  # until nobody draws the old one any more
+        self._taken.wait()  # until no page draws the old robot
         if isinstance(replaced, OwnLoop):
             replaced.stop()
 
@@ -208,7 +208,7 @@ class RobotSwitch(Job):
     def _start_suited(
         self, model: RobotModel, data: BorderData, changes: Changes, controller: str
     ) -> tuple[OwnLoop, Config, str]:
-        """With what is changed now; with the defaults where this robot cannot begin so."""
+        """Start with the present changes, or with the defaults if this robot cannot use them."""
         usual = model.description.config
         config = usual.changed(changes)
         try:
@@ -216,7 +216,9 @@ class RobotSwitch(Job):
         except DbbError as error:
             if config == usual:
                 raise
-            note = f"all parameters are at their defaults, as it cannot start with yours ({error})"
+            note = (
+                f"all parameters are at their defaults: the robot cannot start with yours ({error})"
+            )
         return self._started(model, data, usual, controller), usual, note
 
     def _started(
@@ -233,20 +235,20 @@ class RobotSwitch(Job):
 
 
 class RobotCheck(Job):
-    """At most one check of a robot at a time, and the rows of the last one."""
+    """Check of a robot, with the rows of the last check; at most one check runs at a time."""
 
     def __init__(self) -> None:
         super().__init__()
         self.name = ""
-        """The robot that was checked last."""
+        """Name of the last checked robot."""
         self.rows: list[Row] = []
-        """As `dbb check-robot` prints them."""
+        """Rows of the last check, as `dbb check-robot` prints them."""
 
     def begin(self, name: str) -> None:
-        """Check a robot, as it is saved, in a process of its own.
+        """Check a saved robot in a separate process.
 
         Raises:
-            ConfigError: Another check is under way.
+            ConfigError: Another check is running.
         """
 
         def work() -> None:
@@ -257,32 +259,32 @@ class RobotCheck(Job):
 
 
 class Package(NamedTuple):
-    """A zip that was uploaded and looked into."""
+    """An uploaded zip and its content."""
 
     archive: Path
-    """Where it is kept until it has become a robot or another one comes."""
+    """File of the zip, which is deleted after the build or at the next upload."""
     urdfs: Mapping[str, Contents]
-    """Its URDFs, by their path in it."""
+    """URDFs of the zip, by their path in the zip."""
 
 
 class RobotBuild(Job):
-    """At most one zip, and one robot that is being built of it."""
+    """Upload of a zip, and build of a robot from it; at most one job runs at a time."""
 
     def __init__(self, switch: RobotSwitch) -> None:
-        """Nothing uploaded yet; `switch` searches again when there is another robot."""
+        """Create an empty build; `switch` searches again after a build."""
         super().__init__()
         self.package: Package | None = None
-        """The last upload that can be used, or None."""
+        """The last usable upload, or None."""
         self.built = ""
-        """Name of the robot that was built last, or an empty string."""
+        """Name of the last built robot, or an empty string."""
         self._switch = switch
         self._folder = ExitStack()
 
     def receive(self, name: str, content: bytes) -> None:
-        """Take a zip, and read what it holds.
+        """Store a zip and read its content.
 
         Raises:
-            ConfigError: It is too large, or something is under way.
+            ConfigError: The zip is too large, or another job is running.
         """
         if len(content) > LARGEST_ARCHIVE:
             raise ConfigError(f"a zip may have at most {LARGEST_ARCHIVE / 1e6:.0f} MB")
@@ -297,29 +299,29 @@ class RobotBuild(Job):
         self.start(_file_name(name), "reading", work)
 
     def build(self, request: Request) -> None:
-        """Build the robot in a process of its own.
+        """Build the robot in a separate process.
 
         Raises:
-            ConfigError: There is a robot of that name already, or something is under way.
-            RobotFileError: The name cannot be one.
+            ConfigError: A robot of this name exists, or another job is running.
+            RobotFileError: The name is not allowed.
         """
         if request.name in robot_names():
-            raise ConfigError(f"there is a robot {request.name!r} already; give another name")
+            raise ConfigError(f"a robot {request.name!r} exists; choose another name")
 
         def work() -> None:
             self.built = ""
             try:
                 self.run(build_robot, request)
             finally:
-                remove_abandoned(request.out.parent)  # it may have had no time to tidy up
+                remove_abandoned(request.out.parent)  # the process may end before its cleanup
             self.built = request.name
             self._switch.look()
-            self._forget()  # what it needs of the zip is in its own folder now
+            self._forget()  # the robot's folder has all required files
 
-        self.start(request.name, "begins", work)
+        self.start(request.name, "starting", work)
 
     def close(self) -> None:
-        """Cancel, and remove what was uploaded."""
+        """Cancel the job and delete the upload."""
         super().close()
         self._forget()
 
@@ -329,6 +331,6 @@ class RobotBuild(Job):
 
 
 def _file_name(name: str) -> str:
-    """A name for the file that a browser calls so, which may say anything."""
+    """Return a safe file name for an upload, from the name that the browser reports."""
     kept = "".join(c for c in name if c.isascii() and (c.isalnum() or c in "._-"))
     return f"{kept.lower().removesuffix('.zip').strip('.')[:60] or 'robot'}.zip"

@@ -1,4 +1,4 @@
-"""Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
+"""Server of the dashboard: binds the address, runs the drawing thread, and shuts down."""
 
 import contextlib
 import ipaddress
@@ -27,17 +27,17 @@ from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
-logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
+logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
 _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
-FRAME = 1 / 30  # [s] between two pictures
-TEXTS_EVERY = 6  # pictures between two renewals of panels, plots and labels: 5 Hz
-LIGHT_EVERY = 2  # pictures, of which a page that draws in software gets one
-LARGEST_SHARE = 0.5  # [-] of the time that drawing may take
+FRAME = 1 / 30  # [s] period of drawing
+TEXTS_EVERY = 6  # frames per update of panels, plots and labels: 5 Hz
+LIGHT_EVERY = 2  # frames per frame of a page without a GPU
+LARGEST_SHARE = 0.5  # [-] largest share of time for drawing
 
 
 class DashboardServer:
-    """Pages that show a loop and send it commands, one for each viewer, by the viewer's number."""
+    """Pages that show a simulation and send it commands: one page for each viewer's number."""
 
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         self.viser, self.shared = viser_server, shared
@@ -46,9 +46,9 @@ class DashboardServer:
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
         self.pictures = 0
-        """How often all pages have been drawn."""
+        """Number of frames so far; all pages are drawn in a frame."""
         self.error: BaseException | None = None
-        """Why the drawing thread ended, if it did."""
+        """Exception that ended the drawing thread, or None."""
         self._notifier = Notifier(viser_server)
         self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
@@ -61,11 +61,11 @@ class DashboardServer:
         self.watchdog = Watchdog(viser_server, self._silent)
 
     def run_forever(self) -> None:
-        """Serve until `stop` is called from another thread, or Ctrl-C.
+        """Serve until another thread calls `stop`, or until Ctrl-C.
 
         Raises:
-            LoopError: On the way out, if the simulation or the drawing has ended with an error;
-                until then the page stays and shows it.
+            LoopError: The simulation or the drawing has ended with an error, which the pages show
+                until the server ends.
         """
         try:
             with contextlib.suppress(KeyboardInterrupt):
@@ -77,7 +77,7 @@ class DashboardServer:
             raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread and close all pages; of the loops only those begun here end."""
+        """End the drawing thread, the pages, and the simulations that this server started."""
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
@@ -87,20 +87,20 @@ class DashboardServer:
         close_server(self.viser)
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        """A viewer is gone: what he held is released at once."""
+        """Release all pulls of a disconnected viewer at once."""
         page = self.pages.get(client.client_id)
         if page is not None:
             page.end()
 
     def _newcomer(self) -> viser.ClientHandle | None:
-        """The first of the viewers who are here and have not been asked for yet."""
+        """Return the first viewer who has connected since the last calls, or None."""
         clients = self.viser.get_clients()
         first = sorted(clients.keys() - self._here)[:1]
         self._here = self._here & clients.keys() | {*first}
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """A viewer's browser may sleep: it lets go, unless it has pulled just now."""
+        """Release the pulls of a browser that may be asleep, unless its last pull is recent."""
         page = self.pages.get(number)
         if page is not None:
             page.grip.release_if_still(PATIENCE, page.viewer.client)
@@ -108,7 +108,7 @@ class DashboardServer:
     def _draw_until_stopped(self) -> None:
         try:
             self._draw_frames()
-        except Exception as error:  # nobody joins this thread: it says itself what went wrong
+        except Exception as error:  # no thread joins this one: tell the viewers
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has stopped", error)
@@ -119,14 +119,14 @@ class DashboardServer:
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             begin = time.thread_time()
             self._draw_picture()
-            # Many viewers are drawn less often rather than let drawing fill all the time. After a
-            # hold-up, which is no work, go on from now: a burst of late pictures would only delay
-            # more.
+            # With many viewers the frame rate drops, so that drawing does not use all the time.
+            # After a delay that is not computing time, continue from now: a burst of late frames
+            # would only add to the delay.
             rest = (time.thread_time() - begin) * (1.0 / LARGEST_SHARE - 1.0)
             due = max(due + FRAME, time.monotonic() + rest)
 
     def _draw_picture(self) -> None:
-        """One of each page; a name of this frame would keep the robot before from collection."""
+        """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
         self._open_and_close_pages()
         self._switch_robot()
@@ -146,13 +146,13 @@ class DashboardServer:
             if not page.closed and not (page.view.light and self.pictures % LIGHT_EVERY):
                 try:
                     page.draw(texts=texts)
-                except Exception as error:  # of this viewer alone
+                except Exception as error:  # ends only this viewer's page
                     logger.exception("a page has ended")
                     page.close()
                     page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
-        """A page takes long to build: one between two pictures, and none for who has gone."""
+        """Build at most one page, which takes long, and end the pages of disconnected viewers."""
         client = self._newcomer()
         if client is not None:
             self._open_page(client)
@@ -163,7 +163,7 @@ class DashboardServer:
         try:
             with client.atomic():
                 page = Page(client, self.shared, self._notifier, page_picture)
-        except Exception as error:  # of this viewer alone
+        except Exception as error:  # ends only this viewer's page
             logger.exception("a page could not be built")
             show_failure(client.gui, _PAGE_ENDED, error)
             return
@@ -172,7 +172,7 @@ class DashboardServer:
             page.fail(*self._failure)
 
     def _switch_robot(self) -> None:
-        """If another robot has become ready, give every viewer a page of it."""
+        """If another robot is ready, replace every viewer's page."""
         switch = self.shared.robot_switch
         robot = switch.take()
         if robot is None:
@@ -180,7 +180,7 @@ class DashboardServer:
         try:
             self._show(robot)
         finally:
-            switch.shown()  # even if drawing ends here: its thread waits for this
+            switch.shown()  # also after an error: the switch's thread waits for this
         note = robot.note or "your parameters are kept"
         self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use; {note}.")
 
@@ -191,13 +191,13 @@ class DashboardServer:
             self.pages[number] = page.with_robot(self.shared)
 
     def _fail(self, title: str, error: BaseException) -> None:
-        """Show, for good and to later viewers too, that something has ended."""
+        """Show the failure permanently, to later viewers too."""
         self._failure = (title, error)
         for page in self.pages.values():
             page.fail(title, error)
 
     def _show_to_late_viewers(self) -> None:
-        """When nothing is drawn any more, still show it to new viewers."""
+        """Show the failure to new viewers after the end of drawing."""
         while not self._stopping.wait(0.2):
             client = self._newcomer()
             if client is not None and self._failure is not None:
@@ -216,27 +216,27 @@ def serve_dashboard(
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
-    """Open the page; it is drawn from the moment this returns.
+    """Open the dashboard and start drawing.
 
     Args:
         loop: A started simulation loop.
-        model: The robot that it simulates.
-        clouds: P_i of every pair of L_m, by the pair's name.
-        host: Address to listen at. viser has neither password nor encryption: only on a trusted
-            network should it be more than this machine.
-        port: Port to listen at; 0 takes a free one.
-        allowed: Further names by which browsers may reach the server.
-        case: A scenario that begins where the loop does, for a button that plays it.
-        parts: The robot's meshes if they have been read already.
-        start_loop: Begins the simulation of another robot; without, it cannot be changed.
+        model: The simulated robot.
+        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
+        host: Address of the server. viser has neither password nor encryption: use an address
+            other than this machine's only in a trusted network.
+        port: Port of the server; 0 selects a free port.
+        allowed: Further names under which browsers may reach the server.
+        case: A scenario that starts at the loop's initial state, for a button that plays it.
+        parts: The robot's meshes if they are already loaded.
+        start_loop: Starts the simulation of another robot. If None, the robot cannot be changed.
 
     Raises:
         ServerError: The address cannot be bound.
-        AssetError: A mesh of the robot is not there.
+        AssetError: A mesh of the robot is missing.
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
-    switch.look()  # before anybody waits for a picture
+    switch.look()  # takes long: before a viewer connects
     shared = SharedState(loop, model, clouds, parts, case=case, robot_switch=switch)
     server = open_server(host, port, LARGEST_ARCHIVE, read_link, allowed)
     try:
@@ -250,24 +250,24 @@ def serve_dashboard(
 
 
 def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
-    """What is to be seen until a viewer's own page is there."""
+    """Set theme and camera until a viewer's own page is ready."""
     set_theme(server.gui, dark=True)
     set_first_look(server, *placed(PRESETS["iso"], [shared.loop.latest()], shared.parts.extent))
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only programs of this machine reach an address."""
+    """Whether only programs on this machine can reach an address."""
     found = {info[4][0] for info in socket.getaddrinfo(host, None)}
     return all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
 def check_address(host: str, port: int) -> None:
-    """Try to bind: viser waits for ever at a bad host and silently takes another port.
+    """Bind the address as a test: viser hangs at a bad host and silently changes a busy port.
 
     Raises:
-        ServerError: In one line, what is wrong and what to do.
+        ServerError: The address cannot be bound; the message names the fault and a remedy.
     """
-    if not 0 <= port <= 65535:  # getaddrinfo would take it modulo 65536
+    if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
         raise ServerError(f"cannot listen at {host}:{port}: a port is between 0 and 65535")
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]

@@ -1,4 +1,4 @@
-"""Shared state of all viewers: the simulation, its parameters and record, and background jobs."""
+"""Shared state of all viewers: simulation, parameters, history and background jobs."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from app.simulation.loop.commands import Configure, Watch
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
-BURST = 0.7  # [s] moves of one slider that follow each other faster are one step
-MOST_STEPS = 200  # [-] that can be undone; each is a small record
+BURST = 0.7  # [s] changes of one slider within this time count as one step
+MOST_STEPS = 200  # [-] steps that can be undone
 
 
 class Tuning:
     """The configuration and its history; every change is sent to the simulation at once.
 
-    May be called by any thread.
+    All methods are thread-safe.
     """
 
     def __init__(
@@ -39,32 +39,39 @@ class Tuning:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Begin without a history; `config` holds already where changes go, to `sink`."""
+        """Create an empty history.
+
+        Args:
+            sink: Simulation that gets each change.
+            config: Present configuration of the simulation.
+            usual: The robot's defaults.
+            clock: Returns the time [s].
+        """
         self._sink, self._clock = sink, clock
         self.usual = usual or Config()
         """The robot's defaults."""
         self._steps, self._at = [config], 0
-        """What held after each step, oldest first, and which of them holds."""
+        """Configurations after each step, oldest first, and the index of the present one."""
         self._burst: tuple[str, float] | None = None
-        """Parameter that was moved last, and when."""
+        """Parameter that was changed last, and the time [s] of this change."""
         self._lock = threading.RLock()
 
     @property
     def config(self) -> Config:
-        """What holds now; the same object as long as nothing changes."""
+        """The present configuration; the same object until a change."""
         with self._lock:
             return self._steps[self._at]
 
     @property
     def changes(self) -> dict[str, float | str]:
-        """What is not at the robot's defaults, by path."""
+        """Parameters that differ from the robot's defaults, by path."""
         return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
-        """Change one parameter; moves of the same one in a burst are one step.
+        """Change one parameter; fast changes of the same parameter count as one step.
 
         Raises:
-            ConfigError: No such parameter, or a value that it cannot have.
+            ConfigError: The parameter does not exist, or the value is not allowed.
         """
         with self._lock:
             if self.config.value(path) == value:
@@ -74,7 +81,7 @@ class Tuning:
             if last == path and now - at <= BURST:
                 self._steps.pop()
                 self._at -= 1
-            if self._steps[self._at] != config:  # there and back in one burst is no step
+            if self._steps[self._at] != config:  # a change and its reversal are no step
                 self._add(config)
                 self._burst = path, now
             else:
@@ -82,39 +89,39 @@ class Tuning:
             self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
-        """Take over a whole configuration, in one step."""
+        """Replace the configuration, in one step."""
         with self._lock:
             if config != self.config:
                 self._add(config)
                 self._sink.send(Configure(config))
 
     def reset(self, paths: Iterable[str] | None = None) -> None:
-        """Set parameters, by default all, to their defaults, in one step."""
+        """Set the parameters `paths` (default: all) to the robot's defaults, in one step."""
         with self._lock:
             defaults = {path: self.usual.value(path) for path in paths or ()}
             self.load(self.usual if paths is None else self.config.changed(defaults))
 
     def undo(self) -> None:
-        """Take the last step back.
+        """Undo the last step.
 
         Raises:
-            ConfigError: There is none.
+            ConfigError: There is no step to undo.
         """
         self._go(-1, "nothing to undo")
 
     def redo(self) -> None:
-        """Do the step again that was undone last.
+        """Repeat the step that was undone last.
 
         Raises:
-            ConfigError: There is none, or something was changed since.
+            ConfigError: No step was undone, or a parameter has changed since.
         """
         self._go(1, "nothing to redo")
 
     def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
-        """Go on with another robot's simulation, which has a configuration already.
+        """Continue with the simulation of another robot, which runs with `config`.
 
-        The history is then of that robot: the same changes of its defaults. If its configuration is
-        another than here, that is one step.
+        Each configuration of the history keeps its changes, now relative to the new robot's
+        defaults `usual`. If `config` differs from the newest one, it becomes a further step.
         """
         with self._lock:
             self._steps = [usual.changed(each.changes(self.usual)) for each in self._steps]
@@ -130,13 +137,13 @@ class Tuning:
             self._sink.send(Configure(self.config))
 
     def _add(self, config: Config) -> None:
-        """A new step, in the place of those that were undone."""
+        """Add a step, and delete all steps that were undone."""
         self._steps = [*self._steps[: self._at + 1], config][-MOST_STEPS - 1 :]
         self._at, self._burst = len(self._steps) - 1, None
 
 
 class SharedState(SceneData):
-    """One for all pages; the drawing thread calls `update` before it draws them."""
+    """State that all pages share; the drawing thread calls `update` before it draws the pages."""
 
     def __init__(
         self,
@@ -149,14 +156,14 @@ class SharedState(SceneData):
         robot_switch: RobotSwitch | None = None,
         before: SharedState | None = None,
     ) -> None:
-        """Load what pages need; see `serve_dashboard`.
+        """Load the shared data; most arguments are those of `serve_dashboard`.
 
-        Of what was shared `before` with another robot stay the parameters, with their history, and
-        the jobs for new robots.
+        From `before`, the shared state of another robot, the parameters with their history and the
+        jobs for new robots are reused.
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case
-        """A scenario that begins where the loop does, for a button that plays it, or None."""
+        """A scenario from the loop's initial state, for a button that plays it; or None."""
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
@@ -164,29 +171,29 @@ class SharedState(SceneData):
         self.robot_check = before.robot_check if before else RobotCheck()
         self.plans = plot_plans(model, self.pairs, self.of_door)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
-        """The plots' values in the last minutes."""
+        """Values of the plots in the last minutes."""
         self.course = Course()
-        """The scenario that was begun last."""
+        """Results of the last scenario."""
         self.strip = Strip(model.body_names)
-        """What happened when, in the last ten minutes."""
+        """Data of the time line, of the last ten minutes."""
         self.keepers += [self.record, self.course, self.strip]
         self._watched = True
         self._explorer: Explorer | None = None
 
     def explorer(self) -> Explorer:
-        """What answers for postures, made when it is asked first; for the drawing thread."""
+        """Return the explorer of postures, created at the first call by the drawing thread."""
         if self._explorer is None:
             self._explorer = Explorer(self.model, self.clouds, self.loop.latest())
         return self._explorer
 
     def followed_by(self, robot: RunningRobot) -> SharedState:
-        """The same with another robot."""
+        """Return the shared state of another robot, with the same parameters and jobs."""
         after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
         self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
         return after
 
     def watch(self, watched: bool) -> None:
-        """Let the simulation rest while nobody is there."""
+        """Pause the simulation's computation while no viewer is connected."""
         if watched != self._watched:
             self._watched = watched
             self.loop.send(Watch(watched))

@@ -1,4 +1,4 @@
-"""Which instant a viewer sees, and the interval that they mark."""
+"""Point in time that a viewer sees, and the interval that the viewer marks."""
 
 import threading
 from time import monotonic
@@ -10,28 +10,28 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import check_range
 
 FRAME = 0.02  # [s] between two snapshots
-REPLAY = 0.1, 4.0  # [-] speed of the past, over real time
-AGAIN = 10.0  # [s] of the past that are played from now
-MOST_MARKED = 300.0  # [s] of a marked interval, all of whose snapshots are kept for one viewer
+REPLAY = 0.1, 4.0  # [-] limits of the replay speed, relative to real time
+AGAIN = 10.0  # [s] length of a replay that starts at the newest snapshot
+MOST_MARKED = 300.0  # [s] length of a marked interval, whose snapshots are stored
 
 
 class Timeline:
-    """The place of one viewer in time; the simulation does not notice.
+    """Point in time of one viewer; the simulation is not affected.
 
-    Any thread may call any of the methods.
+    All methods are thread-safe.
     """
 
     def __init__(self, loop: LoopHandle, strip: Strip) -> None:
-        """Begin with now; the loop has every snapshot of the last 60 s, the strip older ones."""
+        """Start live; `loop` has the snapshots of the last 60 s, and `strip` has older ones."""
         self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
-        self._replay: tuple[float, float, float] | None = None  # [s] begun, [s] there, [-] speed
+        self._replay: tuple[float, float, float] | None = None  # [s] clock, [s] time, [-] speed
         self._newest = loop.latest()
         self._marked: list[Snapshot] = []
         self._lock = threading.RLock()
         self.begin: float | None = None
         self.end: float | None = None
-        """[s] the marked interval; None if it is not marked."""
+        """[s] start and end of the marked interval; None if not marked."""
 
     @property
     def live(self) -> bool:
@@ -39,9 +39,9 @@ class Timeline:
         return self._shown is None
 
     def shown(self) -> Snapshot:
-        """The snapshot to be drawn; after a restart of the simulation always the newest.
+        """Return the snapshot to draw; after a restart of the simulation, the newest one.
 
-        An interval whose end is marked outlives the restart, until another one is marked.
+        A completely marked interval stays after a restart, until another one is marked.
         """
         with self._lock:
             newest = self._loop.latest()
@@ -58,11 +58,11 @@ class Timeline:
 
     @property
     def plays(self) -> bool:
-        """Whether the past is played."""
+        """Whether a replay is running."""
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Play the past from the instant that is shown, or stop; at now the last 10 s.
+        """Start a replay at the shown snapshot (live: 10 s ago), or stop the running replay.
 
         Raises:
             ConfigError: The speed is not within `REPLAY`.
@@ -76,23 +76,23 @@ class Timeline:
         self._replay = monotonic(), self.shown().t, speed
 
     def go_to(self, t: float) -> None:
-        """Show the snapshot that is nearest to a time [s]."""
+        """Show the snapshot that is nearest to time `t` [s]."""
         self.show(min(self._kept(), key=lambda snapshot: abs(snapshot.t - t)))
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show this one, which has been published before."""
+        """Show a published snapshot, and stop a replay."""
         self._shown, self._replay = snapshot, None
 
     def step(self, seconds: float) -> None:
-        """Go forward by a time [s], or back if it is negative, within the stored interval."""
+        """Go forward by a time [s], or back if it is negative, within the stored snapshots."""
         self.go_to(self.shown().t + seconds)
 
     def go_live(self) -> None:
-        """Show the newest snapshot again, from now on."""
+        """Show the newest snapshot from now on."""
         self._shown = self._replay = None
 
     def mark_begin(self) -> None:
-        """The marked interval begins at the instant that is shown; its end is open."""
+        """Start the marked interval at the shown instant; a later end stays marked."""
         with self._lock:
             self.begin, end = self.shown().t, self.end
             self.end = None
@@ -101,7 +101,7 @@ class Timeline:
                 self._cut(end)
 
     def mark_end(self) -> None:
-        """The marked interval ends at the instant that is shown.
+        """End the marked interval at the shown instant.
 
         Without a marked start, the interval starts with the oldest stored snapshot.
         """
@@ -117,16 +117,16 @@ class Timeline:
             self._cut(at)
 
     def unmark(self) -> None:
-        """No interval is marked."""
+        """Remove the marks."""
         with self._lock:
             self.begin = self.end = None
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """The snapshots of the marked interval, or all of the last 60 s, oldest first.
+        """Return the snapshots of the marked interval, or of the last 60 s, oldest first.
 
         Raises:
-            LogError: The interval has a single snapshot.
+            LogError: The interval has fewer than two snapshots.
         """
         self.shown()
         with self._lock:
@@ -145,17 +145,17 @@ class Timeline:
             self._replay = replay
 
     def _kept(self) -> list[Snapshot]:
-        """All there is to look at, older ones thinned."""
+        """Return all stored snapshots; older ones have larger intervals."""
         kept = self._loop.history(-1.0)
         return [*(s for s in tuple(self._strip.past) if s.t < kept[0].t), *kept]
 
     def _hold(self) -> None:
-        """Store the new snapshots of an interval whose end is open; a long one ends by itself."""
+        """Add new snapshots to an open interval, which ends at its largest length."""
         self._marked += self._loop.history(self._marked[-1].t)
         if self.begin is not None and self._marked[-1].t - self.begin > MOST_MARKED:
             self._cut(self.begin + MOST_MARKED)
 
     def _cut(self, end: float) -> None:
-        """Let the interval end at a time [s]."""
+        """End the interval at a time [s]."""
         self.end = end
         self._marked = [s for s in self._marked if s.t <= end + 1e-9]

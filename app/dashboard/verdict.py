@@ -1,4 +1,4 @@
-"""The verdict on an instant: of it are the colours of sentence, rows, bars, lines and labels."""
+"""Verdict on an instant, which determines the colours of sentence, rows, bars, lines and labels."""
 
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
@@ -18,28 +18,28 @@ COLOURS: dict[State, Rgb] = {
     "resisting": RESISTS,
     "contact": CONTACT,
 }
-"""By state, from the calmest to the worst; "near" is inside a buffer while the base rests."""
-_NO_BASE_HELPS = 0.9  # [-] of the force that falls away: at 6° off vertical hardly any motion helps
+"""Colours by state, from best to worst; "near" means inside a buffer while the base is at rest."""
+_NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
 class Verdict(NamedTuple):
-    """How the robot stands."""
+    """State of the robot."""
 
     state: State
-    """The worst of what there is."""
+    """The worst state of all."""
     pairs: tuple[State, ...]
     """The state of each link pair, in the order of the snapshot."""
     touching: str
-    """What touches, or which pair overlaps by how much; empty without contact."""
+    """Contacts, or the overlapping pair with its overlap; empty without contact."""
 
     @property
     def colour(self) -> Rgb:
-        """Of the state."""
+        """Colour of the state."""
         return COLOURS[self.state]
 
 
 def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdict:
-    """The verdict on a snapshot, the only one that the page has; `spoken` has words for pairs."""
+    """Return the verdict on a snapshot for the whole page; `spoken` has words for pairs."""
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
     moves = base_gives_way(snapshot)
@@ -50,7 +50,7 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     touching = _touching(snapshot, spoken or {})
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
-        states.append("resisting")  # the arm holds itself up and the base brakes
+        states.append("resisting")  # the arm holds its position and the base brakes
     return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
 
 
@@ -58,18 +58,17 @@ def base_gives_way(snapshot: Snapshot) -> bool:
     """Whether the base moves, or its commanded acceleration is about to move it."""
     rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
     return any(
-        max(map(abs, linear)) >= least[0] or abs(turn) >= least[1]
-        for (*linear, turn), least in rates
+        max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
     )
 
 
 def base_cannot_help(pair: NearPair) -> bool:
-    """Whether a pair meets so much from above that the arm alone can keep its distance."""
+    """Whether a pair is so close to vertical that only the arm can keep the distance."""
     return pair.above >= _NO_BASE_HELPS
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Of one pair; `near` is what the explanation has of it."""
+    """Return the state of a pair; `near` is the pair's part of the explanation."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.held:

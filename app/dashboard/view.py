@@ -1,6 +1,6 @@
 """View of one viewer: layers, colours and plots that are shown.
 
-Callbacks assign a field, the drawing thread reads it.
+Callbacks assign to a field, and the drawing thread reads the fields.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from PIL import Image
 
 from app.dashboard.scene.legend import QUANTITIES
 
-HIDDEN = "hidden"  # instead of a quantity: the border is not drawn
-CHOICES = (*reversed(QUANTITIES), HIDDEN)  # what a border may be coloured by
+HIDDEN = "hidden"  # instead of a quantity, for a hidden border
+CHOICES = (*reversed(QUANTITIES), HIDDEN)  # choices for the border's colour
 BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 """Folders of the tab "View"."""
 
@@ -24,17 +24,17 @@ BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 def _shown(
     folder: str, label: str, hint: str | None = None, *, first: Any, choices: tuple[str, ...] = ()
 ) -> Any:
-    """A field that a widget of a folder assigns, a box where there are no choices."""
+    """Declare a field with a widget in a folder: a list with `choices`, a check box without."""
     about = {"folder": folder, "label": label, "hint": hint, "choices": choices}
     return field(default=first, metadata=about)
 
 
 @dataclass
 class View:
-    """Layers of the scene; each field is one assignment of a callback."""
+    """Choices of the viewer; a callback assigns one field."""
 
     borders: dict[str, str]
-    """What the border of each pair of L_m is coloured by: one of `QUANTITIES`, or `HIDDEN`."""
+    """Quantity that colours the border of each pair of L_m: one of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
         BORDER,
         "Include the top",
@@ -58,7 +58,7 @@ class View:
     labels: Literal["active", "all", "none"] = _shown(
         LAYERS, "Distance labels", first="active", choices=("active", "all", "none")
     )
-    """Which of these lines carry their distance."""
+    """Lines that have a label with their distance."""
     acting: bool = _shown(
         LAYERS, "Acting points", "p_n, p_t, p_act and the avoidance force", first=True
     )
@@ -81,15 +81,15 @@ class View:
         first=False,
     )
     plots: set[str] = field(default_factory=set)
-    """Titles of the plots that are shown."""
+    """Titles of the shown plots."""
 
     def take_over(self, other: View) -> None:
-        """See what another viewer sees."""
+        """Copy all choices of another viewer."""
         for each in fields(self):
             setattr(self, each.name, copy(getattr(other, each.name)))
 
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
-        """The same choices for another robot, as far as it has the pairs of L_m and the plots."""
+        """Return the same choices for another robot, with its pairs of L_m and its plots."""
         new, shown = View.first(pairs, plots), self.plots & set(plots)
         borders, first = new.borders, copy(new.borders)
         new.take_over(self)
@@ -101,7 +101,7 @@ class View:
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
-        """What a new viewer sees: the score of the first border, and the first plots."""
+        """Return the default choices: the score of the first border, and the first plots."""
         borders = dict.fromkeys(pairs, HIDDEN)
         if pairs:
             borders[pairs[0]] = "score"
@@ -109,7 +109,7 @@ class View:
 
 
 class Viewpoint(NamedTuple):
-    """What a viewer sees, and where from: eye and target (3,) [m] of the camera, in the world."""
+    """View of a viewer, with eye and target (3,) [m] of the camera in the world."""
 
     view: View
     eye: np.ndarray
@@ -117,5 +117,5 @@ class Viewpoint(NamedTuple):
 
 
 PagePicture = Callable[..., Image.Image]
-"""Draws the whole page: of the data of a scene at the last of a list of snapshots, from a
-`Viewpoint`, a width and a height [px] in a tuple."""
+"""Draws the whole page. Arguments: the scene's data, snapshots of which the last is shown, a
+`Viewpoint`, and (width, height) [px]."""

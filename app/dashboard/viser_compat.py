@@ -1,6 +1,7 @@
-"""Viser's servers, silent and behind a gate; and every use of viser's private names.
+"""Servers of viser, without output and behind a gate; and all uses of viser's private names.
 
-A queue of messages loses no wake-up here. `tests/test_gate.py` fails if a private name changes.
+The message queue of this module always wakes its readers. If a private name of viser changes,
+`tests/test_gate.py` fails.
 """
 
 import asyncio
@@ -37,34 +38,34 @@ from app.dashboard.gate import (
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
-logger = logging.getLogger("app.dashboard")  # one for all that viewers can cause
+logger = logging.getLogger("app.dashboard")  # for all errors that viewers can cause
 
-_ENDING = 10.0  # [s] for viser's thread, on a busy machine
-LOOK = 0.5  # [s] between two looks at the connections
-SILENT = 3  # [looks] without an answer, after which a viewer may sleep
+_ENDING = 10.0  # [s] timeout for the end of viser's thread
+LOOK = 0.5  # [s] period of checks of the connections
+SILENT = 3  # [checks] without an answer, until a viewer may be asleep
 _MINUTE = 60.0  # [s]
 _KNOCKS = (
     "opening handshake failed",
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
-_pictures = threading.BoundedSemaphore(2)  # [-] large messages that may be under way
-STUCK = 20  # [looks] without anything delivered, after which a connection is closed
+_pictures = threading.BoundedSemaphore(2)  # [-] simultaneous large messages
+STUCK = 20  # [checks] without a delivery, until a connection is closed
 
 
 class _Knocks(logging.Filter):
-    """Of what strangers can cause again and again, one record a minute is enough.
+    """Limits log records that strangers can cause repeatedly to one per minute.
 
-    Their library would write the whole way to each one who connects and speaks otherwise, or too
-    many at once, a hundred times a second. An error that no stranger's bytes explain is a mistake
-    in this program or its libraries: it is written whole, by another name, as viser hides what it
-    takes for a knock.
+    The websockets library would write a whole traceback for each wrong or excess connection, a
+    hundred times per second. An error that a stranger's data cannot explain is a defect of this
+    program or of its libraries. Such an error is written completely. Its text is changed, because
+    viser hides records with the texts of `_KNOCKS`.
     """
 
     _said: ClassVar[dict[tuple[str, str], float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is written, a knock in one line."""
+        """Whether a record is written; a record that strangers can cause gets a single line."""
         text = record.getMessage().partition("\n")[0]
         error = record.exc_info[1] if record.exc_info else None
         kind = str(record.msg).partition("\n")[0], _place(error)
@@ -84,15 +85,15 @@ class _Knocks(logging.Filter):
 
 
 def _place(error: BaseException | None) -> str:
-    """Where an error was raised."""
+    """Return type and code position of an error."""
     frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
     return f"{type(error).__name__} {[(frame.filename, frame.lineno) for frame in frames]}"
 
 
 def _broke_off(connection: Any) -> bool:
-    """Whether websockets could not read what came before a connection was open.
+    """Whether websockets could not read the first data of a connection.
 
-    As with requests that come one behind the other: their answer then fails within websockets.
+    An example is a request that follows another one at once; the answer fails within websockets.
     """
     protocol = getattr(connection, "protocol", None)
     return protocol is not None and protocol.state is CONNECTING and bool(protocol.parser_exc)
@@ -108,19 +109,24 @@ def open_server(
     read_link: ReadLink = read_no_link,
     allowed: Sequence[str] = (),
 ) -> viser.ViserServer:
-    """A server that listens.
+    """Start a server.
 
-    viser waits for ever at a host that cannot be bound, and takes another port for one that is
-    taken; 0 takes a free one. Files of `largest_upload` [bytes] can be uploaded, none if it is 0.
-    Browsers may reach it by the `allowed` names too.
+    viser hangs if a host cannot be bound, and silently changes a port that is in use.
+
+    Args:
+        host: Address of the server.
+        port: Port of the server; 0 selects a free port.
+        largest_upload: [bytes] largest size of an uploaded file; 0 without uploads.
+        read_link: Reads an address's query.
+        allowed: Further names under which browsers may reach the server.
 
     Raises:
-        ServerError: viser starts in a way that is not known.
+        ServerError: viser starts its server in an unexpected way.
     """
-    logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
+    logging.getLogger("websockets").setLevel(logging.WARNING)  # no records of each connection
     for name in ("websockets.server", "asyncio", logger.name):
-        logging.getLogger(name).addFilter(_knocks)  # the same one is added once
-    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
+        logging.getLogger(name).addFilter(_knocks)  # a filter is added once only
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # normal at its end
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
     gate = Gate({host, *allowed}, largest_upload, read_link)
     with _silence(), gate.closed():
@@ -158,11 +164,11 @@ def close_server(server: viser.ViserServer) -> None:
         server.stop()
         thread = server._websock_server._server_thread
         if thread is not None:
-            thread.join(_ENDING)  # viser waits for a second; the last that it does is to print
+            thread.join(_ENDING)  # viser waits for a second and then prints a message
 
 
 def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
-    """What was uploaded by a button, which would keep it until the next one."""
+    """Return a button's uploaded file, and delete it from the button, which would keep it."""
     file, button._impl.value = button.value, viser.UploadedFile("", b"")
     return file
 
@@ -170,15 +176,17 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
 def scene_picture(
     client: viser.ClientHandle, height: int, width: int, timeout: float
 ) -> np.ndarray:
-    """(height, width, 4) the scene as a viewer's browser draws it, which may send that much.
+    """Return the scene as a viewer's browser draws it, (height, width, 4).
+
+    The size limit of the viewer's messages is higher in the meantime.
 
     Raises:
-        RuntimeError: The viewer has gone.
-        TimeoutError: Nothing came within the timeout [s].
+        RuntimeError: The viewer has disconnected.
+        TimeoutError: No picture arrived within the timeout [s].
     """
     connection = _connection(client)
     if connection is None:
-        raise RuntimeError("the page has gone")
+        raise RuntimeError("the page has disconnected")
     with _pictures:
         connection.protocol.max_message_size += LARGEST_PICTURE
         try:
@@ -188,40 +196,40 @@ def scene_picture(
 
 
 def address_of(client: viser.ClientHandle) -> str:
-    """The page's address, as the viewer's browser has it, without a query."""
+    """Return the page's address in the viewer's browser, without a query."""
     connection = _connection(client)
     request = connection.request if connection is not None else None
     return f"http://{request.headers.get('Host', '') if request is not None else ''}/"
 
 
 def image_size(client: viser.ClientHandle) -> tuple[float, float]:
-    """[px] width and height of a viewer's scene; 0 while unknown."""
+    """Return width and height [px] of a viewer's scene; 0 while unknown."""
     state = client.camera._state
     return state.image_width, state.image_height
 
 
 def has_no_gpu(client: viser.ClientHandle) -> bool:
-    """Whether a viewer's browser has said that it draws in software."""
+    """Whether a viewer's browser has reported that it draws in software."""
     connection = _connection(client)
     return connection is not None and draws_in_software(connection.request)
 
 
 def finite(value: Any) -> float:
-    """A number that a page says.
+    """Return a number from a page.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The value is not a finite number.
     """
     if not math.isfinite(number := float(value)):
-        raise ValueError("no number of a page")
+        raise ValueError("not a finite number")
     return number
 
 
 class Channel:
-    """What one viewer's page and this program say to each other beside viser's widgets.
+    """Messages between a viewer's page and this program, in addition to viser's widgets.
 
-    viser has no widget that spans the page, reads a number as a person typed it, or says whether
-    anybody sees it; the page's own scripts have. They call functions by words, and are called.
+    viser has no widget that spans the page, reads a complete typed number, or reports whether it is
+    visible; the page's own scripts do this. Both sides call functions of the other side by name.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
@@ -230,13 +238,13 @@ class Channel:
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
-        """What the page has said of itself: the names of the `sight`s that a person sees, "narrow"
-        if it is a narrow one, "untouched" until a person presses or turns anything."""
+        """State of the page: names of the visible `sight`s, "narrow" on a narrow page, and
+        "untouched" until the first input of a person."""
         self.on("seen", lambda names: setattr(self, "seen", frozenset(names.split())), str)
         self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 
     def begin(self) -> None:
-        """Begin what the page has beside viser's widgets, all of which are there, anew."""
+        """Create the page's own elements again; call it when all widgets of viser exist."""
         ranges = {
             uuid: (handle.min, handle.max)
             for uuid, handle in self._client.gui._gui_input_handle_from_uuid.items()
@@ -245,20 +253,20 @@ class Channel:
         self._run("dbb?.end(); window.dbb = window.dbbControls", self._box._impl.uuid, ranges)
 
     def tell(self, word: str, *values: Any) -> None:
-        """Call a function of the page with values that JSON can have."""
+        """Call a function of the page with values of JSON types."""
         self._run(f"dbb.{word}", *values)
 
     def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
-        """Call `act` with the values that the page says after a word, numbers or of a kind."""
+        """Call `act` with the values of the page's messages `word`, converted by `kind`."""
         self._acts[word] = act, kind
 
     def sight(self, name: str) -> None:
-        """Have the page say whether a person sees the GUI container that is now open."""
+        """Let the page report whether a person sees the GUI container that is open now."""
         self._client.gui.add_html(f'<div data-seen="{name}"></div>')
 
     def _run(self, function: str, *values: Any) -> None:
-        told = json.dumps(values, separators=(",", ":"), allow_nan=False)
-        source = f"window.{function}(...{told})"
+        arguments = json.dumps(values, separators=(",", ":"), allow_nan=False)
+        source = f"window.{function}(...{arguments})"
         self._client._websock_connection.queue_message(
             _messages.RunJavascriptMessage(source=source)
         )
@@ -271,13 +279,13 @@ class Channel:
             act, kind = self._acts[word]
             values = [kind(value) for value in values]
             signature(act).bind(*values)
-        except (ValueError, TypeError, KeyError, OverflowError):  # no page of this program says so
+        except (ValueError, TypeError, KeyError, OverflowError):  # not a message of this page
             return
         act(*values)
 
 
 def _connection(client: viser.ClientHandle) -> Any:
-    """A viewer's connection, or None once he has gone."""
+    """Return a viewer's connection, or None after its end."""
     return client._viser_server._websock_server._live_connections.get(client.client_id)
 
 
@@ -286,32 +294,32 @@ def _widget(gui: viser.GuiApi, uuid: str) -> Any:
 
 
 def _silence() -> contextlib.redirect_stdout[io.StringIO]:
-    """Holds back what viser prints about itself: the address is the caller's to print."""
+    """Suppress the output of viser, because the caller prints the address."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 class _Seen(NamedTuple):
-    """What was seen of a connection; numbers of looks at which it was so, one after the other."""
+    """State of a connection, with numbers of successive checks."""
 
     answer: asyncio.Task[None] | None = None
-    """To the last question whether anybody is there."""
+    """Answer to the last ping."""
     unanswered: int = 0
     sent: tuple[int, ...] = ()
-    """Number of the last message that was taken out of each queue for this viewer."""
+    """Number of the last message of each queue that was sent to this viewer."""
     unsent: int = 0
 
 
 class Watchdog:
-    """Notices viewers who do not answer, and closes connections that deliver nothing.
+    """Detects viewers who do not answer, and closes connections that deliver no messages.
 
-    A browser answers a ping by itself, also while its page waits. All is counted in looks, made in
-    the thread that receives: if this program itself is held up, that is one look.
+    A browser answers a ping even if its page is busy. Time is counted in checks by the receiving
+    thread: a delay of this program itself counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
-        """Begin; `on_silent` gets the number of a viewer at each look at which he is silent."""
+        """Start; at each check, `on_silent` gets the number of each silent viewer."""
         self.closed = 0
-        """Connections that it has closed; their pages connect anew by themselves."""
+        """Number of connections closed here; their pages connect again."""
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
         loop = self._server._background_event_loop
@@ -352,23 +360,23 @@ class Watchdog:
             last + 1 >= queue.message_counter for last, queue in zip(sent, queues, strict=True)
         ):
             unsent = 0
-        elif not any(queue.atomic_counter for queue in queues):  # else a picture is being composed
+        elif not any(queue.atomic_counter for queue in queues):  # no picture is being composed
             unsent += 1
         return _Seen(answer, unanswered, sent, unsent)
 
 
 async def _ping(connection: Any) -> None:
-    """Wait until a viewer's browser has answered, or is gone."""
+    """Wait for the answer of a viewer's browser, or for the end of the connection."""
     with contextlib.suppress(ConnectionClosed):
         await (await connection.ping())
 
 
 class _WakingEvent(asyncio.Event):
-    """An event that wakes whoever waits, also if it is set already.
+    """An event whose `set` wakes all waiters even if the event is already set.
 
-    viser sets its event from other threads, too, and once more in the loop. If the thread's call
-    falls between a waiter's look at the event and its waiting, the second call finds the event set,
-    wakes nobody, and the page gets nothing more (docs/viser_wakeup.md).
+    viser sets its event from other threads, and a second time in the loop. If the first call comes
+    between a waiter's check of the event and its wait, the second call finds the event set and
+    wakes nobody. Then the page gets no more messages (docs/viser_wakeup.md).
     """
 
     def set(self) -> None:
@@ -379,10 +387,10 @@ class _WakingEvent(asyncio.Event):
 
 
 class _Buffer(AsyncMessageBuffer):
-    """A queue whose waiters always wake, and which delivers each removal to a viewer.
+    """A queue that always wakes its waiters, and that delivers each removal of a node.
 
-    viser drops the removal of a node that is created again before it was sent. The page then keeps
-    pose and callbacks of the old node, since viser sends no pose that equals its default.
+    viser drops the removal of a node if the node is created again before the removal is sent. The
+    page then keeps pose and callbacks of the old node, because viser does not send default poses.
     """
 
     def __init__(self, *args: Any, **more: Any) -> None:

@@ -13,22 +13,22 @@ _SIZES = 64, 8192  # [px]
 
 @dataclass(frozen=True)
 class Look:
-    """What a picture shows, and how large it is."""
+    """Content and size of a picture."""
 
     width: int = 1280
-    """[px] of each picture."""
+    """[px] width of each picture."""
     height: int = 720
-    """[px] of each picture."""
+    """[px] height of each picture."""
     layer: Layer = "score"
-    """What the border is coloured by; none hides it."""
+    """Quantity that colours the border; "none" hides the border."""
     view: Side = "iso"
-    """Where the scene is looked at from."""
+    """Camera view of the scene."""
     page: bool = False
-    """The whole dashboard, not the scene alone."""
+    """Picture of the whole dashboard instead of the scene alone."""
     light: bool = False
-    """A light ground, not a dark one."""
+    """Light background instead of a dark one."""
     pair: str = ""
-    """The pair of L_m whose border it is; the first one by default."""
+    """Pair of L_m whose border is shown; by default the first one."""
 
     def __post_init__(self) -> None:
         check_range("--width", self.width, *_SIZES, "px")
@@ -36,5 +36,5 @@ class Look:
 
     @property
     def dark(self) -> bool:
-        """A dark ground."""
+        """Whether the background is dark."""
         return not self.light

@@ -1,7 +1,7 @@
-// Helpers inside the page. They use hooks of viser's client that are private, so viser is pinned.
+// Helpers inside the page. viser's version is fixed, because they use private hooks of its client.
 (() => {
-  // What draws in software here does so on purpose: without this a warning covers a part of the page.
-  // The server takes it for a GPU then, and sends the fine drawing.
+  // Software rendering is intended here: without this change, a warning covers a part of the page.
+  // The server then assumes a GPU and sends full detail.
   for (const kind of [self.WebGLRenderingContext, self.WebGL2RenderingContext]) {
     if (!kind || self.dbbHonest) continue;
     const original = kind.prototype.getParameter;
@@ -12,7 +12,7 @@
     };
   }
 
-  // While drawing is held, the page does all but that: what arrives meanwhile costs no picture.
+  // While `held` is true, the page does everything except drawing, so that messages cost no frame.
   let held = false;
   for (const kind of [self.WebGL2RenderingContext?.prototype]) {
     for (const name of ["clear", "drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
@@ -30,7 +30,7 @@
   const node = (name) => viewer().nodeRefFromName[name];
   const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
-  // Looks every so many ms; a page that has died is not waited for.
+  // Checks every `ms` milliseconds, with a timeout for a page that has crashed.
   const until = async (there, ms) => {
     const deadline = performance.now() + 60_000;
     while (!there()) {
@@ -49,7 +49,7 @@
     canvas,
     node,
     ready: () => !!viewer()?.canvas && frame() > 0,
-    // What meshes mirror comes later.
+    // Reflections of meshes are ready later than the scene.
     lit: () => {
       let root = viewer().nodeRefFromName[""];
       while (root?.parent) root = root.parent;
@@ -57,19 +57,19 @@
     },
     has: (name) => !!node(name),
     hold: (on) => { held = on; },
-    // x of a frame that the server has put last: all that it sent before has arrived.
+    // x of the last frame from the server: all messages before this frame have arrived.
     arrived: (name) => viewer().nodePoseData[name]?.position?.[0],
-    // Reading a pixel back waits for the drawing, which software renderers do later.
+    // Reading back a pixel waits until the drawing is complete; software renderers delay it.
     render: async (count) => {
       await render(count);
       const gl = canvas().getContext("webgl2");
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     },
-    // One picture of a film, as the text of a JPEG, drawn once after all that was sent has arrived:
-    // whoever waits for the browser to draw a frame may get two.
-    // Eye and target are in the scene's frame, z up; three.js itself has y up.
+    // One picture of a film as a base64 JPEG. It is drawn exactly once, after all messages have
+    // arrived: waiting for a frame of the browser could draw two.
+    // Eye and target are in the scene's frame with z up; three.js has y up.
     still: async ([name, n, eye, target, ground]) => {
-      held = flat !== null; // all is drawn once: what meshes mirror is drawn into textures then
+      held = flat !== null; // the first frame is drawn too, because it fills the textures of reflections
       await until(() => dbbPage.arrived(name) === n, 2);
       const inWorld = ([x, y, z]) =>
         node("").localToWorld(viewer().camera.position.clone().set(x, y, z)).toArray();

@@ -1,4 +1,4 @@
-"""Headless Chromium with WebGL: found, started and ended."""
+"""Headless Chromium with WebGL: search, start and end."""
 
 from __future__ import annotations
 
@@ -58,10 +58,12 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 
 
 def browser_path(bundled: str) -> str | None:
-    """Path of a browser, or None if playwright's own at `bundled` is there and none is asked for.
+    """Return the path of a browser, or None for playwright's own browser at `bundled`.
+
+    The environment variable `DBB_BROWSER` has priority, then an installed browser.
 
     Raises:
-        BrowserError: There is none, or the environment variable names one that is not there.
+        BrowserError: There is no browser, or the environment variable names a missing file.
     """
     if chosen := os.environ.get(VARIABLE):
         if not Path(chosen).exists():
@@ -78,23 +80,23 @@ def browser_path(bundled: str) -> str | None:
         return None
     raise BrowserError(
         "no Chromium to draw with: `make browser` provides one, or `playwright install chromium`, "
-        f"or Debian's `apt-get install chromium`; or set {VARIABLE} to the path of one"
+        f"or Debian's `apt-get install chromium`; or set {VARIABLE} to the path of a browser"
     )
 
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """A headless browser with WebGL, ended at the end, with all that it has put into `/tmp`.
+    """Run a headless browser with WebGL; end it and delete its temporary files at the end.
 
     Raises:
-        BrowserError: There is none, it cannot draw, or it fails where it is used.
+        BrowserError: There is no browser, it has no WebGL 2, or it fails during its use.
     """
-    # Imported here: most of what uses a scene needs no browser.
+    # Imported here, because most users of a scene need no browser.
     from playwright.sync_api import Error, sync_playwright
 
     try:
         with ExitStack() as stack:
-            # What ends this command reaches browser and driver, too, which leave their files then.
+            # A signal to this command also ends browser and driver, which then leave their files.
             folder = str(stack.enter_context(temporary_folder()))
             with _temporary_folder(folder):
                 playwright = stack.enter_context(sync_playwright())
@@ -108,7 +110,7 @@ def chromium() -> Iterator[Browser]:
             finally:
                 browser.close()
     except KeyboardInterrupt:
-        # The signal ends playwright's driver too; asyncio would tell of each call that this broke.
+        # The signal also ends playwright's driver; asyncio would log each interrupted call.
         logging.getLogger("asyncio").setLevel(logging.CRITICAL)
         raise
 
@@ -116,9 +118,13 @@ def chromium() -> Iterator[Browser]:
 def new_context(
     browser: Browser, size: tuple[int, int], *, honest: bool = False, touch: bool = False
 ) -> BrowserContext:
-    """A window of a width and a height [px]; in its pages `dbbPage` helps to wait for pictures.
+    """Open a window of `size` (width, height) [px], whose pages have the helpers `dbbPage`.
 
-    An `honest` one says that it draws in software; one of `touch` is used by fingers.
+    Args:
+        browser: The browser.
+        size: [px] width and height.
+        honest: Whether the page reports its software renderer.
+        touch: Whether the window has a touch screen.
     """
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch
@@ -131,7 +137,7 @@ def new_context(
 
 @contextmanager
 def _temporary_folder(folder: str) -> Iterator[None]:
-    """Programs that are started meanwhile put their temporary files there."""
+    """Let programs that start in this context write their temporary files to `folder`."""
     before = os.environ.get("TMPDIR")
     os.environ["TMPDIR"] = folder
     try:
@@ -151,7 +157,7 @@ def _launch(playwright: Playwright, path: str | None, folder: str) -> Browser:
             browser = playwright.chromium.launch(
                 executable_path=path,
                 args=[*flags, *_QUIET],
-                env={**os.environ, "TMPDIR": folder, "HOME": folder},  # there may be no home
+                env={**os.environ, "TMPDIR": folder, "HOME": folder},  # HOME may be missing
             )
         except Error as error:
             reason = str(error).strip().splitlines()[0]

@@ -1,4 +1,4 @@
-"""Off-screen scene: recorded snapshots drawn without widgets, for a film or a page to play."""
+"""Off-screen scene: recorded snapshots drawn without widgets, for films and replays."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ if TYPE_CHECKING:
     import playwright.sync_api as web
 
 HOST = "127.0.0.1"
-BARRIER = "/sent"  # scene node whose place tells the page how much has been sent
+BARRIER = "/sent"  # scene node whose position is the number of the last barrier
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
-TIMEOUT = 60.0  # [s] for a page to open or a picture to arrive
-RATE = 25.0  # [Hz] pictures of a second of a replay
-_TEXTS_EVERY = 5  # pictures between two renewals of labels and trails
+TIMEOUT = 60.0  # [s] timeout of a page or a picture
+RATE = 25.0  # [Hz] frame rate of a replay
+_TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
-"""On a dark and on a light ground."""
-_HEIGHT = 0.04  # [-] of a line, of the picture's height
-_LEAST = 12  # [px] of a line that can be read
-_SPACING = 1.4  # [-] from line to line
+"""Text colour on a dark and on a light background."""
+_HEIGHT = 0.04  # [-] height of a line, relative to the picture's height
+_MIN_HEIGHT = 12  # [px] of a line, for legibility
+_SPACING = 1.4  # [-] distance between lines, relative to their height
 _YUV = ["-pix_fmt", "yuv420p"]
 _WEB = ["-cpu-used", "5", "-row-mt", "1", "-deadline", "good", "-b:v", "0", "-crf", "32", *_YUV]
 _X264 = ["-crf", "20", *_YUV, "-movflags", "+faststart"]
@@ -71,38 +71,38 @@ CODECS = {
     ".webp": {"webp": ["libwebp_anim", "-loop", "0", "-quality", "70", "-compression_level", "4"]},
     ".gif": {"gif": ["gif", "-loop", "0", "-filter_complex", _PALETTE]},
 }
-"""By the ending of a file: its codecs, the usual one first, each with what ffmpeg needs."""
-_LIFT, _OUTLINE = 0.005, 2.5  # [m] above the floor, [px]
-_EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # both have two chroma samples a pixel row and column
+"""Codecs by the suffix of a file, the default first, each with ffmpeg's options."""
+_LIFT, _OUTLINE = 0.005, 2.5  # [m] height above the floor, [px] line width
+_EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # yuv420p needs even sizes
 
 
 class RecordedLoop:
-    """The interface of the simulation's loop over recorded snapshots: nothing runs or is pulled."""
+    """Recorded snapshots with the interface of the simulation's loop; commands have no effect."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
-        """Stand at the first of the snapshots."""
+        """Start at the first snapshot."""
         self.error: BaseException | None = None
         self.links: tuple[str, ...] = ()
         self.silence = 0.0
         self.snapshots = tuple(snapshots)
-        """In order of time, at least one."""
+        """Snapshots in order of time, at least one."""
         self._times = [snapshot.t for snapshot in self.snapshots]
         self._at = 0
 
     def go_to(self, t: float) -> Snapshot:
-        """Stand at the last snapshot that is not later than a time [s], or at the first."""
+        """Go to the last snapshot at or before time `t` [s], or to the first snapshot."""
         self._at = max(bisect_right(self._times, t + 1e-9) - 1, 0)
         return self.latest()
 
     def send(self, command: Command) -> None:
-        """Commands have no effect on what has been recorded."""
+        """Ignore the command."""
 
     def latest(self) -> Snapshot:
-        """The snapshot at which it stands."""
+        """Return the present snapshot."""
         return self.snapshots[self._at]
 
     def history(self, after: float) -> list[Snapshot]:
-        """Snapshots with t > `after` [s] up to the one at which it stands, oldest first."""
+        """Return snapshots with t > `after` [s] up to the present one, oldest first."""
         return list(self.snapshots[bisect_right(self._times, after) : self._at + 1])
 
 
@@ -119,10 +119,10 @@ class OffscreenScene:
         *,
         labels: bool = True,
     ) -> None:
-        """Send what does not change to a server of this scene alone.
+        """Send all constant objects to a server that has only this scene.
 
         Raises:
-            AssetError: A mesh of the robot is not there.
+            AssetError: A mesh of the robot is missing.
         """
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
@@ -135,7 +135,7 @@ class OffscreenScene:
         self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-        """Where new viewers look from, at all that is shown: eye and target."""
+        """Set and return eye and target of new viewers, from which all snapshots are visible."""
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
@@ -143,7 +143,7 @@ class OffscreenScene:
         return eye, target
 
     def outline(self, base_pose: np.ndarray) -> None:
-        """Draw on the floor the outline of the base at a pose (3,) [m, m, rad]."""
+        """Draw the base's outline at a pose (3,) [m, m, rad] on the floor."""
         base = [body for body in self._data.parts.bodies if not body.joint]
         around = np.vstack([body.mesh.bounds + body.placement.translation for body in base])
         (low_x, low_y), (high_x, high_y) = around.min(axis=0)[:2], around.max(axis=0)[:2]
@@ -160,7 +160,7 @@ class OffscreenScene:
         )
 
     def draw(self, t: float, *, texts: bool = True) -> None:
-        """Draw the snapshot at a time [s], with trails that lead up to it if `texts` are due."""
+        """Draw the snapshot at time `t` [s]; update labels and trails if `texts`."""
         snapshot = self._loop.go_to(t)
         self._data.update()
         self._scene.select_border(snapshot)
@@ -169,7 +169,7 @@ class OffscreenScene:
 
 
 def choose_layer(view: View, layer: str, pair: str = "") -> None:
-    """Colour the border that is drawn, or that of the pair named, by a `Look.layer`."""
+    """Colour a border by a `Look.layer`: that of `pair`, or by default the visible one."""
     view.slice = layer != "none"
     for each, quantity in view.borders.items():
         if each == pair or (not pair and quantity != HIDDEN):
@@ -180,7 +180,7 @@ def choose_layer(view: View, layer: str, pair: str = "") -> None:
 
 @contextlib.contextmanager
 def own_server() -> Iterator[viser.ViserServer]:
-    """A server at a free port of this machine, for this program alone, closed at the end."""
+    """Run a server at a free port of this machine, for this program only."""
     server = open_server(HOST, 0)
     try:
         yield server
@@ -196,13 +196,19 @@ def replay_html(
     *,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> str:
-    """A run as one HTML file that plays in any browser, without a server or a network.
+    """Return a run as one HTML file that any browser plays without a server or a network.
 
-    Of the log it shows robot, border, lines, arrows, trails, and a bar to go to any time.
-    `on_progress` is called now and then with how many seconds of the log are done.
+    The file shows robot, border, lines, arrows and trails, with a bar for the time.
+
+    Args:
+        log: The run.
+        model: The robot.
+        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
+        look: Layer, view and background.
+        on_progress: Called with the drawn duration [s] about once per second of the run.
 
     Raises:
-        AssetError: A mesh of the robot is not there.
+        AssetError: A mesh of the robot is missing.
     """
     begin, end = log.snapshots[0].t, log.snapshots[-1].t
     pictures = 1 + round((end - begin) * RATE)
@@ -223,7 +229,7 @@ def replay_html(
 
 
 def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
-    """Title of a replay, and its verdict with the legend of the scene."""
+    """Return the title of a replay, and its verdict with the scene's legend."""
     controller = log.snapshots[0].controller
     title = f"{log.meta.scenario or 'Guiding by hand'}, {METHOD_WORDS.get(controller, controller)}"
     legend = (
@@ -234,7 +240,7 @@ def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
 
 
 def _titled(page: str, title: str, text: str) -> str:
-    """The page with a title in the browser's tab, and with title and text over the scene."""
+    """Insert a title for the browser's tab, and title and text over the scene."""
     head, begin, rest = page.partition("<title>")
     _, end, tail = rest.partition("</title>")
     box = (
@@ -248,7 +254,7 @@ def _titled(page: str, title: str, text: str) -> str:
 
 @contextlib.contextmanager
 def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServer, web.Page]]:
-    """A server, and an empty page for it as large as the pictures; both end."""
+    """Open a server and an empty page of the pictures' size; close both at the end."""
     context = new_context(browser, (look.width, look.height))
     try:
         with own_server() as server:
@@ -258,19 +264,19 @@ def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServ
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:
-    """Send a number after all that was drawn so far, which the page finds at `BARRIER`."""
+    """Send a number after all previous messages; the page reads it from the node `BARRIER`."""
     server.scene.add_frame(BARRIER, show_axes=False, position=(float(number), 0.0, 0.0))
     server.flush()
 
 
 def open_page(page: web.Page, server: viser.ViserServer) -> None:
-    """Open the page of a server and wait until it could draw."""
+    """Open a server's page and wait until it is ready to draw."""
     page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
     page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
 
 
 def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
-    """A run with other runs of the same times as its ghosts."""
+    """Return a run with other runs of equal times as its ghosts."""
     return [
         replace(main, ghosts=tuple(map(_ghost, ghosts)))
         for main, *ghosts in zip(led, *others, strict=True)
@@ -287,15 +293,23 @@ def film_pictures(
     orbit: float = 0.0,
     seen: Sequence[Snapshot] = (),
 ) -> Generator[Image.Image, None, None]:
-    """The pictures of a film, one by one; none depends on how long it took.
+    """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
-    Each shows the last of the snapshots, in order of time, that is not later than its time [s].
-    From one to the next the camera turns by `orbit` [rad] around the robot. As a part of a picture
-    of several robots, all of which are `seen` over time, it has their camera, the outline of the
-    base at the start, and words for those who know nothing of it.
+    Each picture shows the last snapshot at or before its time.
+
+    Args:
+        browser: The browser that draws.
+        snapshots: Snapshots in order of time.
+        times: [s] times of the pictures.
+        model: The robot.
+        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
+        look: Content and size of the pictures.
+        orbit: [rad] angle about the robot by which the camera turns between two pictures.
+        seen: Snapshots of all robots of a comparison, of which this film is a part. The camera then
+            shows all of them, and the picture has the base's initial outline and an explanation.
 
     Raises:
-        AssetError: A mesh of the robot is not there.
+        AssetError: A mesh of the robot is missing.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):
@@ -313,8 +327,8 @@ def film_pictures(
             scene.draw(t)
             send_barrier(server, k)
             at = target + pin.utils.rotate("z", (k - 1) * orbit) @ (eye - target)
-            told = [BARRIER, k, at.tolist(), target.tolist(), ground]
-            jpeg = base64.b64decode(page.evaluate("told => dbbPage.still(told)", told))
+            values = [BARRIER, k, at.tolist(), target.tolist(), ground]
+            jpeg = base64.b64decode(page.evaluate("values => dbbPage.still(values)", values))
             picture = Image.open(io.BytesIO(jpeg)).convert("RGB")
             shown = loop.go_to(t)
             if seen:
@@ -324,7 +338,7 @@ def film_pictures(
 
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Pictures of one size, one beside the other."""
+    """Join pictures of equal size side by side."""
     width, height = pictures[0].size
     whole = Image.new("RGB", (len(pictures) * width, height))
     for k, picture in enumerate(pictures):
@@ -333,7 +347,7 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """In plain words: method, what leads the hand, how near the arm is, how far the base went."""
+    """Describe a snapshot in words: method, task, distance of arm and base, travel of the base."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = f"arm {millimetres(shown.clearance)} from its own base"
     touches = ("the arm hits its own base", CONTACT)
@@ -351,7 +365,7 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
 def captioned(
     picture: Image.Image, snapshot: Snapshot, chain: Sequence[str], look: Look
 ) -> Image.Image:
-    """The picture with scenario and time, and each robot's least distance to its base, in words."""
+    """Add scenario and time, and each robot's least distance to its base, to a picture."""
     near = min((p for p in snapshot.pairs if p.mobile), key=lambda p: p.d, default=None)
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
     lines: list[str | tuple[str, Rgb]] = [f"{title}t = {snapshot.t:.2f} s"]
@@ -374,20 +388,20 @@ def write_film(
     codec: str,
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Encode pictures as they come; the file is written whole or not at all.
+    """Encode pictures as they come; the file is written completely or not at all.
 
     Args:
-        path: Its ending is a key of `CODECS`.
-        pictures: Of one size, at least one.
-        rate: [1/s] of them.
-        codec: One of the ending's.
-        on_progress: Called with how many are written before each one.
+        path: File, whose suffix is a key of `CODECS`.
+        pictures: At least one picture; all have the same size.
+        rate: [1/s] frame rate.
+        codec: A codec of the suffix.
+        on_progress: Called before each picture with the number of written pictures.
 
     Returns:
-        How many there were.
+        The number of pictures.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
@@ -401,8 +415,8 @@ def write_film(
     words = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {size} -r {rate} -i -".split()
     with whole_file(path) as beside, tempfile.TemporaryFile() as said:
         command = [get_ffmpeg_exe(), *words, "-an", "-c:v", name, *more, str(beside)]
-        # In a group of its own: Ctrl-C is for this process, which ends the other one. As here, a
-        # file that gets too large is an error that it tells, and no signal.
+        # ffmpeg has its own process group: Ctrl-C reaches this process only, which ends ffmpeg. A
+        # file that grows too large causes an error message and no signal, as in this process.
         process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -412,7 +426,7 @@ def write_film(
         )
         try:
             assert process.stdin is not None
-            with contextlib.suppress(BrokenPipeError):  # it has ended, and says why
+            with contextlib.suppress(BrokenPipeError):  # ffmpeg has ended; its message follows
                 for picture in itertools.chain([first], given):
                     on_progress(count)
                     process.stdin.write(picture.tobytes())
@@ -435,8 +449,8 @@ def _ghost(s: Snapshot) -> GhostReading:
 def label(
     picture: Image.Image, lines: Sequence[str | tuple[str, Rgb]], *, dark: bool
 ) -> Image.Image:
-    """The picture with lines of text in its upper left corner, some of colours of their own."""
-    size = max(round(_HEIGHT * picture.height), _LEAST)
+    """Draw lines of text into the picture's upper left corner; a line may have its own colour."""
+    size = max(round(_HEIGHT * picture.height), _MIN_HEIGHT)
     font, draw = ImageFont.load_default(size), ImageDraw.Draw(picture)
     for k, line in enumerate(lines):
         text, colour = (line, INK[dark]) if isinstance(line, str) else line

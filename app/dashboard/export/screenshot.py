@@ -1,4 +1,4 @@
-"""Screenshots without a display: the scene alone, or the whole dashboard."""
+"""Screenshots without a display: of the scene alone, or of the whole dashboard."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from app.simulation.trace.snapshot import Snapshot
 if TYPE_CHECKING:
     import playwright.sync_api as web
 
-_MOST_LOOKS = 12  # pictures until two in a row are the same
+_MAX_PICTURES = 12  # pictures until two successive ones must be equal
 _numbers = itertools.count(1)
 
 
@@ -41,15 +41,22 @@ def take_pictures(
     look: Look,
     viewpoint: Viewpoint | None = None,
 ) -> list[Image.Image]:
-    """Pictures at some times of a run, all from the same place.
+    """Take pictures at some times of a run, all from the same viewpoint.
 
-    Each shows the last of the snapshots, in order of time, that is not later than its time [s],
-    trails and plots up to then. A viewpoint, of the viewer whose page is pictured, is taken in
-    place of the layer and view of `look`.
+    Each picture shows the last snapshot at or before its time, with trails and plots up to then.
+
+    Args:
+        browser: The browser that draws.
+        snapshots: Snapshots in order of time.
+        times: [s] times of the pictures.
+        model: The robot.
+        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
+        look: Content and size of the pictures.
+        viewpoint: View and camera of a viewer, in place of the layer and view of `look`.
 
     Raises:
-        BrowserError: Its page does not connect.
-        AssetError: A mesh of the robot is not there.
+        BrowserError: The browser's page does not connect.
+        AssetError: A mesh of the robot is missing.
     """
     loop = RecordedLoop(snapshots)
     with offscreen.own_page(browser, look) as (server, page):
@@ -74,9 +81,13 @@ def take_pictures(
 def page_picture(
     data: SceneData, snapshots: Sequence[Snapshot], viewpoint: Viewpoint, size: tuple[int, int]
 ) -> Image.Image:
-    """The whole page as a viewer has it, but for the open tabs, drawn by a browser of its own.
+    """Draw a viewer's whole page in another browser, with the tabs that are open by default.
 
-    It shows the last of the snapshots, which are in order of time; its size is in pixels.
+    Args:
+        data: The robot and its borders.
+        snapshots: Snapshots in order of time; the last one is shown.
+        viewpoint: View and camera of the viewer.
+        size: [px] width and height.
 
     Raises:
         BrowserError: There is no browser, or it fails.
@@ -91,7 +102,7 @@ def page_picture(
 
 
 def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool) -> Image.Image:
-    """Pictures of one size side by side, each with its time [s] in its upper left corner."""
+    """Join pictures of equal size side by side, each with its time [s] in the upper left corner."""
     width, height = pictures[0].size
     timed = zip(pictures, times, strict=True)
     whole = offscreen.side_by_side(
@@ -113,7 +124,7 @@ def _of_page(
 ) -> list[Image.Image]:
     offscreen.open_page(page, server)
     client = _client_of(server)
-    page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour for who takes a picture
+    page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour in a picture
     shown = Page(client, shared, Notifier(server))
     shown.view.dark = look.dark
     offscreen.choose_layer(shown.view, look.layer)
@@ -123,7 +134,7 @@ def _of_page(
     loop.go_to(times[0])
     shared.update()
     shown.draw(texts=True)
-    _settled(page, server)  # from now on it is known what the panels leave of the scene
+    _settled(page, server)  # the page then reports the free part of the scene
     for t in times:
         loop.go_to(t)
         shared.update()
@@ -131,14 +142,14 @@ def _of_page(
             shown.viewer.look(look.view)
         else:
             shown.viewer.camera.put(viewpoint.eye, viewpoint.target)
-        for _ in range(2):  # what the first drawing of a panel makes, the second fills
+        for _ in range(2):  # the first call creates a panel's widgets, the second fills them
             shown.draw(texts=True)
         pictures.append(_settled(page, server))
     return pictures
 
 
 def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
-    """The one viewer of a server."""
+    """Return the only viewer of a server."""
     deadline = time.monotonic() + offscreen.TIMEOUT
     while not (clients := server.get_clients()):
         if time.monotonic() > deadline:
@@ -148,7 +159,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """The picture when all that was sent is drawn, and nothing changes any more."""
+    """Return the picture after all messages are drawn and the page no longer changes."""
     n = next(_numbers)
     offscreen.send_barrier(server, n)
     page.wait_for_function(
@@ -159,7 +170,7 @@ def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
     page.evaluate("() => document.fonts.ready.then(() => 0)")
     page.evaluate("() => dbbPage.hold(false)")
     before = b""
-    for _ in range(_MOST_LOOKS):  # texts of the scene are made after they have arrived
+    for _ in range(_MAX_PICTURES):  # texts of the scene are drawn with a delay
         page.evaluate("n => dbbPage.render(n)", 2)
         picture = page.screenshot(animations="disabled")
         if picture == before:

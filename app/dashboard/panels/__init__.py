@@ -1,4 +1,4 @@
-"""The control panel, one builder a tab."""
+"""The control panel; each tab has its own module."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ if TYPE_CHECKING:
 
 
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
-"""Names of actions, the same on every button and in the list of commands."""
+"""Labels of actions, the same on all buttons and in the list of commands."""
 
 
 @dataclass
 class Viewer:
-    """Who looks at the page of one robot: what the panels are built for."""
+    """A viewer of the page of one robot, with everything that the panels need."""
 
     client: viser.ClientHandle
     notifier: Notifier
     shared: SharedState
     channel: Channel
-    """To the page's own scripts."""
+    """Messages to and from the page's own scripts."""
     view: View
-    """What the viewer has chosen to see; callbacks assign to it."""
+    """The viewer's choices; callbacks assign to its fields."""
     timeline: Timeline
     grip: Grip
     camera: Camera
     files: Job
-    """Makes the viewer's files, one after the other."""
+    """Creates the viewer's files, one after the other."""
     page_picture: PagePicture | None = None
-    """Draws whole pages; None where there is no button for it."""
+    """Draws whole pages; without it, the panel Save has no button for them."""
 
     def look(self, preset: str) -> None:
-        """Look from a key of `PRESETS`, at the instant that is shown.
+        """Look at the shown snapshot from a preset, a key of `PRESETS`.
 
         Raises:
-            TargetError: There is no door to look at.
+            TargetError: The preset is "door", and there is no door.
         """
         shown = self.timeline.shown()
         if preset == "door" and shown.door is None:
@@ -62,11 +62,11 @@ class Viewer:
         self.camera.use(preset, shown)
 
     def toggle_pause(self) -> None:
-        """Stop, or go on."""
+        """Pause or continue the simulation."""
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Go on or back in time; where it stands still at now, one step on is simulated."""
+        """Move in time by `seconds`; at the newest snapshot, a paused simulation steps forward."""
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
             self.shared.loop.send(StepOnce(seconds))
         else:
@@ -74,7 +74,7 @@ class Viewer:
 
 
 class Moment(NamedTuple):
-    """What panels are renewed by: the newest snapshot, the one that is shown, its verdict."""
+    """Data for an update of the panels: newest snapshot, shown snapshot, and its verdict."""
 
     newest: Snapshot
     shown: Snapshot
@@ -82,24 +82,24 @@ class Moment(NamedTuple):
 
 
 class Panel:
-    """Widgets of one viewer, in the GUI container that is open when it is made.
+    """Widgets of one viewer, in the GUI container that is open during construction.
 
-    What a widget calls takes viser's event, and what it raises is shown to who used the widget.
-    An `update` may assign everything each time: viser sends only what has changed.
+    A callback of a widget takes viser's event; an exception is shown to the viewer who used the
+    widget. An `update` may assign all values each time: viser sends only changes.
     """
 
     of_instant = False
-    """Whether it shows the instant: then it is renewed quickly, together with the picture."""
+    """Whether the panel belongs to the shown instant: then it is updated with the picture."""
 
     def __init__(self, viewer: Viewer) -> None:
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
 
     def update(self, moment: Moment) -> None:
-        """Show what has changed; called by the drawing thread."""
+        """Show changes; called by the drawing thread."""
 
     def on_update(self, handle: Any, act: Callable[[Any], None]) -> None:
-        """Call `act` when a person sets a widget, not when this program assigns it."""
+        """Call `act` when a person changes a widget, but not when the program does."""
 
         def updated(event: viser.GuiEvent) -> None:
             if event.client is not None:
@@ -110,7 +110,7 @@ class Panel:
     def button(
         self, label: str, act: Callable[[Any], None], icon: Any = None, **look: Any
     ) -> viser.GuiButtonHandle:
-        """Add a button; what else `GuiApi.add_button` takes goes on to it."""
+        """Add a button; `look` has further arguments of `GuiApi.add_button`."""
         handle = self._gui.add_button(label, icon=icon, **look)
         handle.on_click(self._notifier.guard(act))
         return handle
@@ -118,24 +118,24 @@ class Panel:
     def buttons(
         self, label: str, acts: Mapping[str, Callable[[], None]], hint: str | None = None
     ) -> None:
-        """Add a row of buttons: what is written on each, and what it does."""
+        """Add a row of buttons; `acts` has the action of each button's text."""
         handle = self._gui.add_button_group(label, tuple(acts), hint=hint)
         handle.on_click(self._notifier.guard(lambda event: acts[event.target.value]()))
 
     def upload(self, label: str, act: Callable[[Any], None], **look: Any) -> Any:
-        """Add a button that takes a file; `act` is called in a thread that serves nobody."""
+        """Add a button for a file; `act` runs in a separate thread."""
         handle = self._gui.add_upload_button(label, icon=viser.Icon.UPLOAD, **look)
         handle.on_upload(lambda event: self._notifier.attempt(event.client, lambda: act(event)))
         return handle
 
     def follow(self, handle: Any, value: Any) -> None:
-        """Show what all viewers share once it changes, not while a person's choice is under way."""
+        """Show a shared value when it changes, without resetting a choice that is not sent yet."""
         if self._followed.get(id(handle)) != value:
             self._followed[id(handle)] = handle.value = value
 
 
 class JobStatus(Panel):
-    """How far a job is, or how it ended, and a button that cancels it."""
+    """Progress or result of a job, and a button that cancels the job."""
 
     def __init__(self, viewer: Viewer, job: Job) -> None:
         super().__init__(viewer)
@@ -147,7 +147,7 @@ class JobStatus(Panel):
         )
 
     def show(self, idle: str) -> None:
-        """Show the progress, or HTML while nothing is under way."""
+        """Show the progress of the job, or the HTML `idle` if no job is running."""
         progress = self._job.progress
         if progress is not None:
             seconds = time.monotonic() - progress.began

@@ -1,6 +1,6 @@
-"""Folder "Edit this robot": its bodies by gizmos, its pairs and its ready pose; saved and checked.
+"""Folder "Edit this robot": bodies by gizmos, pairs and ready pose, with saving and checking.
 
-Callbacks keep what the person does; the drawing thread shows it.
+Callbacks store the changes; the drawing thread shows them.
 """
 
 from html import escape
@@ -26,22 +26,22 @@ from app.robot.assets import is_own, robot_folder, robot_names, user_robots
 from app.robot.shapes import Shape, shape_mesh
 from app.strict import Array
 
-MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below that of its frame
+MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below the node of its frame
 _NONE = "(none)"
 _OPACITY = 0.45  # [-]
-_LEAST, _FARTHEST = 0.002, 5.0  # [m] of half a body, and of its place in its frame
-_DIGITS = 4  # [-] of lengths [m] and angles [rad]
+_MIN_HALF, _MAX_OFFSET = 0.002, 5.0  # [m] half the size of a body; its position in its frame
+_DIGITS = 4  # [-] decimals of lengths [m] and angles [rad]
 
 
 class EditPanel(Panel):
-    """What one viewer changes of the robot that is shown, until it is saved or dropped."""
+    """Changes of one viewer to the shown robot, until they are saved or discarded."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._viewer, self._shared = self._gui, viewer, viewer.shared
         self._check, self._robot = self._shared.robot_check, self._shared.model.description
         names = [body.name for body in self._robot.bodies]
-        apart = combinations(enumerate(names), 2)  # neighbours in the chain are no pairs
+        apart = combinations(enumerate(names), 2)  # neighbours in the chain form no pair
         self._pairs = {f"{a}-{b}" for (i, a), (k, b) in apart if k - i > 1}
         self._keys = {
             f"{body.name} {i + 1}" if len(body.shapes) > 1 else body.name: (body, i)
@@ -51,7 +51,7 @@ class EditPanel(Panel):
         self._drawn: dict[str, tuple[Shape, viser.MeshHandle]] = {}
         self._gizmos: tuple[str, tuple[viser.TransformControlsHandle, ...]] = (_NONE, ())
         self._sizing = False
-        self._q_m: Array | None = None  # (n_m,) [rad or m] of the arm, as it is shown
+        self._q_m: Array | None = None  # (n_m,) [rad or m] joint positions of the shown arm
         with gui.add_folder("Edit this robot", expand_by_default=False):
             self._text = gui.add_html("")
             self._body = gui.add_dropdown(
@@ -116,10 +116,10 @@ class EditPanel(Panel):
 
     def _save(self) -> None:
         name, own = self._name.value, self._robot.name
-        if not NAME.fullmatch(name):  # before it becomes a part of a path
+        if not NAME.fullmatch(name):  # checked before it becomes a part of a path
             raise ConfigError("a name starts with a letter and has only letters, digits and _")
         if name in robot_names() and not (name == own and is_own(own)):
-            raise ConfigError(f"there is a robot {name!r} already; give another name")
+            raise ConfigError(f"a robot {name!r} exists; choose another name")
         there = robot_folder(own)
         save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
         shared, switch = self._shared, self._shared.robot_switch
@@ -128,7 +128,7 @@ class EditPanel(Panel):
         switch.begin(name, shared.tuning.changes, controller, shared.loop)
 
     def _draw(self) -> None:
-        """Send the bodies that are chosen or changed, and the gizmos of the one that is chosen."""
+        """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
         chosen = self._body.value
         of = {key: (body.name, i) for key, (body, i) in self._keys.items()}
         wanted = {key for key in of if key == chosen or of[key] in self.changes.shapes}
@@ -159,7 +159,7 @@ class EditPanel(Panel):
         )
 
     def _frame(self, key: str) -> str:
-        """The scene node of a body's frame, which moves with the joint that carries it."""
+        """Add the scene node of a body's frame, which moves with the body's joint."""
         model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
         frame = model.frames[model.getFrameId(body.frame)]
         position, wxyz = to_viser(frame.placement)
@@ -168,7 +168,7 @@ class EditPanel(Panel):
         return node
 
     def _take_hold(self, key: str) -> tuple[viser.TransformControlsHandle, ...]:
-        """The gizmos of a body; the second one stands at its corner, and goes with the first."""
+        """Add the gizmos of a body; the second one is at its corner and moves with the first."""
         scene, shape = self._viewer.client.scene, self._shape(key)
         node, (position, wxyz) = f"{self._frame(key)}/{MOVE}", to_viser(shape.placement())
         whole = scene.add_transform_controls(
@@ -184,14 +184,14 @@ class EditPanel(Panel):
         )
 
         def move(event: Any) -> None:
-            p = np.clip(event.target.position, -_FARTHEST, _FARTHEST)
+            p = np.clip(event.target.position, -_MAX_OFFSET, _MAX_OFFSET)
             q = pin.Quaternion(*np.clip(event.target.wxyz, -1.0, 1.0))
-            if q.norm() > 0.5:  # else it is no rotation of a gizmo
+            if q.norm() > 0.5:  # a gizmo sends unit quaternions
                 self._set(key, placed(self._shape(key), pin.SE3(q.normalized().matrix(), p)))
 
         def resize(event: Any) -> None:
             self._sizing = event.phase != "end"
-            half = np.clip(np.abs(event.target.position), _LEAST, _FARTHEST)
+            half = np.clip(np.abs(event.target.position), _MIN_HALF, _MAX_OFFSET)
             self._set(key, resized(self._shape(key), half))
 
         for gizmo, act in ((whole, move), (corner, resize)):
@@ -200,17 +200,17 @@ class EditPanel(Panel):
 
 
 def own_name(name: str) -> str:
-    """The name to save a robot by: its own where it is the user's."""
+    """Return the name under which a robot is saved: its own if it is the user's robot."""
     return name if is_own(name) else f"{name}_by_hand"
 
 
 def half_extents(shape: Shape) -> Array:
-    """(3,) [m] how far a shape reaches from its middle along its own axes."""
+    """Return half the size (3,) [m] of a shape along its own axes."""
     return np.abs(shape_mesh(shape).bounds).max(axis=0)
 
 
 def placed(shape: Shape, T: pin.SE3) -> Shape:
-    """The shape with its middle at T in its body's frame."""
+    """Return the shape with its centre at T in its body's frame."""
     if isinstance(shape, shapes.Capsule):
         along = np.array([0.0, 0.0, shape.length_m / 2])
         ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
@@ -220,13 +220,13 @@ def placed(shape: Shape, T: pin.SE3) -> Shape:
 
 
 def resized(shape: Shape, half: Array) -> Shape:
-    """The shape that reaches so far (3,) [m] along its own axes.
+    """Return the shape with half the size `half` (3,) [m] along its own axes.
 
-    What is round takes the axis across that is changed most.
+    The radius of a round shape follows the cross axis that changes most.
     """
     factor = half / half_extents(shape)
-    most = int(np.argmax(np.abs(np.log(factor[:2]))))
-    radius = round(float(half[most]), _DIGITS)
+    axis = int(np.argmax(np.abs(np.log(factor[:2]))))
+    radius = round(float(half[axis]), _DIGITS)
     match shape:
         case shapes.Box():
             changed: dict[str, Any] = {"size_m": _three(2 * half)}
@@ -237,8 +237,8 @@ def resized(shape: Shape, half: Array) -> Shape:
         case shapes.ConvexMesh():
             changed = {"scale": _three(factor * shape.scale)}
         case shapes.Sphere():
-            longest = int(np.argmax(np.abs(np.log(factor))))
-            changed = {"radius_m": round(float(half[longest]), _DIGITS)}
+            axis = int(np.argmax(np.abs(np.log(factor))))
+            changed = {"radius_m": round(float(half[axis]), _DIGITS)}
         case shapes.Cylinder():
             changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
         case shapes.Capsule():
@@ -254,7 +254,7 @@ def _three(values: Array) -> tuple[float, float, float]:
 
 
 def changes_html(changes: HandMade) -> str:
-    """What is not saved yet."""
+    """List the unsaved changes."""
     said = [f"{name}: {shape.type}" for (name, _), shape in changes.shapes.items()]
     said += [f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}"] if changes.ready else []
     return (f"Not saved: <b>{escape('; '.join(said))}</b>. " if said else "") + (
@@ -271,7 +271,7 @@ _COLOURS = {
 
 
 def rows_html(check: RobotCheck) -> str:
-    """How the last check ended, row by row."""
+    """Return the results of the last check, row by row."""
     if check.problem:
         return problem(check.problem)
     rows = [

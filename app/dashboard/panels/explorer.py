@@ -1,4 +1,4 @@
-"""Folder "Joint sliders": the controller's answer for a posture, while the simulation pauses."""
+"""Folder "Joint sliders": the controller's response to a posture in a paused simulation."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -17,7 +17,7 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
-FARTHEST = 5.0  # [m] of the base from the origin
+FARTHEST = 5.0  # [m] largest base coordinate
 
 
 class ExplorerPanel(Panel):
@@ -26,13 +26,13 @@ class ExplorerPanel(Panel):
     of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder, closed; the hand is moved by the viewer's gizmo."""
+        """Create the closed folder; the viewer's gizmo moves the end-effector."""
         super().__init__(viewer)
         self._shared, self._grip = viewer.shared, viewer.grip
         self.posture: Posture | None = None
-        self._wanted: Array | None = None  # (3,) [m] where the hand is to be
-        self._off = 0.0  # [m] from where it was to be last
-        self._stopped, self._since = False, viewer.shared.loop.latest()  # when it was begun
+        self._target: Array | None = None  # (3,) [m] requested position of the end-effector
+        self._off = 0.0  # [m] distance to the last requested position
+        self._stopped, self._since = False, viewer.shared.loop.latest()  # at the start of posing
         model = viewer.shared.model
         kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
         self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
@@ -58,17 +58,17 @@ class ExplorerPanel(Panel):
         self._show(on=False)
 
     def shown(self, newest: Snapshot, shown: Snapshot) -> Snapshot:
-        """What the page shows: a posture while it is explored; called by the drawing thread."""
+        """Return the snapshot to show, that of a posture if one is set; for the drawing thread."""
         posture = self.posture
         if posture is None:
             return shown
         self._stopped = self._stopped or newest.paused
         anew = not newest.follows(self._since)
-        if anew or (self._stopped and not newest.paused):  # the robot itself counts again
+        if anew or (self._stopped and not newest.paused):  # the robot moves again
             self._end()
             return shown
         explorer = self._shared.explorer()
-        place, self._wanted = self._wanted, None
+        place, self._target = self._target, None
         if place is not None:
             posture, self._off = explorer.reach(posture, place)
             self.posture = posture
@@ -76,7 +76,7 @@ class ExplorerPanel(Panel):
         return explorer.ask(posture, newest)
 
     def update(self, moment: Moment) -> None:
-        """Renew the readings, of what `shown` gave."""
+        """Update the readings of the shown posture."""
         shown = moment.shown
         axes = self._shared.model.description.base.axes
         self._text.content = (
@@ -85,8 +85,8 @@ class ExplorerPanel(Panel):
             )
             if self.posture is not None
             else small(
-                "The simulation pauses. Move joints, base and hand: the readings are the "
-                "controller's answer."
+                "Pause the simulation, then move joints, base and hand: the readings are the "
+                "controller's response."
             )
         )
 
@@ -104,7 +104,7 @@ class ExplorerPanel(Panel):
                 "the hand holds a door in this scenario; choose another scenario first"
             )
         self._shared.loop.send(Pause(True))
-        self._stopped, self._since = False, newest  # as long as that is on its way
+        self._stopped, self._since = False, newest  # until the pause takes effect
         self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
         self.posture, self._grip.reach = posture, self._move_hand
@@ -121,14 +121,14 @@ class ExplorerPanel(Panel):
         self._end()
 
     def _end(self) -> None:
-        self.posture = self._wanted = self._grip.reach = None
+        self.posture = self._target = self._grip.reach = None
         self._show(on=False)
 
     def _move_hand(self, place: Array) -> None:
-        self._wanted = np.array(place)
+        self._target = np.array(place)
 
     def _read(self) -> None:
-        """The sliders' posture, each within its range."""
+        """Read the posture from the sliders, within their ranges."""
         if self.posture is None:
             return
         values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])
@@ -154,7 +154,7 @@ def posture_html(
     off: float,
     spoken: Mapping[str, str],
 ) -> str:
-    """What the law says of a posture: distances, β, forces, and where the base would go."""
+    """Show the response to a posture: distances, β, forces, and acceleration of the base."""
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
     rows = []
     for pair in shown.pairs:

@@ -1,4 +1,4 @@
-"""Help: the tab with method and keys, and the card of welcome, demonstration and tour."""
+"""Help: the tab with method and keys, and the card with welcome, demonstration and tour."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -9,12 +9,12 @@ from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
 
 TEXT = """
-**What it is.** A controller that drives the base of a mobile robot out of its own arm's way. It
+**Purpose.** A controller that moves the base of a mobile robot out of its own arm's way. It
 implements *Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator*;
 numbers such as (7) are that paper's equations.
 
-**Pull the robot** by the arrows at its hand, or by any link of the arm: a virtual spring pulls it
-to the mouse. The arm follows, and the base gives way before they touch.
+**Pull the robot** with the arrows at its hand, or by any link of the arm: a virtual spring pulls it
+to the mouse. The arm follows, and the base gives way before the arm touches it.
 
 **How it works.** The *distance buffer border* (DBB) surrounds the base: all points at the buffer
 distance d_b that the arm can reach. Each point has a *score* S: how well a force there moves the
@@ -53,14 +53,14 @@ class Card(NamedTuple):
     text: str
     buttons: tuple[str, ...]
     place: str = ""
-    """Tab that the card is about, which opens with it."""
+    """Tab that the card explains and opens."""
 
 
 _STEP = (SHOW, NEXT, CLOSE)
 CARDS = {
     "welcome": Card(
         "This robot keeps its base out of its own arm's way",
-        "Somebody guides the arm towards the base: the base drives away before they touch.",
+        "A person guides the arm towards the base: the base drives away before the arm touches it.",
         (WATCH, PULL),
     ),
     "watch": Card(
@@ -112,13 +112,13 @@ CARDS = {
         "Compare",
     ),
 }
-"""By the guide's state."""
+"""Cards by the guide's state."""
 SEEN = "dbb-tour-seen"
-"""Key in the browser's own storage, where the page notes that it has shown the welcome."""
+"""Key in the browser's storage, which records that the page has shown the welcome."""
 
 
 class Shortcut(NamedTuple):
-    """One command: its label in the palette, its key or None, and what it does."""
+    """A command: its label in the palette, its key or None, and its action."""
 
     label: str
     key: Any
@@ -126,26 +126,26 @@ class Shortcut(NamedTuple):
 
 
 def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    """Enter the commands into a viewer's palette."""
+    """Add the commands to a viewer's palette."""
     for shortcut in shortcuts:
         command = gui.add_command(shortcut.label, hotkey=shortcut.key)
         command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
 
 
 def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
-    """Build the tab in the GUI container that is now open."""
+    """Create the tab in the GUI container that is open."""
     keys = ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
     gui.add_markdown(TEXT.format(keys=keys))
 
 
 class Guide(Panel):
-    """The one card over the scene: welcome, demonstration, or a step of the tour.
+    """The card over the scene: welcome, demonstration, or a step of the tour.
 
-    It changes on a click only; the state is a key of `CARDS`, or empty without a card.
+    The card changes only after a click. The state is a key of `CARDS`, or empty without a card.
     """
 
     def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
-        """Begin in a state; `shows` are the demonstrations by state, "watch" for those without."""
+        """Start in a state; `shows` has a demonstration for each state, by default "watch"."""
         super().__init__(viewer)
         self.state, self._shown, self._shows = state, "", shows
         self._channel = viewer.channel
@@ -153,7 +153,7 @@ class Guide(Panel):
         viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
-        """Show a card, or none."""
+        """Show the card of a state, or no card if the state is empty."""
         self.state = state
 
     def update(self, moment: Moment) -> None:
@@ -166,7 +166,7 @@ class Guide(Panel):
             self._channel.tell("open", place)
 
     def _press(self, label: str) -> None:
-        """A button of the card that is shown; a late click on another one has no effect."""
+        """Handle a button of the shown card; ignore a late click on an earlier card."""
         card = CARDS.get(self.state)
         if card is None or label not in card.buttons:
             return

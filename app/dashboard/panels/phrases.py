@@ -1,4 +1,4 @@
-"""Numbers in words: directions, places on the base, bodies, motions, limits."""
+"""Words for numbers: directions, places on the base, bodies, motions, limits."""
 
 import math
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ from app.simulation.trace.words import pair as pair
 from app.simulation.trace.words import spoken as spoken
 from app.strict import Array
 
-AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below which the base stands still
-SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] below which a commanded acceleration moves nothing yet
+AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below these speeds the base stands still
+SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commands move nothing yet
 
 _SECTORS = (
     ("forward", "front"),
@@ -22,8 +22,8 @@ _SECTORS = (
     ("right", "right side"),
     ("forward right", "front right corner"),
 )
-"""Direction and place on the base of the eighths of a turn, from forward to the left."""
-_TOP = 0.8  # [-] height of a normal from which on it points out of the top
+"""Direction and place on the base for each eighth of a turn, from forward to the left."""
+_TOP = 0.8  # [-] z of a normal above which it points upwards
 
 _BOUNDS: dict[BoundKind, str] = {
     "torque": "torque limit",
@@ -39,7 +39,7 @@ _BOUNDS: dict[BoundKind, str] = {
 
 
 def angle(x: float, y: float) -> str:
-    """A direction in degrees from forward, as in "150° to the left"."""
+    """Return a direction in degrees from forward, as in "150° to the left"."""
     degrees = round(math.degrees(math.atan2(y, x)))
     if degrees in (0, 180, -180):
         return f"{abs(degrees)}°"
@@ -47,19 +47,19 @@ def angle(x: float, y: float) -> str:
 
 
 def direction(x: float, y: float) -> str:
-    """A direction in the base's frame, as one of eight: forward, forward left, ..."""
+    """Return one of eight directions in the base's frame: forward, forward left, ..."""
     return _sector(x, y)[0]
 
 
 def place(n: Sequence[float]) -> str:
-    """Where on the base something is near, by the unit normal out of the base, in its frame."""
+    """Return a place on the base, from the outward unit normal (3,) there in the base's frame."""
     if abs(n[2]) > _TOP:
         return "top" if n[2] > 0 else "underside"
     return _sector(n[0], n[1])[1]
 
 
 def bound(reading: Bound, chain: Sequence[str]) -> str:
-    """A limit that was met, as in "panda_joint4: torque limit"."""
+    """Return an active limit in words, as in "panda_joint4: torque limit"."""
     where = reading.where
     if reading.kind == "barrier":
         where = spoken(where, chain)
@@ -67,26 +67,26 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
 
 
 def length(d: float) -> str:
-    """A length of metres in whole centimetres, or in millimetres below one."""
+    """Return a length [m] in whole centimetres, or in millimetres below one centimetre."""
     return f"{1000 * d:.0f} mm" if abs(d) < 0.01 else f"{100 * d:.0f} cm"
 
 
 def borne(bound: float) -> str:
-    """What follows a person's force, as in ", arm can hold 62 N"; nothing while no bound is known.
+    """Return the text after a person's force, as in ", arm can hold 62 N".
 
-    The bound [N] is that of `Snapshot.force_bound`.
+    `bound` [N] is `Snapshot.force_bound`; the text is empty if the bound is unknown.
     """
     return "" if math.isnan(bound) else f", arm can hold {bound:.0f} N"
 
 
 def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
-    """What a base does, as in "backs away at 0.21 m/s and turns left"; None if it stands still.
+    """Describe a base's motion, as in "backs away at 0.21 m/s and turns left"; None at rest.
 
     Args:
-        v: [m/s].
-        w: [rad/s], left positive.
-        ahead: Whether what it avoids is not behind it.
-        left: [m/s] to the left, of a base that moves sideways.
+        v: [m/s] forward velocity.
+        w: [rad/s] turning velocity, positive to the left.
+        ahead: Whether the avoided body is in front of the base or beside it.
+        left: [m/s] velocity to the left, of a base that can move sideways.
     """
     speed = f" at {math.hypot(v, left):.2f} m/s"
     turning = f" at {math.degrees(abs(w)):.0f}°/s"
@@ -94,10 +94,13 @@ def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
 
 
 def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
-    """What a base at rest is about to do, as in "back away and turn left"; None if nothing.
+    """Describe the next motion of a base at rest, as in "back away and turn left", or None.
 
-    Its arguments are the accelerations [m/s²], [rad/s²] that are asked for, in the place of the
-    velocities of `motion`.
+    Args:
+        v_dot: [m/s²] commanded forward acceleration.
+        w_dot: [rad/s²] commanded turning acceleration, positive to the left.
+        ahead: Whether the avoided body is in front of the base or beside it.
+        left: [m/s²] commanded acceleration to the left.
     """
     return _moves((v_dot, left, w_dot), ahead, SLIGHT, ("", "", ""))
 
@@ -105,29 +108,33 @@ def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> 
 def _moves(
     along: tuple[float, float, float],
     ahead: bool,
-    least: tuple[float, float],
+    threshold: tuple[float, float],
     verb: tuple[str, str, str],
 ) -> str | None:
-    """The parts forward, left and about that are at `least` so large; the first has its speed.
+    """Describe the parts of a motion that reach a threshold.
 
-    The verbs have an ending, then come the texts of the speeds along and about.
+    Args:
+        along: Motion forward, to the left, and about the vertical.
+        ahead: Whether the avoided body is in front of the base or beside it.
+        threshold: Smallest described motion along the floor and about the vertical.
+        verb: Ending of the verbs, text of the speed along the floor, text of the turning speed.
     """
     (v, left, w), (s, speed, turning) = along, verb
     parts = []
-    if abs(left) >= least[0]:
+    if abs(left) >= threshold[0]:
         parts.append(f"drive{s} {direction(v, left)}{speed}")
-    elif v <= -least[0]:
+    elif v <= -threshold[0]:
         parts.append((f"back{s} away" if ahead else f"drive{s} backward") + speed)
-    elif v >= least[0]:
+    elif v >= threshold[0]:
         parts.append(f"drive{s} forward{speed}")
-    if abs(w) >= least[1]:
+    if abs(w) >= threshold[1]:
         side = "left" if w > 0 else "right"
         parts.append(f"turn{s} {side}" + ("" if parts else turning))
     return " and ".join(parts) or None
 
 
 def speeds(velocity: Array) -> str:
-    """A base's velocity, as in "0.09 m/s, 5°/s left"; its last axis turns."""
+    """Return a base's velocity, as in "0.09 m/s, 5°/s left"; its last entry is the rotation."""
     *linear, w = velocity
     turn = math.degrees(abs(w))
     side = "" if turn < 0.5 else " left" if w > 0 else " right"
@@ -135,12 +142,12 @@ def speeds(velocity: Array) -> str:
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """With a sign, a true minus, and no minus before zero."""
+    """Format a number with a sign (a true minus), and without a minus before zero."""
     return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")
 
 
 def scientific(value: float) -> str:
-    """As in 2.3·10⁻⁴, with a true minus; 0 is 0."""
+    """Format a number as in 2.3·10⁻⁴, with a true minus; zero is "0"."""
     if value == 0.0:
         return "0"
     mantissa, _, exponent = f"{value:.1e}".partition("e")

@@ -1,4 +1,4 @@
-"""Plots: curves of the last seconds on one axis of time, with a cursor at the shown instant."""
+"""Plots: curves of the last seconds over a common time axis, with a cursor at the shown instant."""
 
 import math
 import time
@@ -11,24 +11,24 @@ from viser import uplot
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.plans import PlotPlan
 
-LENGTH = 20.0  # [s] of the axis of time
-AHEAD = 5.0  # [s] shown after the instant that a viewer has gone back to
-SPACING = 0.08  # [s] of drawn values, as many as there are pixels
-PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] between two pictures of what goes on
-RESTING, STILL = 12, 2e-3  # [-] values, and how far they differ in the units of the plots, at rest
-LINE = 1.6  # [px]
+LENGTH = 20.0  # [s] length of the time axis
+AHEAD = 5.0  # [s] shown time after an instant of the past
+SPACING = 0.08  # [s] period of drawn values, about one per pixel
+PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] period of drawing
+RESTING, STILL = 12, 2e-3  # [-] number of last values; their largest difference at rest
+LINE = 1.6  # [px] width
 _CURSOR = "#ff7a00"
-SIGHT = "plots"  # whether a person sees them
-OFF = -9.0  # of the cursor, below its scale
+SIGHT = "plots"  # reported by the page while the plots are visible
+OFF = -9.0  # value of the cursor outside its scale
 
 
 class Plots(Panel):
-    """The plots of one viewer; those that are not shown cost nothing."""
+    """Plots of one viewer; hidden plots cost nothing."""
 
     of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
-        """Empty plots, whose curves are the record's, in order; the view says which are shown."""
+        """Create empty plots with the record's curves, in order; the view selects the plots."""
         super().__init__(viewer)
         self._viewer, plans = viewer, viewer.shared.plans
         viewer.channel.sight(SIGHT)
@@ -43,7 +43,7 @@ class Plots(Panel):
 
     @property
     def hints(self) -> dict[str, dict[str, str]]:
-        """What the pointer says over the names of lines, by the plot's title."""
+        """Explanations of the lines for the pointer, by plot title and label."""
         named = {
             plan.title: dict(zip([c.label for c in plan.curves], plan.hints, strict=True))
             for plan in self._viewer.shared.plans
@@ -52,7 +52,7 @@ class Plots(Panel):
         return {title: {**hints, **cursor} for title, hints in named.items()}
 
     def update(self, moment: Moment) -> None:
-        """Show the stretch of time around the snapshot that is shown, if anybody sees it."""
+        """Draw the time around the shown snapshot, if the viewer sees the plots."""
         shown, view, timeline = moment.shown, self._viewer.view, self._viewer.timeline
         newest = self._viewer.shared.last
         record, seen = self._viewer.shared.record, SIGHT in self._viewer.channel.seen
@@ -63,9 +63,9 @@ class Plots(Panel):
         }
         for title, plot in self._plots.items():
             plot.visible = title in here
-        asked = (record, timeline.live, here)
-        drawn = (*asked, newest, shown.t)
-        soon = timeline.live and asked == self._drawn[:3] and time.monotonic() < self._due
+        request = (record, timeline.live, here)
+        drawn = (*request, newest, shown.t)
+        soon = timeline.live and request == self._drawn[:3] and time.monotonic() < self._due
         if not seen or soon or drawn == self._drawn:
             return
         self._drawn = drawn
@@ -84,11 +84,11 @@ class Plots(Panel):
 
 
 def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
-    """An empty plot, so many pixels high without title and legend.
+    """Create an empty plot.
 
-    The range of values is given once: a change would rebuild the plot in the browser. Time runs
-    through it as it is: with an axis that never changes uPlot would not draw its numbers. The
-    cursor is a line on a scale of its own that leaves the plot but at one instant.
+    The range of values is constant, because a change would rebuild the plot in the browser. The
+    time axis must change, because uPlot draws no numbers on a constant axis. The cursor is a line
+    with its own scale, which is inside the plot at one instant only.
     """
     lines = []
     for i, (curve, colour) in enumerate(zip(plan.curves, plan.colours, strict=True)):
@@ -101,7 +101,7 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
         data=tuple(np.zeros(1) for _ in range(len(lines) + 1)),
         series=(uplot.Series(label="t [s]"), *lines),
         title=plan.title,
-        # uPlot takes x for the time of day by default.
+        # By default uPlot takes x for the time of day.
         scales={
             "x": uplot.Scale(time=False),
             "y": uplot.Scale(range=plan.y_range),

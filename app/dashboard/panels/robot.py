@@ -1,4 +1,4 @@
-"""Tab "Robot": which robot is simulated, and a new one made of an uploaded zip."""
+"""Tab "Robot": choice of the simulated robot, and a new robot from an uploaded zip."""
 
 import re
 from html import escape
@@ -18,7 +18,7 @@ from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 from app.strict import file_text
 
-FIND = "(detect)"  # choice of no wheels: they are looked for
+FIND = "(detect)"  # the wheels are searched for
 _WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
 _QUESTIONS = {
     "file": ("URDF", "One of the URDF files in the zip"),
@@ -40,11 +40,11 @@ _QUESTIONS = {
         "Estimate masses from volumes if the URDF has none for the arm",
     ),
 }
-"""Label and hint by the field of `Request`; `wheels` is asked for as two."""
+"""Label and hint by the field of `Request`; its field `wheels` has two questions."""
 _GOES_ON = "It is prepared in the background"
 _WHEELS = "“Left wheel” and “Right wheel”"
 _CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
-"""Of the questions that have them before there is a zip."""
+"""Choices that do not depend on an upload, by question."""
 _REPORT = (
     "<style>.mantine-Modal-content:has(.dbb-report){{flex:0 0 min(62rem,92vw)!important}}</style>"
     '<iframe class="dbb-report" sandbox srcdoc="{}" title="report" '
@@ -53,7 +53,7 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """A list of the robots; what one viewer chooses, all see."""
+    """List of the robots; a choice applies to all viewers."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -66,7 +66,7 @@ class RobotPanel(Panel):
             hint="Delivered robots and your own. The choice is for all viewers.",
         )
         self.about = gui.add_html("")
-        """What is said of the one that is chosen, and why the last choice came to nothing."""
+        """Description of the chosen robot, and the reason why the last switch failed."""
         self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=_GOES_ON)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()
@@ -79,7 +79,7 @@ class RobotPanel(Panel):
             self._renew_list()
         chosen, progress = self._chosen(), self._switch.progress
         here = chosen is not None and chosen.name == self._shared.model.description.name
-        ended = self._shared.loop.error is not None  # then the same robot can be had again
+        ended = self._shared.loop.error is not None  # then the same robot can be restarted
         usable = chosen is not None and chosen.problem is None and (ended or not here)
         reason = self._switch.problem
         failed = small(f"{problem(reason)}. Nothing has changed.") if reason else ""
@@ -99,7 +99,7 @@ class RobotPanel(Panel):
         )
 
     def _show_report(self, event: viser.GuiEvent) -> None:
-        """Open the robot's report over the page, with a button to keep it as a file."""
+        """Open the robot's report over the page, with a button to save the report."""
         chosen, client = self._chosen(), event.client
         name = chosen.name if chosen else ""
         path = robot_folder(name) / "report.html"
@@ -138,10 +138,10 @@ class RobotPanel(Panel):
 
 
 class NewRobotPanel(Panel):
-    """Folder "Your own robot": upload, the questions that a URDF leaves open, and the work."""
+    """Folder "Your own robot": upload, questions that the URDF does not answer, and progress."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder; what was uploaded and is built is common to all viewers."""
+        """Create the folder; all viewers share the upload and the build."""
         super().__init__(viewer)
         gui, build = self._gui, viewer.shared.robot_build
         self._build, self._package = build, None
@@ -176,16 +176,16 @@ class NewRobotPanel(Panel):
         self.status.show(outcome_html(self._build))
 
     def request(self) -> Request:
-        """What the fields say.
+        """Return the request from the fields.
 
         Raises:
-            ConfigError: They do not go together.
+            ConfigError: A field is invalid, or the fields contradict each other.
         """
         package = self._package
         if package is None:
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
-        if not NAME.fullmatch(value["out"]):  # before it becomes a part of a path
+        if not NAME.fullmatch(value["out"]):  # checked before it becomes a part of a path
             raise ConfigError("a name starts with a letter and has only letters, digits and _")
         left, right = (
             value[name] if self._suits(name) and value[name] != FIND else ""
@@ -220,7 +220,7 @@ class NewRobotPanel(Panel):
         self._build.receive(file.name, file.content)
 
     def _suits(self, name: str) -> bool:
-        """Whether a question is one for the kind of base, and the zip, that is chosen."""
+        """Whether a question applies to the chosen kind of base and zip."""
         kind = self.fields["kind"].value
         if name in ("left", "right"):
             return kind != "holonomic"
@@ -229,15 +229,15 @@ class NewRobotPanel(Panel):
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
 
     def _ask(self, package: Package) -> None:
-        self._shown_urdf = ""  # one of the same path may have other links
+        self._shown_urdf = ""  # another zip may have the same path with other links
         self.fields["file"].options = tuple(package.urdfs)
         self.fields["out"].value = robot_name(package.archive.stem)
 
     def _ask_of_urdf(self, package: Package) -> None:
-        """The links of the URDF that is chosen; the first guess is to be confirmed."""
+        """Offer the links of the chosen URDF; the user confirms the first guess."""
         self._shown_urdf = self.fields["file"].value
         contents = package.urdfs.get(self._shown_urdf)
-        if contents is None:  # a choice of the zip before
+        if contents is None:  # a choice from the previous zip
             return
         for name, options, guess in (
             ("base", contents.links, contents.root),
@@ -250,7 +250,7 @@ class NewRobotPanel(Panel):
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """A robot in two lines, and why it cannot be chosen."""
+    """Describe a robot in two lines, with the reason if it cannot be chosen."""
     lines = [f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}"]
     if here:
         lines.append("In use.")
@@ -262,12 +262,12 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
 
 
 def report_html(page: str) -> str:
-    """The report in a frame in which nothing is executed: a robot may be anybody's."""
+    """Show the report in a frame that executes nothing, because the robot may be untrusted."""
     return _REPORT.format(escape(page))
 
 
 def upload_html() -> str:
-    """What may be uploaded, and where the robot will be."""
+    """Describe the accepted zip, and the robot's folder."""
     return small(
         f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, {MOST_FILES} "
         f"files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; nothing is executed. "
@@ -277,7 +277,7 @@ def upload_html() -> str:
 
 
 def outcome_html(build: RobotBuild) -> str:
-    """How the last work on a zip ended, and what to do next."""
+    """Describe the result of the last job, and the next step."""
     if build.problem:
         return problem(in_words(build.problem))
     if build.built:
@@ -293,7 +293,7 @@ def outcome_html(build: RobotBuild) -> str:
 
 
 def in_words(text: str) -> str:
-    """What is said of options, said of the questions that stand for them here."""
+    """Replace the options of the command line in a message by the labels of the questions."""
     named = {
         option(name): f"“{label.partition(' [')[0]}”" for name, (label, _) in _QUESTIONS.items()
     }
@@ -304,13 +304,13 @@ def in_words(text: str) -> str:
 
 
 def robot_name(stem: str) -> str:
-    """A name that a robot may have, from that of a file."""
+    """Return a valid name of a robot from a file's name."""
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_").lower()
     return name if name[:1].isalpha() else f"robot_{name}".rstrip("_")
 
 
 def _field(gui: viser.GuiApi, name: str) -> Any:
-    """The widget of a question."""
+    """Create the widget of a question."""
     label, hint = _QUESTIONS[name]
     if name in BOUNDS:
         return gui.add_number(label, 0.0, min=0.0, max=BOUNDS[name].high, step=0.001, hint=hint)

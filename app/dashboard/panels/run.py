@@ -36,19 +36,19 @@ from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, kept, millimetres, outcome
 
-FREE = "Free: pull the robot yourself"  # choice of no scenario
+FREE = "Free: pull the robot yourself"  # choice without a scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
-"""Entries of the list of scenarios, by their names."""
+"""Entries of the list of scenarios, by the scenarios' names."""
 _ABOUT = {each.name: f"{each.about[:1].upper()}{each.about[1:]}." for each in SCENARIOS.values()}
-OFF = "off"  # choice of no further robot
+OFF = "off"  # choice without another robot
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
-"""Entries of the lists of controllers, by their names."""
+"""Entries of the lists of controllers, by the controllers' names."""
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
-"""What the robots may have in common, as `Compare` names it."""
+"""Common input of all robots, as `Compare` names it."""
 STEP = 0.001  # [s] of one control step
 _SIZE = "font-size:.82em"
 LATE = 0.05
-"""[-] share of late steps, and of real time that is missed, from which on the machine is slow."""
+"""[-] The machine is too slow above this share of late steps, or of missed real time."""
 _SCORES = (
     ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
@@ -58,11 +58,11 @@ _SCORES = (
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
     ("torque jump [N m]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
-"""Label with unit, field of `Score`, its text, and which is best; base travel is neither."""
+"""Label with unit, field of `Score`, its text, and the best value; base travel has none."""
 
 
 class RunPanel(Panel):
-    """Scenario, controller, pause, distances and the result; choices are for all viewers."""
+    """Scenario, controller, pause, distances and the result; choices apply to all viewers."""
 
     of_instant = True
 
@@ -97,7 +97,7 @@ class RunPanel(Panel):
         )
 
     def play(self, scenario: str) -> None:
-        """Play a scenario from its beginning, by its name, or none: `FREE`."""
+        """Start the scenario of this name, or the free start for `FREE`."""
         if scenario == FREE:
             self._sink.send(Reset())
             self._sink.send(Pause(False))
@@ -105,9 +105,9 @@ class RunPanel(Panel):
             self._sink.send(Play(scenario_of(self._shared.model.description, scenario)))
 
     def update(self, moment: Moment) -> None:
-        """Renew the choices, which stand for the newest snapshot, and the readings.
+        """Update the choices from the newest snapshot, and the readings.
 
-        The list keeps the scenario that has ended: so the free start is another choice.
+        The list still shows a scenario that has ended; therefore the free start can be chosen.
         """
         newest, shown, verdict = moment
         course = self._shared.course
@@ -126,7 +126,7 @@ class RunPanel(Panel):
 
 
 class LabPanel(Panel):
-    """Speed of the simulation, its readings, and how the machine keeps up."""
+    """Speed and readings of the simulation, and the load of the machine."""
 
     of_instant = True
 
@@ -139,7 +139,7 @@ class LabPanel(Panel):
             max=SPEEDS[1],
             step=0.1,
             initial_value=1.0,
-            hint="Times real time; a slow machine stays below it.",
+            hint="Factor of real time; a slow machine does not reach it.",
         )
         self.on_update(self._speed, lambda event: sink.send(Speed(event.target.value)))
         if (case := viewer.shared.case) is not None:
@@ -159,7 +159,7 @@ class LabPanel(Panel):
 
 
 class ComparePanel(Panel):
-    """Choice of the controllers beside the real one, and their scores."""
+    """Choice of the controllers of the ghosts, and the scores of all controllers."""
 
     of_instant = True
 
@@ -173,18 +173,16 @@ class ComparePanel(Panel):
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
         ]
-        self._input = gui.add_dropdown(
-            "Same", tuple(INPUTS), hint="What all robots have in common."
-        )
+        self._input = gui.add_dropdown("Same", tuple(INPUTS), hint="Common input of all robots.")
         for handle in (*self._choices, self._input):
             self.on_update(handle, lambda _: self._choose())
         self._scores = gui.add_html("")
         self._names: list[str] = []
 
     def update(self, moment: Moment) -> None:
-        """Renew the choices, which stand for the newest snapshot, and the scores.
+        """Update the choices from the newest snapshot, and the scores.
 
-        A controller stays in the list in which it was chosen, also when the other one goes.
+        A controller stays in its list when the other list's controller is removed.
         """
         course, scores = self._shared.course, moment.shown.scores
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
@@ -196,20 +194,20 @@ class ComparePanel(Panel):
         self._scores.content = compared_html(scores, course) + scores_html(scores)
 
     def _choose(self) -> None:
-        wanted = (named(handle.value, METHOD_TITLES) for handle in self._choices)
-        others = tuple(filter(None, wanted))
+        names = (named(handle.value, METHOD_TITLES) for handle in self._choices)
+        others = tuple(filter(None, names))
         self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
 
 
 def named(title: str, titles: Mapping[str, str]) -> str:
-    """The name of an entry of a list, or an empty text."""
+    """Return the name of a list's entry, or an empty text."""
     return next((name for name, each in titles.items() if each == title), "")
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """The scoreboard: a column a robot, the real one first.
+    """Return the table of scores, with a column for each robot, the main robot first.
 
-    Robots that touched or overlapped are no candidates for the best value of a row.
+    A robot that touched or overlapped cannot have the best value of a row.
     """
     if not scores:
         return small("No comparison is running.", FAINT)
@@ -233,7 +231,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 def _marked(
     values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
 ) -> list[str]:
-    """Cells of a row of scores, the best valid one marked if they differ."""
+    """Return the cells of a row of scores; the best valid one is marked if the values differ."""
     texts = [text(value) for value in values]
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
     first = text(best(candidates)) if best and candidates and len(set(texts)) > 1 else None
@@ -244,13 +242,13 @@ def _marked(
 
 
 def _distance(d: float) -> str:
-    """A distance [m] in millimetres, on the colour of contact where bodies overlap."""
+    """Return a distance [m] in millimetres, on the colour of contact if it is negative."""
     text = millimetres(d)[:-3]
     return text if d >= 0.0 else state_chip(text, "contact")
 
 
 def compared_html(scores: tuple[Score, ...], course: Course) -> str:
-    """When the comparison is, and what came of it, robot by robot."""
+    """Return the scenario of the comparison, and the outcome of each robot."""
     if not scores:
         return ""
     when = (
@@ -262,7 +260,7 @@ def compared_html(scores: tuple[Score, ...], course: Course) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """Of each robot a line, as in "dbb, with avoidance: no contact, least distance 72 mm"."""
+    """Return a line per robot, as in "dbb, with avoidance: no contact, least distance 72 mm"."""
     lines = (
         f"<b>{score.controller}</b>, {METHOD_WORDS[score.controller]}: "
         f"{kept(score.clearance, touched=bool(score.contacts))}"
@@ -272,16 +270,16 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def notice_html(newest: Snapshot) -> str:
-    """That a parameter takes on its new value step by step."""
-    text = "A sudden change would push an arm inside the buffer away."
+    """Return a notice while a parameter changes to its new value gradually."""
+    text = "A sudden change would push away an arm inside the buffer."
     return banner("notice", newest.changing, text) if newest.changing else ""
 
 
 def course_html(course: Course, busy: str) -> str:
-    """Preparation, progress or result of the scenario; empty at the free start."""
+    """Return preparation, progress or result of the scenario; empty at the free start."""
     if busy:
         title = f"{busy[:1].upper()}{busy[1:]} …"
-        return banner("notice", title, "The simulation waits until it is ready.")
+        return banner("notice", title, "The simulation waits for the end of the preparation.")
     if not course.name:
         return ""
     about = _ABOUT.get(course.name, "")
@@ -305,7 +303,7 @@ def course_html(course: Course, busy: str) -> str:
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
-    """The state of the simulation as rows of a table, with the verdict's colours."""
+    """Return the state of the simulation as rows of a table, in the verdict's colours."""
     state = "paused" if snapshot.paused else "running"
     force = sum(f * f for f in snapshot.hand_force) ** 0.5
     pull = f"{force:.1f} N{words.borne(snapshot.force_bound)}" if snapshot.pulls else "none"
@@ -324,7 +322,7 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
 
 
 def buffer_row(reading: BufferReading, verdict: Verdict) -> tuple[str, str, State] | None:
-    """That d_b was too small for the approaches of the last seconds, and what would be enough."""
+    """Return a row if d_b was too small in the last seconds, with a sufficient d_b; or None."""
     if not reading.too_small:
         return None
     lately = "lately: " if verdict.state == "clear" else ""
@@ -332,7 +330,7 @@ def buffer_row(reading: BufferReading, verdict: Verdict) -> tuple[str, str, Stat
 
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
-    """How the machine keeps up, as rows of a table; numbers that should worry are coloured."""
+    """Return the load of the machine as rows of a table; critical values are coloured."""
     late = min(snapshot.overruns / max(round(snapshot.t / STEP), 1), 1.0)
     slow = not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
     rows = [
@@ -345,7 +343,7 @@ def machine_rows(snapshot: Snapshot) -> list[str]:
 
 
 def _number(value: float, form: str) -> str:
-    """A number as text; a dash where it is not known, as in what is drawn from a log."""
+    """Format a number; an unknown one is a dash, as for a log."""
     return "–" if math.isnan(value) else format(value, form)
 
 
@@ -354,16 +352,16 @@ def _status_row(label: str, value: str, state: State = "clear") -> str:
 
 
 def state_chip(text: str, state: State) -> str:
-    """A text on the colour of a state, which can be read on any page."""
+    """Return a text on the colour of a state, legible in both themes."""
     return chip(text, css(COLOURS[state]), ink(COLOURS[state]))
 
 
 def pairs_html(
     snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str] | None = None
 ) -> str:
-    """Distances and activations of all pairs, those of L_m first, as a table of HTML.
+    """Return a table of distances and activations of all pairs, those of L_m first.
 
-    Pairs stand there in words if they are `spoken`; the pointer over a row says its symbols.
+    `spoken` has the pairs' names in words; symbols are shown under the pointer.
     """
     head = row(
         cell(),
@@ -382,7 +380,7 @@ def pairs_html(
 
 
 def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
-    """A row whose bar is full of the colour of contact if one of the pair is inside the other."""
+    """Return the row of a pair; if the bodies overlap, its bar is full in the colour of contact."""
     colour = css(COLOURS[state])
     share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
     limit = min(d_b, BAR_RANGE) / BAR_RANGE
@@ -393,5 +391,5 @@ def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) ->
         cell(_distance(pair.d), RIGHT),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d of its convex bodies, negative where they overlap; "
-        f"the stroke is d_b = {millimetres(d_b)}; activation β is 0 at d_b and 1 at d_full",
+        f"the mark is d_b = {millimetres(d_b)}; activation β is 0 at d_b and 1 at d_full",
     )

@@ -1,4 +1,4 @@
-"""Tab "Save": files that are made beside the simulation."""
+"""Tab "Save": files that are created while the simulation runs."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -31,15 +31,15 @@ from app.strict import check_range
 from app.system import temporary_folder
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
-"""[px] least, most and first size of a picture."""
-_CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
-_PATIENCE = 30.0  # [s] for a browser to draw a picture
+"""[px] smallest, largest and default size of a picture."""
+_CANCEL_EVERY = 0.1  # [s] period of checks for a cancellation
+_PATIENCE = 30.0  # [s] timeout of a picture by the browser
 
 
 class FilePanel(Panel):
-    """Buttons, each of which makes a file beside the simulation for the viewer who pressed it.
+    """Buttons that create a file for the viewer while the simulation runs.
 
-    How far that is stands above them.
+    The progress is above the buttons.
     """
 
     def __init__(self, viewer: Viewer) -> None:
@@ -58,11 +58,11 @@ class FilePanel(Panel):
         make: Callable[[], bytes],
         **look: Any,
     ) -> viser.GuiButtonHandle:
-        """Add a button; `make` gives the bytes of the file, in a thread of its own."""
+        """Add a button; `make` returns the bytes of the file, in a separate thread."""
         client = self._viewer.client
 
         def send() -> None:
-            with suppress(Cancelled):  # who pressed knows
+            with suppress(Cancelled):  # the viewer has cancelled it
                 told, data = name if isinstance(name, str) else name(), make()
                 self._job.check()
                 client.send_file_download(told, data, save_immediately=True)
@@ -73,24 +73,24 @@ class FilePanel(Panel):
         return self.button(label, pressed, icon, **look)
 
     def scene(self, width: int, height: int) -> Image.Image:
-        """The scene as the viewer's browser has it, so many [px] wide and high.
+        """Return the scene from the viewer's browser, in a size [px].
 
         Raises:
-            Cancelled: The viewer does not want it any more.
-            BrowserError: The browser gives no picture.
+            Cancelled: The viewer has cancelled the file.
+            BrowserError: The browser returns no picture.
         """
-        asker = ThreadPoolExecutor(1)
-        asked = asker.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
-        asker.shutdown(wait=False)
-        while not wait([asked], _CANCEL_EVERY).done:
+        executor = ThreadPoolExecutor(1)
+        future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
+        executor.shutdown(wait=False)
+        while not wait([future], _CANCEL_EVERY).done:
             self._job.check()
         try:
-            pixels = asked.result()
+            pixels = future.result()
         except (RuntimeError, TimeoutError) as error:
             raise BrowserError(f"the browser did not deliver a picture: {error}") from None
         if pixels.shape != (height, width, 4):
             raise BrowserError("the browser delivered a picture of another size")
-        picture = Image.fromarray(pixels, "RGBA")  # transparent where nothing is drawn
+        picture = Image.fromarray(pixels, "RGBA")  # with a transparent background
         whole = Image.new("RGBA", picture.size, (*BACKGROUND[self._viewer.view.dark], 255))
         whole.alpha_composite(picture)
         return whole.convert("RGB")
@@ -134,7 +134,7 @@ class SavePanel(FilePanel):
         gui.add_markdown("The tab *Tune* saves parameters.")
 
     def _size(self) -> tuple[int, int]:
-        """[px] the wanted width and height."""
+        """Return the chosen width and height [px]."""
         for name, box in self._sizes.items():
             check_range(name, box.value, *SIZES[name][:2], "px")
         width, height = (int(box.value) for box in self._sizes.values())
@@ -156,18 +156,18 @@ class SavePanel(FilePanel):
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:
             data = self._write(folder / name).read_bytes()
-        # Spreadsheets and pandas open a plain table; `dbb replay` and `report` take Parquet.
+        # Spreadsheets and pandas need a plain table; `dbb replay` and `dbb report` read Parquet.
         return data.partition(b"\n")[2] if name.endswith(".csv") else data
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
-        """What `write(report, log, path, *more)` makes of the log."""
+        """Return the file that `write(report, log, path, *more)` creates from the log."""
         with temporary_folder() as folder:
             log, path = self._write(folder / "log.parquet"), folder / name
             self._job.run(write, log, path, *more)
             return path.read_bytes()
 
     def _film(self) -> bytes:
-        """A film of the log, by a process that has a browser."""
+        """Return a film of the log, from a process with its own browser."""
         view = cast("Side", self._film_from.value)
         look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
         return self._of_log(f"film{self._film_as.value}", write_film_of, look)
@@ -183,7 +183,7 @@ class SavePanel(FilePanel):
 
 
 def png(picture: Image.Image) -> bytes:
-    """The file of a picture."""
+    """Return a picture as a PNG file."""
     file = BytesIO()
     picture.save(file, "PNG")
     return file.getvalue()

@@ -1,6 +1,6 @@
-"""Folder "Link and case": what is played, to be sent to somebody or kept.
+"""Folder "Link and case": links and files that reproduce the present run.
 
-A link is a page's address that carries scenario, controller, robot, parameters, camera and time.
+A link is the page's address with scenario, controller, robot, parameters, camera and time.
 """
 
 from __future__ import annotations
@@ -33,43 +33,43 @@ if TYPE_CHECKING:
     from app.dashboard.shared import SharedState
 
 _NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
-"""What a link may name, beside parameters by their paths."""
-_FARTHEST = 100.0  # [m] of a camera
+"""Names in a link's query, in addition to the paths of parameters."""
+_FARTHEST = 100.0  # [m] largest coordinate of a camera
 _COPY = (
     "const box=this.previousElementSibling;box.focus();box.select();document.execCommand('copy');"
     "history.replaceState(null,'',box.value)"
 )
-"""In the page, once the link has arrived there: it is copied, and is the page's address."""
+"""Script of the page that receives the link: copies it, and makes it the page's address."""
 
 
 class Link(NamedTuple):
-    """What a link asks for; what is empty it leaves as it is."""
+    """Requests of a link. An empty field changes nothing."""
 
     scenario: str = ""
-    """Name of the one that is played; all parameters that are not named are then at their
+    """Name of the scenario to play. If it is set, parameters that the link does not name get their
     defaults."""
     controller: str = ""
     robot: str = ""
     parameters: tuple[tuple[str, float | str], ...] = ()
-    """By their paths."""
+    """Paths and values of parameters."""
     look: str = ""
     """A key of `PRESETS`, or eye and target as six numbers [m]."""
     at: float | None = None
-    """[s] of the scenario, where it stands still."""
+    """[s] time of the scenario at which the simulation pauses."""
 
     @classmethod
     def read(cls, query: str) -> Link:
-        """What the query of an address asks for, all of it checked.
+        """Read and check the query of an address.
 
         Raises:
-            UnknownNameError: Something does not exist.
-            ConfigError: A value is out of its range, or no number.
+            UnknownNameError: A scenario, controller, robot, parameter or view does not exist.
+            ConfigError: A value is out of its range, or not a number.
         """
         words = dict(parse_qsl(query, keep_blank_values=True))
         given = {name: words.pop(name) for name in _NAMES if name in words}
         unknown = next((name for name in words if "." not in name), None)
         if unknown is not None:
-            raise UnknownNameError("parameter", unknown, (*_NAMES, "border.d_b or another such"))
+            raise UnknownNameError("parameter", unknown, (*_NAMES, "a path such as border.d_b"))
         check_range(DENSITY, _number(DENSITY, given.get(DENSITY, "1")), 0.1, 4.0, "")
         for name, choices in (
             ("scenario", SCENARIOS),
@@ -88,21 +88,21 @@ class Link(NamedTuple):
         if "at" in given:
             at = _number("at", given["at"])
             if not found.scenario:
-                raise ConfigError("at: is the time of a scenario; name it")
+                raise ConfigError("at: this time needs a scenario; name one")
             check_range("at", at, 0.0, SCENARIOS[found.scenario].duration, "s")
             found = found._replace(at=at)
         return found
 
     def changes(self, now: Mapping[str, float | str]) -> dict[str, float | str]:
-        """What is not at the robot's defaults with it, by path, from what is not so now."""
+        """Return the changed parameters once the link is open; `now` has the present changes."""
         return {**({} if self.scenario else now), **dict(self.parameters)}
 
     def camera(self) -> tuple[Array, Array] | None:
-        """(3,) [m] the eye and the target, where it gives them.
+        """Return eye and target, (3,) [m] each, or None for a preset or no view.
 
         Raises:
-            UnknownNameError: It is neither a preset nor six numbers.
-            ConfigError: They are farther away than 100 m, or one place.
+            UnknownNameError: The view is neither a preset nor six numbers.
+            ConfigError: A coordinate is beyond 100 m, or the camera would look vertically.
         """
         if not self.look or self.look in PRESETS:
             return None
@@ -117,7 +117,7 @@ class Link(NamedTuple):
         return place[:3], place[3:]
 
     def query(self) -> str:
-        """The query of its address."""
+        """Return the query of the link's address."""
         words: list[tuple[str, str | float]] = [
             (name, getattr(self, name))
             for name in ("scenario", "controller", "robot")
@@ -130,10 +130,10 @@ class Link(NamedTuple):
 
 
 def read_link(query: str) -> tuple[str, str]:
-    """All that is wrong with a link, or an empty text, and its query without that."""
+    """Return all errors of a link (or an empty text), and the query without the wrong parts."""
     why, kept = [], []
     words = dict(parse_qsl(query, keep_blank_values=True))
-    # The time of a scenario comes after its name.
+    # "at" is checked last, because it needs the name of the scenario.
     for word in sorted(words.items(), key=lambda word: word[0] == "at"):
         try:
             Link.read(urlencode([*kept, word]))
@@ -145,18 +145,18 @@ def read_link(query: str) -> tuple[str, str]:
 
 
 def camera_text(eye: Array, target: Array) -> str:
-    """A camera as a link gives it, to the centimetre."""
+    """Return a camera as in a link, rounded to centimetres."""
     return ",".join(f"{number:.2f}" for number in (*eye, *target))
 
 
 class SharePanel(Panel):
-    """A link to what is seen, and the case of what was played last."""
+    """A link to the shown scene, and the case of the last run."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()
-        """The link that waits for its robot, or for its scenario to be looked at as it asks."""
+        """Link that waits for its robot, or for its scenario before it sets the camera."""
         viewer.channel.on("link", self.open, str)
         with self._gui.add_folder("Link and case"):
             self.button("Copy link", lambda _: self._copy(), viser.Icon.LINK)
@@ -165,7 +165,7 @@ class SharePanel(Panel):
             self.upload("Play a case", self._play, mime_type="application/json")
 
     def update(self, moment: Moment) -> None:
-        """Look as the link asks once its scenario plays."""
+        """Set the camera of the waiting link when its scenario plays."""
         link, newest = self.waiting, moment.newest
         if (
             link.look
@@ -177,18 +177,18 @@ class SharePanel(Panel):
             self._notifier.attempt(self._viewer.client, lambda: self._look_as(link))
 
     def open(self, query: str) -> None:
-        """Do what the page's address asks for; if that cannot be, say why and change nothing."""
+        """Apply the page's address; after an error, show the error and change nothing."""
         if query:
             self._notifier.attempt(self._viewer.client, lambda: self._open(Link.read(query)))
 
     def resume(self, link: Link) -> None:
-        """Go on with a link that waited on the page before; obey it if this is its robot."""
+        """Continue with a link from the previous page; apply it if the page shows its robot."""
         self.waiting = link
         if link.robot == self._shared.model.description.name:
             self._obey(link)
 
     def _link(self) -> str:
-        """The address of what is seen."""
+        """Return the address of the shown scene."""
         shared, client = self._shared, self._viewer.client
         newest, shown = shared.loop.latest(), self._viewer.timeline.shown()
         course, camera = shared.course, client.camera
@@ -241,9 +241,7 @@ class SharePanel(Panel):
             'style="width:100%" onclick="this.select()">'
         )
         run = f'<img src="data:," alt="" style="display:none" onerror="{_COPY}">'
-        self._address.content = small(
-            f"Copied. It is also the address of this page now:<br>{box}{run}"
-        )
+        self._address.content = small(f"Copied. This page now has the same address:<br>{box}{run}")
         self._address.visible = True
 
     def _save(self, event: Any) -> None:
@@ -251,7 +249,7 @@ class SharePanel(Panel):
         if case is None:
             raise CaseError("there is no case yet; play a scenario first")
         newest = self._shared.loop.latest()
-        if newest.scenario:  # what is tuned meanwhile is meant too
+        if newest.scenario:  # includes parameters changed during the run
             case = case.model_copy(
                 update={"controller": newest.controller, **parameters_of(case, newest.config)}
             )
@@ -268,21 +266,23 @@ class SharePanel(Panel):
 
 
 def parameters_of(case: RunCase, config: Config) -> dict[str, Any]:
-    """The field of a case that has the parameters of now."""
+    """Return the fields of a case with the present parameters."""
     now = {path: config.value(path) for path in case.parameters}
     return {"parameters": now | config.changes(Config())}
 
 
 def play_case(shared: SharedState, text: str, name: str) -> str:
-    """Play a case for all viewers; what differs from when it was made, in words.
+    """Play a case for all viewers, and return its differences from the recording in words.
 
     Raises:
-        DbbError: It is none, or of another robot; then nothing has changed.
+        DbbError: The text is not a case, or the case is of another robot. Then nothing changes.
     """
     case = RunCase.read(text, name)
     robot = shared.model.description
     if case.robot != robot.name:
-        raise CaseError(f"{name} is of the robot {case.robot}: choose it in the tab Robot first")
+        raise CaseError(
+            f"{name} needs the robot {case.robot}: choose this robot in the tab Robot first"
+        )
     play = Play(case.scenario())
     shared.tuning.load(case.config())
     for command in (Choose(case.controller), play):

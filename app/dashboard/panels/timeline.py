@@ -1,4 +1,4 @@
-"""Time line: which instant a viewer sees, and the bar along the page's edge to choose it."""
+"""Time line: the bar along the page's edge, which selects the shown instant."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from app.simulation.trace.snapshot import Snapshot
 
 
 class TimelinePanel(Panel):
-    """The bar of one viewer's page, drawn by the page's own script over the whole width."""
+    """Time line of one viewer; the page's own script draws it across the page."""
 
     of_instant = True
 
@@ -36,7 +36,7 @@ class TimelinePanel(Panel):
             channel.on(word, act)
 
     def update(self, moment: Moment) -> None:
-        """Send what is new: rows, events, and where the viewer is."""
+        """Send new rows, new events, and the viewer's point in time."""
         newest, shown, _ = moment
         strip, line = self._strip, self._timeline
         runs, closed = self._sent

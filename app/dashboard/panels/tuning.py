@@ -1,6 +1,6 @@
-"""Tab "Tune": widgets of all parameters, made from the configuration's records, and files of them.
+"""Tab "Tune": widgets of all parameters, from the configuration's records, and parameter files.
 
-What a viewer sets is checked, and what others set is shown.
+The viewer's changes are checked, and changes by other viewers are shown.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
-DECIMALS = 6  # [-] that a number box takes
-MARK = "\N{NO-BREAK SPACE}•"  # behind the label of what is not at its default
+DECIMALS = 6  # [-] decimals of a number box
+MARK = "\N{NO-BREAK SPACE}•"  # after the label of a changed parameter
 FIRST_NAME = "tuning"
-_BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
+_BEFORE_SCORE = "border"  # the score follows this section, as in the paper
 
 
 class TuningPanel(Panel):
     """Folders of widgets."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the panel; all viewers share the configuration."""
+        """Create the panel; all viewers share the configuration."""
         super().__init__(viewer)
         self._viewer, self._tuning = viewer, viewer.shared.tuning
         self.widgets: dict[str, ParameterWidgets] = {}
-        """The widgets of each parameter, by its path."""
+        """Widgets of each parameter, by the parameter's path."""
         self._folders: list[_Folder] = []
         self._add_everything()
         self._show_advanced()
@@ -54,7 +54,7 @@ class TuningPanel(Panel):
         self.buttons(
             "Changes",
             {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset},
-            hint="One step is one change of one parameter, by anybody.",
+            hint="One step is one change of a parameter, by any viewer.",
         )
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
         self.on_update(self._all, lambda _: self._show_advanced())
@@ -65,7 +65,9 @@ class TuningPanel(Panel):
                 with self._gui.add_folder("Score", expand_by_default=False):
                     self._gui.add_html(score_html(self._viewer.shared.model.description))
         with self._gui.add_folder("File"):
-            self._name = self._gui.add_text("Name", FIRST_NAME, hint="Of the file, without .toml")
+            self._name = self._gui.add_text(
+                "Name", FIRST_NAME, hint="Name of the file, without .toml"
+            )
             self.button(
                 "Save",
                 self._save,
@@ -96,10 +98,10 @@ class TuningPanel(Panel):
         self._folders.append(_Folder(handle, reset, title, paths))
 
     def _show_advanced(self) -> None:
-        wanted = self._all.value
+        advanced = self._all.value
         for each in self.widgets.values():
             for handle in each.handles:
-                handle.visible = wanted or each.is_marked or not each.about.advanced
+                handle.visible = advanced or each.is_marked or not each.about.advanced
 
     def _save(self, event: Any) -> None:
         name = self._name.value.strip()
@@ -117,13 +119,13 @@ class TuningPanel(Panel):
         self._tuning.load(loaded.config)
         count = len(self._tuning.changes)
         self._notifier.tell(
-            event.client, "Parameters", f"{file.name[:60]}: {count} not at defaults."
+            event.client, "Parameters", f"{file.name[:60]}: {count} changed from the defaults."
         )
         self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
 
 
 class _Folder(NamedTuple):
-    """Its title says how many of its parameters are changed."""
+    """Folder of parameters, whose title shows the number of changed ones."""
 
     handle: Any
     reset: Any
@@ -132,13 +134,13 @@ class _Folder(NamedTuple):
 
 
 def file_name(name: str) -> str:
-    """A name for a file on any system, as in `stiff arm.toml`."""
+    """Return a file name that is valid on all systems, as in `stiff arm.toml`."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
     return f"{safe or FIRST_NAME}.toml"
 
 
 def score_html(robot: RobotDescription) -> str:
-    """That the score has nothing to tune, and where its numbers come from."""
+    """Explain that the score has no parameters, and show its constants."""
     head = row(*map(cell, ("body", "A [1/m²]", "B [m]", "C")), style=FAINT)
     rows = [
         row(*map(cell, (body, f"{r.A_per_m2:g}", f"{r.B_m:g}", f"{r.C:g}")))
@@ -153,15 +155,15 @@ def score_html(robot: RobotDescription) -> str:
 class ParameterWidgets(Panel):
     """Widgets of one parameter.
 
-    A value that is refused changes nothing, is reported to its sender, and is set back; what is
-    typed comes once it is typed to its end.
+    A refused value changes nothing: its sender gets a message, and the widget is reset. A typed
+    value arrives when it is complete.
     """
 
     def __init__(self, viewer: Viewer, path: str) -> None:
-        """Add the widgets of the parameter at a path; see `TuningPanel`."""
+        """Add the widgets of the parameter at `path`; see `TuningPanel`."""
         super().__init__(viewer)
         self.about, self.is_marked = tunable(path), False
-        """The parameter, and whether it was not at its default at the last update."""
+        """The parameter, and whether it differed from its default at the last update."""
         self._tuning = viewer.shared.tuning
         self._shown = self._tuning.config.value(path)
         self._faces = _faces(self._gui, self.about, self._shown)
@@ -174,10 +176,10 @@ class ParameterWidgets(Panel):
         return [face.handle for face in self._faces]
 
     def update(self, moment: Moment) -> None:
-        """Show what holds by now.
+        """Show the present value.
 
-        Called by one thread only, not by the one that brings what people set. Should both write a
-        widget at once, the next update mends it.
+        The drawing thread calls this method, and another thread handles the viewers' changes. If
+        both assign a widget at the same time, the next update corrects the widget.
         """
         value = self._tuning.config.value(self.about.path)
         if value != self._shown:
@@ -203,7 +205,7 @@ class ParameterWidgets(Panel):
 
 
 class _Face(NamedTuple):
-    """A widget, and how its value becomes that of the parameter, and back."""
+    """A widget, with the conversions of its value to that of the parameter and back."""
 
     handle: Any
     label: str
@@ -232,22 +234,22 @@ def _faces(gui: viser.GuiApi, about: Parameter | Choice, value: float | str) -> 
 
 
 def read_exponent(exponent: float) -> float:
-    """To three digits, what a logarithmic slider sets."""
-    # Beyond a double's exponents, and not-a-number, the parameter's range refuses them.
+    """Return the value of a logarithmic slider, to three digits."""
+    # The parameter's range refuses exponents beyond those of a double, and NaN.
     return float(f"{10.0**exponent:.3g}") if abs(exponent) < 300 else exponent * math.inf
 
 
 def unbroken(title: str) -> str:
-    """A title that is broken before its unit, if at all."""
+    """Return a title that can break only before its unit."""
     name, bracket, unit = title.partition("[")
     return name + bracket + unit.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def power_of_ten(exponent: float) -> str:
-    """As in 10⁶, for a whole exponent."""
+    """Format a power with a whole exponent, as in 10⁶."""
     return "10" + f"{exponent:.0f}".translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def slider_step(low: float, high: float) -> float:
-    """The power of ten that gives a slider 100 to 1000 steps."""
+    """Return the power of ten that gives a slider 100 to 1000 steps."""
     return 10.0 ** math.floor(math.log10((high - low) / 100.0))

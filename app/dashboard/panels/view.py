@@ -10,14 +10,14 @@ from app.dashboard.view import BORDER, CHOICES, LAYERS, PAGE, View
 
 
 class ViewPanel(Panel):
-    """Boxes and choices, each of which assigns one field of the view."""
+    """Check boxes and lists, each of which assigns one field of the view."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._view = self._gui, viewer.view
         with gui.add_folder(BORDER):
             for pair, quantity in self._view.borders.items():
-                hint = f"P_i of {pair}: points at the distance d_b of the base, (3)"
+                hint = f"P_i of {pair}: points at the distance d_b from the base, (3)"
                 spoken = viewer.shared.spoken[pair]
                 choice = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
                 self.on_update(choice, partial(self._colour, pair))
@@ -33,7 +33,7 @@ class ViewPanel(Panel):
                 self.on_update(box, partial(self._plot, plan.title))
 
     def _add(self, folder: str) -> None:
-        """Add the widgets of the fields that stand in a folder."""
+        """Add the widgets of all fields of a folder."""
         for each in fields(View):
             about = each.metadata
             if about.get("folder") != folder:

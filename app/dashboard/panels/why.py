@@ -1,4 +1,4 @@
-"""Header and tab "Why": why the robot moved, in a sentence, three rows, and every quantity."""
+"""Header and tab "Why": the cause of the robot's motion in a sentence, three rows, and details."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,12 +14,12 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-LONGEST = 280  # characters of the longest answer of `sentence`
+LONGEST = 280  # [characters] of the longest `sentence`
 
 UNDISTURBED = (0.05, 0.2)
-"""[m/s²], [rad/s²] of slack below which the hand's own task is met: 0.06 mm at its gain."""
+"""[m/s²], [rad/s²] slack below which the end-effector's task counts as met: 0.06 mm at its gain."""
 
-BOUNDS_SHOWN = 3  # lines for limits that were met; of more than that the number is shown
+BOUNDS_SHOWN = 3  # lines for active limits; further limits are counted only
 
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
@@ -35,11 +35,11 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
         ("posture", "free"),
     ),
 )
-_BEHIND = -0.5  # [-] forward part of a normal above which what is near is not behind the base
+_BEHIND = -0.5  # [-] x of a normal above which the near body is not behind the base
 
 
 class WhyPanel(Panel):
-    """The tab, and the strip over the scene, which every page has."""
+    """The tab, and the header over the scene, which every page has."""
 
     of_instant = True
 
@@ -63,7 +63,7 @@ class WhyPanel(Panel):
 
 
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
-    """The verdict in a sentence, and in three rows its force, the base's motion and the limits."""
+    """Return the verdict in a sentence, and rows for force, base motion and limits."""
     colour = css(verdict.colour)
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
@@ -74,7 +74,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 
 
 def details_html(snapshot: Snapshot) -> str:
-    """Every quantity behind the sentence; a line while nothing acts on the robot."""
+    """Return all quantities behind the sentence, or one line if no pair is active."""
     why = snapshot.explanation
     if why is None or why.bearing is None:
         return small("Nothing acts on the robot: no link pair is inside its buffer.")
@@ -96,13 +96,13 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Verdict, sentence and the three numbers that the strip over the scene shows."""
+    """Return the content of the header: verdict, sentence and three numbers."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = (
         "paused" if snapshot.paused else "" if math.isnan(factor) else f"{factor:.2f} × real time"
     )
-    hint = f"Nearest link pair; the stroke is its buffer d_b = {millimetres(d_b)}"
+    hint = f"Nearest link pair; the mark is its buffer d_b = {millimetres(d_b)}"
     return (
         f'<div class="dbb-say">{verdict_chip(verdict)} {sentence(snapshot)}</div>'
         f'<div class="dbb-numbers"><span title="{hint}">{spoken[pair.name]} '
@@ -112,12 +112,12 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
 
 
 def verdict_chip(verdict: Verdict) -> str:
-    """The verdict on its colour."""
+    """Return the verdict on its colour."""
     return chip(verdict.state.capitalize(), css(verdict.colour), ink(verdict.colour))
 
 
 def sentence(snapshot: Snapshot) -> str:
-    """Why the robot does what it does at a snapshot's instant."""
+    """Return the cause of the robot's motion in a snapshot."""
     why = snapshot.explanation
     if why is None:
         return "There is no explanation for this instant."
@@ -126,7 +126,7 @@ def sentence(snapshot: Snapshot) -> str:
 
 
 def _hand_is_disturbed(why: Explanation) -> bool:
-    """Whether the end-effector's task gave up more than what nobody notices."""
+    """Whether the end-effector's task has a noticeable error."""
     return any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
         for level in why.levels
@@ -168,7 +168,7 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """The paper's method: the base gives way; where its barrier is met, the arm resists."""
+    """Describe the paper's method: the base gives way; the arm resists if its barrier is active."""
     cause, also = _cause(pair, why, snapshot.d_b), _also(why)
     if base_cannot_help(pair):
         where = f"{cause}, where base motion cannot help"
@@ -192,7 +192,7 @@ def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """The inequality's distance stands in the place of the buffer, which it does not know."""
+    """Describe the barrier method, with its minimum distance instead of the buffer distance."""
     held = next((p for p in why.near if p.held), None)
     shown = held or pair
     cause = _cause(shown, why, None)
@@ -213,7 +213,7 @@ def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """The pair that is near, and its distance; with the buffer d_b [m] if there is one."""
+    """Return the near pair and its distance, with the buffer distance d_b [m] if there is one."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
@@ -223,14 +223,14 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
-    """What the base does now, or is about to do; None if nothing."""
+    """Return the present or next motion of the base, or None."""
     ahead = pair.n[0] > _BEHIND
     moves = _motion(snapshot, why, ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
         return f"the base {moves}" + (", at its speed limit" if top else "")
-    asked = planar(why.axes, why.base_asked)
-    will = words.intention(asked.forward, asked.turn, ahead=ahead, left=asked.left)
+    commanded = planar(why.axes, why.base_asked)
+    will = words.intention(commanded.forward, commanded.turn, ahead=ahead, left=commanded.left)
     return None if will is None else f"the base is about to {will}"
 
 
@@ -240,7 +240,7 @@ def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
 
 
 def _hand(why: Explanation, *, held: bool = False) -> str:
-    """How the hand fares; `held` if the arm itself keeps its distance."""
+    """Return the state of the end-effector's task; `held`: the arm itself keeps the distance."""
     if why.mode == "guiding":
         return "the arm resists further guiding" if held else "the arm can still be guided freely"
     if _hand_is_disturbed(why):
@@ -255,13 +255,13 @@ def _off_target(snapshot: Snapshot) -> str:
 
 
 def _beside(d: float, snapshot: Snapshot) -> str:
-    """A distance, to the millimetre where it is near the buffer distance."""
+    """Return a distance, to the millimetre near the buffer distance."""
     near = abs(d - snapshot.d_b) < 0.01
     return f"{100 * d:.1f} cm" if near else words.length(d)
 
 
 def _also(why: Explanation) -> str:
-    """Links of the arm that are pushed apart besides."""
+    """Return a sentence about pairs of arm links, if one is active too."""
     for pair in why.near:
         if not pair.mobile:
             a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
@@ -300,7 +300,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
 
 
 def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
-    """Of the table of forces, with widths that do not follow the numbers."""
+    """Return heads and widths of the table of forces; the widths do not depend on the numbers."""
     heads = (
         f"{acceleration_symbol(axis)}<br>[{'rad/s²' if axis.angular else 'm/s²'}]" for axis in axes
     )
@@ -308,7 +308,7 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 
 
 def _force_rows(why: Explanation) -> list[str]:
-    """The resultant (15), its two parts as in Figure 7, and the base's accelerations."""
+    """Return rows for the resultant (15), its two parts (Figure 7) and the base's accelerations."""
     forces, on = why.forces, bool(why.forces)
     f = _sum([force.f for force in forces])
     away, turn = _sum([force.away for force in forces]), _sum([force.turn for force in forces])
@@ -394,7 +394,7 @@ def _acceleration(
     *,
     on: bool = True,
 ) -> str:
-    """A row of newtons, m/s² and rad/s²; dashes where there is no force at all."""
+    """Return a row in N, m/s² and rad/s²; with dashes if there is no force at all."""
     newtons = "" if f is None else f"{_size(f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
     values = values if on else [_NONE] * len(values)

@@ -1,1 +1,1 @@
-"""What is drawn in three dimensions."""
+"""Three-dimensional scene."""

@@ -1,4 +1,4 @@
-"""Borders: clouds or bodies of colour that move with the base, and their slice at the arm."""
+"""Borders: coloured points or surfaces that move with the base, and their slice at the arm."""
 
 import io
 from collections.abc import Callable, Mapping
@@ -33,24 +33,24 @@ from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 MAX_POINTS = 20_000
-"""Points drawn; more of them only hide what lies behind and slow the browser down."""
-LIGHT_POINTS = 4000  # the same where a page draws in software
-_KEPT = 32  # clouds that are kept for other viewers
-POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
-LIGHT_SIZE = 0.006  # [m] of one of few points
-_GRAIN = 0.002  # [m] of height by which the slice has to change to be sent anew
+"""[-] drawn points of a border; more points only hide the scene and slow down the browser."""
+LIGHT_POINTS = 4000  # [-] the same on a page without a GPU
+_KEPT = 32  # [-] cached clouds
+POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
+LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
+_GRAIN = 0.002  # [m] resolution of the slice's height
 _EVERY = 3  # rays of the contour between two drawn points
 _ON_DARK: Rgb = (255, 255, 255)
 _ON_LIGHT: Rgb = (20, 24, 30)
-_RAYS = 3  # rays of a contour between two columns of the shell
-_HEIGHTS = 2  # contours between two of its rows
+_RAYS = 3  # rays of a contour per column of the surface
+_HEIGHTS = 2  # contours per row of the surface
 _OPACITY = 0.42  # [-]
-_SHADES = 256  # of the colours on it
-_INSIDE = 0.5  # [-] of d_b: how near the base the arm is taken to be where it is clicked
+_SHADES = 256  # colours of the surface
+_INSIDE = 0.5  # [-] assumed distance of the arm at a click, relative to d_b
 
 
 class ColouredCloud(NamedTuple):
-    """A border as it is sent to a browser: (N, 3) [m] in the base's frame, and (N, 3) uint8."""
+    """A border for a browser: points (N, 3) [m] in the base's frame, and colours (N, 3) uint8."""
 
     points: Array
     colours: Array
@@ -58,27 +58,30 @@ class ColouredCloud(NamedTuple):
 
 
 class Borders:
-    """Selects borders from the stored clouds; what one viewer has asked for, the next finds."""
+    """Selects and colours borders of the stored clouds, with a cache that all viewers share."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
-        """Nothing is selected yet; `clouds` are P_i of every pair of L_m, by the pair's name."""
+        """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.pairs = frozenset(clouds)
         """Names of the pairs of L_m."""
         self.top = float(MobileBody(model).upper[2])
-        """[m] height of the base's top; what lies above it is drawn on demand only."""
+        """[m] height of the base's top; the border above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
-        # A pair of L_m is named `lm-<body of the arm>`.
+        # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
-        """Their scores, by the pair."""
+        """Scores by the pair's name."""
         self._kept: dict[tuple[object, ...], Any] = {}
 
     def coloured(
         self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
     ) -> ColouredCloud | None:
-        """A border's points with the colours of a quantity; None if it has no points.
+        """Return a border's points, coloured by a quantity; None if the border has no points.
 
-        The quantity is one of `app.dashboard.scene.legend.QUANTITIES`; `whole` takes in what lies
-        above the base's top.
+        Args:
+            pair: Name of the pair.
+            quantity: One of `app.dashboard.scene.legend.QUANTITIES`.
+            border: Parameters of the border.
+            whole: Whether to include points above the base's top.
         """
         return self._keep(
             (pair, quantity, border.d_b, border.eps, whole),
@@ -86,11 +89,11 @@ class Borders:
         )
 
     def surface(self, border: BorderConfig) -> OffsetContours:
-        """The border as contours, which is that of every pair."""
+        """Return the contours of the border, which are the same for all pairs."""
         return offset_contours(self._model, border.d_b)
 
     def values(self, pair: str, quantity: str, points: Array) -> Array:
-        """(N,) a quantity, one of `QUANTITIES`, at points (N, 3) [m] in the base's frame."""
+        """Return a quantity of `QUANTITIES` (N,) at points (N, 3) [m] in the base's frame."""
         field = self.fields[pair]
         return {
             "determinant": field.singularity,
@@ -122,40 +125,41 @@ class Borders:
 
 
 def subsample(total: int, most: int) -> Array:
-    """Indices of at most `most` points out of `total`, always the same, in no visible pattern."""
+    """Return `most` of `total` indices at most, always the same ones, without a visible pattern."""
     if total <= most:
         return np.arange(total)
     return np.random.default_rng(0).permutation(total)[:most]
 
 
 class Probe(NamedTuple):
-    """What holds at a place of the border, in the base's frame."""
+    """Quantities at a point of the border, in the base's frame."""
 
     p: Array
-    """(3,) [m] the place."""
+    """(3,) [m] the point."""
     det: float
     reach: float
     score: float
-    """Of (7), (9) and (10) there."""
+    """Determinant (7), reachability (9) and score (10) at the point."""
     p_act: Array
-    """(3,) [m] acting point of an arm that is halfway in there."""
+    """(3,) [m] acting point of an arm that is halfway inside the buffer there."""
     acceleration: Array
-    """(n_b,) of the base for it, by (16)."""
+    """(n_b,) acceleration of the base by this arm, (16)."""
 
 
 class _Drawn(NamedTuple):
-    """What of a pair's border is there: nothing where it is hidden or has no points."""
+    """Drawn parts of a pair's border; empty if the border is hidden or has no points."""
 
-    wanted: tuple[object, ...]
+    request: tuple[object, ...]
     legend: Legend | None = None
     node: viser.PointCloudHandle | viser.GlbHandle | None = None
     body: trimesh.Trimesh | None = None
 
 
 class DrawnBorders:
-    """Draws each pair's border anew whenever its quantity, d_b, ε or kind has changed.
+    """Draws the border of each pair again when its quantity, d_b, ε or style has changed.
 
-    It is a cloud of points, or a translucent body, of which a click tells what holds there.
+    A border is a cloud of points or a translucent surface. A click on the surface shows the
+    quantities there.
     """
 
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
@@ -166,25 +170,25 @@ class DrawnBorders:
 
     @property
     def legends(self) -> list[Legend]:
-        """Of the borders that are drawn."""
+        """Legends of the drawn borders."""
         return [drawn.legend for drawn in self._drawn.values() if drawn.legend is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Redraw what has changed.
+        """Draw all borders that have changed.
 
         Returns:
-            Whether something has, and `legends` is new.
+            Whether a border has changed; then `legends` is new.
         """
         changed = False
         for pair, quantity in view.borders.items():
-            wanted = (quantity, view.whole_border, view.light, view.shell, border.d_b, border.eps)
-            if pair not in self._drawn or self._drawn[pair].wanted != wanted:
-                self._drawn[pair] = self._draw(pair, wanted, view, border)
+            request = (quantity, view.whole_border, view.light, view.shell, border.d_b, border.eps)
+            if pair not in self._drawn or self._drawn[pair].request != request:
+                self._drawn[pair] = self._draw(pair, request, view, border)
                 changed = True
         return changed
 
     def _draw(
-        self, pair: str, wanted: tuple[object, ...], view: View, config: BorderConfig
+        self, pair: str, request: tuple[object, ...], view: View, config: BorderConfig
     ) -> _Drawn:
         quantity, before, coloured = view.borders[pair], self._drawn.get(pair, _Drawn(())), None
         if self._probed is not None and self._probed[0] == pair:
@@ -192,9 +196,9 @@ class DrawnBorders:
         if quantity != HIDDEN:
             coloured = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
         if before.node and (coloured is None or view.shell or before.body):
-            before.node.remove()  # else the cloud is replaced
+            before.node.remove()  # without this case, the new cloud replaces the old one
         if coloured is None:
-            return _Drawn(wanted)
+            return _Drawn(request)
         most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
         keep = subsample(len(coloured.points), most)
         legend = coloured.legend._replace(drawn=len(keep))
@@ -204,8 +208,8 @@ class DrawnBorders:
                 self._borders.surface(config), float(heights.min()), float(heights.max())
             )
             body = body_of(self._borders, faces, quantity, legend)
-            return _Drawn(wanted, legend, self._send(pair, body), body)
-        # One message for points and colours: no browser may see one without the other.
+            return _Drawn(request, legend, self._send(pair, body), body)
+        # One message has points and colours, so that they always match.
         node = self._scene.add_point_cloud(
             f"{ROOT}/border_{pair}",
             coloured.points[keep],
@@ -214,13 +218,13 @@ class DrawnBorders:
             point_shape="circle",
             precision="float32",
         )
-        return _Drawn(wanted, legend, node)
+        return _Drawn(request, legend, node)
 
     def _send(self, pair: str, body: trimesh.Trimesh) -> viser.GlbHandle:
         with io.BytesIO() as file:
             body.export(file, file_type="glb")
             data = file.getvalue()
-        # Of the scene: one of the body's own would outline it, and keep the mouse from the arm.
+        # A click callback of the surface itself would outline it and block the mouse for the arm.
         self._scene.remove_click_callback()
         self._scene.on_click()(self._click)
         return self._scene.add_glb(
@@ -231,7 +235,7 @@ class DrawnBorders:
         self._clicked = np.array(event.ray_origin), np.array(event.ray_direction)
 
     def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float) -> None:
-        """Draw what was clicked: the place, its numbers, and which way the base would go."""
+        """Draw the clicked point with its quantities and the acceleration of the base."""
         if self._clicked is not None:
             found, self._clicked = self._look(snapshot, *self._clicked), None
             self._probed = found or self._probed
@@ -257,7 +261,7 @@ class DrawnBorders:
     def _look(
         self, snapshot: Snapshot, origin: Array, direction: Array
     ) -> tuple[str, Probe] | None:
-        """The pair whose body a ray from the world meets first, and the probe of that place."""
+        """Return the pair whose surface a ray in the world hits first, and the probe there."""
         x, y, phi = snapshot.base_pose
         R = pin.utils.rotate("z", -phi)  # from the world to the base
         origin, direction = R @ (origin - np.array([x, y, 0.0])), R @ direction
@@ -279,7 +283,7 @@ class BorderSlice:
         self._curves: list[Array] = []
 
     def draw(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the slice, if there is one at that height; on a dark page or a light one."""
+        """Draw the slice, if the border has one at this height, for a dark or a light page."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.pairs]
         if not mobile:
             return
@@ -295,9 +299,10 @@ class BorderSlice:
 
 
 def shell_faces(surface: OffsetContours, low: float, high: float) -> tuple[Array, Array]:
-    """(N, 3) [m] corners in the base's frame, and (M, 3) triangles, their fronts outwards.
+    """Return the surface of a border between two heights [m].
 
-    They are those of a border between two heights [m].
+    Returns:
+        Corners (N, 3) [m] in the base's frame, and triangles (M, 3) with outward front sides.
     """
     table, corners, faces = surface.table, [], []
     for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
@@ -322,7 +327,7 @@ def shell_faces(surface: OffsetContours, low: float, high: float) -> tuple[Array
 def body_of(
     borders: Borders, shell: tuple[Array, Array], quantity: str, legend: Legend
 ) -> trimesh.Trimesh:
-    """Corners and triangles with the colours of a legend, smooth and translucent."""
+    """Return a surface as a smooth and translucent mesh in the colours of a legend."""
     corners, faces = shell
     values = borders.values(legend.pair, quantity, corners)
     u = np.clip(legend.normalised(values), 0.5 / _SHADES, 1.0 - 0.5 / _SHADES)
@@ -341,7 +346,7 @@ def body_of(
 
 
 def first_hit(mesh: trimesh.Trimesh, origin: Array, direction: Array) -> tuple[Array, Array] | None:
-    """(3,) [m] where a ray meets a mesh first, and (3,) the unit normal outwards there, or None."""
+    """Return the first hit (3,) [m] of a ray on a mesh and the outward normal (3,), or None."""
     a, b, c = np.moveaxis(np.asarray(mesh.triangles), 1, 0)
     ab, ac = b - a, c - a
     across = np.cross(direction, ac)
@@ -360,14 +365,14 @@ def first_hit(mesh: trimesh.Trimesh, origin: Array, direction: Array) -> tuple[A
 
 
 def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array, n: Array) -> Probe:
-    """What holds at a place p of a pair's border, its normal n, (3,) each in the base's frame."""
+    """Return the quantities at point p of a pair's border with normal n, in the base's frame."""
     config, field = snapshot.config, borders.fields[pair]
     d_b, border = snapshot.d_b, snapshot.border
     d = _INSIDE * d_b
     p_b = p - (d_b - d) * n
     finder = ActingPointFinder(BorderSearch(borders.surface(border)), field)
     found = finder.find_acting_point(p_b, d, config.force)
-    assert found is not None, "a border that is drawn has contours"
+    assert found is not None, "a drawn border has contours"
     f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
     acceleration = field.base.A_b @ resultant_force(f[None], found.p_act[None])
     det, reach = field.singularity(p), field.reachability(p)

@@ -1,4 +1,4 @@
-"""Camera of one viewer: views by name that show all of the robot, and following the base."""
+"""Camera of one viewer: named views that show the whole robot, and a mode that follows the base."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from app.dashboard.viser_compat import image_size
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
-FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
-_MARGIN = 0.10  # [-] of the free part that stays empty, both sides together
-_ASPECTS = (0.4, 4.0)  # [-] that are believed
-_MOST_COVERED = 0.25, 0.55  # [-] from above and from below
+FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; less distortion than viser's 75°
+_MARGIN = 0.10  # [-] empty share of the free part, both sides together
+_ASPECTS = (0.4, 4.0)  # [-] limits of a reported aspect ratio
+_MOST_COVERED = 0.25, 0.55  # [-] limits of the share that is covered from above and from below
 UP = np.array([0.0, 0.0, 1.0])
-_LEAST_STEP = 1e-3  # [m] nobody sees less
-_SAME = 0.02  # [m] nearer to where it was put nobody has moved a camera
-_ECHO = 0.3  # [s] after which what comes back from a browser holds what was set
-_PATIENCE = 6.0  # [s] after which nothing is waited for any more
-_LEAST_SHARE = 0.05  # [-] of the picture's height; a robot that looks smaller is not found
-_MOVED = 0.2  # [m] of the base, from which on who follows it wants to see it
+_LEAST_STEP = 1e-3  # [m] smaller steps are invisible
+_SAME = 0.02  # [m] nearer to its set position, a camera counts as unmoved
+_ECHO = 0.3  # [s] after this time, a browser's reports include the set position
+_PATIENCE = 6.0  # [s] timeout of the browser's confirmation
+_LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as unseen
+_MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
-_HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
-_NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
-_NEAR_PAIR = 0.30 * _CORNERS  # [m] the same around closest points
-_FAR = 1.5  # [m] from the robot that is led; a ghost that is farther away is left behind
-_OPEN = np.deg2rad(90.0)  # [rad] of a door for whose way there is room in the picture
-_OVER_DOOR = 0.15  # [m] where its angle is written
-_BACK = 1e-3  # [s] that time goes back where a run begins anew
+_HAND = 0.12 * _CORNERS  # [m] space to show around the end-effector
+_NEAR_HAND = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
+_NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
+_FAR = 1.5  # [m] ghosts farther away from the main robot are not shown
+_OPEN = np.deg2rad(90.0)  # [rad] opening of a door that the picture includes
+_OVER_DOOR = 0.15  # [m] height of the angle's label above the door
+_BACK = 1e-3  # [s] time goes back at least this much at a restart
 
 
 class Window(NamedTuple):
-    """The part of a page in which a scene is drawn."""
+    """The part of a page in which the scene is drawn."""
 
     aspect: float = 1.5
-    """[-] its width over its height."""
+    """[-] ratio of width to height."""
     covered: float = 0.0
-    """[-] share of its height, from below, that something else lies over."""
+    """[-] share of the height that is covered from below."""
     above: float = 0.0
-    """[-] the same from above."""
+    """[-] share of the height that is covered from above."""
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Of what a browser says of itself, which may be nothing yet; `above` and `below` [-]."""
+        """Create a window from the browser's sizes, which may be 0, and covered shares [-]."""
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))
@@ -58,27 +58,27 @@ class Window(NamedTuple):
 
     @property
     def edges(self) -> tuple[float, float]:
-        """[-] of the free part, from below and from above: −1 and 1 are those of the picture."""
+        """Lower and upper edge [-] of the free part; the picture is from −1 to 1."""
         return 2.0 * self.covered - 1.0, 1.0 - 2.0 * self.above
 
 
-ANY_WINDOW = Window()  # one that nothing is known of yet
+ANY_WINDOW = Window()  # default of an unknown window
 
 
 class Preset(NamedTuple):
-    """A way to look at the robot, in the base's frame."""
+    """A view of the robot, in the base's frame."""
 
     away: Array
-    """(3,) from what is looked at towards the camera."""
+    """(3,) direction from the target to the camera."""
     of: Literal["robot", "hand", "pair", "door"] = "robot"
-    """What is looked at: the whole robot, the hand alone, the hand and the closest points of the
-    nearest pair, or the robot and a door with its hinge, from where a person stands who opens
-    it."""
+    """Target: the whole robot, the end-effector alone, the end-effector and the closest points of
+    the nearest pair, or the robot and a door with its hinge, from the position of a person who
+    opens the door."""
 
 
 PRESETS = {
     "iso": Preset(np.array([1.5, 1.8, 1.0])),
-    # Not quite from above: the camera's up direction has to be seen.
+    # Not exactly from above, because the camera's up direction must not be parallel to the view.
     "top": Preset(np.array([-0.01, 0.0, 3.3])),
     "front": Preset(np.array([2.9, 0.0, 0.22])),
     "side": Preset(np.array([0.0, -3.1, 0.22])),
@@ -90,21 +90,21 @@ PRESETS = {
 
 
 class _Look(NamedTuple):
-    """A preset that was looked from."""
+    """The preset that the viewer chose last."""
 
     name: str
     window: Window | None
-    """Where the picture was to be drawn then; None once the viewer has moved the camera."""
+    """Window at that time; None once the viewer has moved the camera."""
     eye: Array
-    """(3,) [m] where the camera was put, and has been carried to since."""
+    """(3,) [m] position that was set, including later motion with the base."""
 
 
 class Camera:
     """Moves the camera of one client.
 
-    What is set here comes back from the browser after a while, and with it what the viewer has
-    done meanwhile. So one step after the other: a step from a place that is still on its way to
-    the browser would be lost.
+    The browser reports each new position after a delay, together with the viewer's own changes.
+    Therefore a new step waits until the browser has confirmed the last one: a step that is computed
+    from an older position would be lost.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
@@ -115,29 +115,29 @@ class Camera:
         self._preset = "iso"
         self._before: Snapshot | None = None
         self._seen_at: Array | None = None
-        self._begun = False  # anew, and not found since
+        self._begun = False  # a run has started, and the robot was not seen since
         self._followed: Array | None = None
         self._set: Array | None = None
         self._set_at = 0.0
-        self._from = np.zeros(3)  # where it was before what is on its way was set
-        self._page = 0.0, 0.0, 0.0  # [px] what `cover` was told
+        self._from = np.zeros(3)  # [m] position before the unconfirmed one was set
+        self._page = 0.0, 0.0, 0.0  # [px] arguments of `cover`
         client.camera.on_update(self._hear)
 
     @property
     def window(self) -> Window:
-        """Where the viewer's scene is drawn, as far as that is known."""
+        """The part of the page with the scene, as last reported by the browser."""
         height, above, below = self._page
         return Window.of(
             *image_size(self._client), above / max(height, 1.0), below / max(height, 1.0)
         )
 
     def cover(self, height: float, above: float, below: float) -> None:
-        """Take what the page says of its scene: height, and what lies over it [px]."""
+        """Store the page's report: height [px] of the scene, and covered heights [px]."""
         self._page = float(height), float(above), float(below)
 
     @property
     def lens(self) -> Lens | None:
-        """What is seen where; None while the browser has not said it."""
+        """Projection of the scene, or None before the browser's first report."""
         camera, (_, drawn) = self._client.camera, image_size(self._client)
         height = self._page[0] or drawn
         if not 0.0 < height < np.inf:
@@ -145,15 +145,15 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def fit(self, extent: Array) -> None:
-        """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
+        """Set the extent (N, 3) [m] of the robot to show, in the base's frame."""
         self._extent = extent
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Look from where one looks at first."""
+        """Use the first view."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
-        """Look from a key of `PRESETS` at the robot as it is in a snapshot."""
+        """Look at the robot of a snapshot from a preset, a key of `PRESETS`."""
         window, self._preset = self.window, name
         eye, target = placed(PRESETS[name], [snapshot], self._extent, window)
         self.put(eye, target)
@@ -162,13 +162,13 @@ class Camera:
 
     @property
     def preset(self) -> str:
-        """The key of `PRESETS` from which the viewer still looks, or empty."""
+        """The key of the preset that is still in use, or empty."""
         look, eye = self._looked, self._client.camera.position
         away = np.inf if look is None else np.linalg.norm(eye - look.eye)
         return self._preset if self._waits() or away < _SAME else ""
 
     def put(self, eye: Array, target: Array) -> None:
-        """Look from a place (3,) [m] in the world at another one."""
+        """Look from a position (3,) [m] at a target (3,) [m] in the world."""
         camera = self._client.camera
         if self._set is None:
             self._from = np.array(camera.position)
@@ -181,10 +181,10 @@ class Camera:
         self._set, self._set_at, self._arrived = eye, monotonic(), False
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Look again if the page has taken another shape since, and nobody moved the camera.
+        """Use the preset again if the page's layout has changed and nobody has moved the camera.
 
-        A page's panels come with its first picture, and narrow the scene only then; a drawer opens
-        later. While the viewer is `busy` holding something, the scene must not move.
+        The panels narrow the scene only after the first picture, and a drawer opens later. While
+        the viewer is `busy` with a drag, the camera must not move.
         """
         look, window = self._looked, self.window
         if look is None or look.window is None or busy:
@@ -195,9 +195,11 @@ class Camera:
             self.use(look.name, snapshot)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
-        """Carry the camera along by what the base (2,) [m] has moved since the last step.
+        """Move the camera by the base's displacement since the camera was last moved.
 
-        Off forgets where the base was.
+        Args:
+            base_position: (2,) [m] position of the base.
+            on: Whether the camera follows; if False, the base's last position is forgotten.
         """
         if not on:
             self._followed = None
@@ -213,20 +215,21 @@ class Camera:
             self._looked = look._replace(window=window, eye=look.eye + step)
         self._from = np.array(self._client.camera.position)
         self._set, self._set_at = self._from + step, monotonic()
-        # Setting the position carries the point that is looked at along, by the same step.
+        # viser moves the target by the same step as the position.
         self._client.camera.position = self._set
 
     def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
-        """Look again where the robot has got out of sight; call it with each snapshot shown.
+        """Use the preset again if the robot is out of sight; call it with each shown snapshot.
 
-        That is after a beginning, whoever has moved the camera, and, if it follows, once the base
-        has gone on unseen, or a hand, also of a ghost, where nobody has moved the camera. A
-        scenario with a door begins with its view.
+        This happens in three cases. (a) A run has started, and the robot is out of sight. (b) The
+        camera follows, and the base has moved out of sight. (c) The camera follows, the viewer has
+        not moved it away from a preset, and the end-effector of the robot or of a ghost is out of
+        sight. A scenario with a door starts with the door's view.
 
         Args:
-            snapshot: What is shown.
+            snapshot: The shown snapshot.
             on: Whether the camera follows.
-            busy: Whether the viewer holds something, under whom the scene must not move.
+            busy: Whether the viewer drags something; then the camera must not move.
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
@@ -253,38 +256,41 @@ class Camera:
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
-        """Whether what was set may still be on its way to the browser."""
+        """Whether the browser has not confirmed the last position yet."""
         return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
     def _left(self, look: _Look) -> bool:
-        """Whether the viewer has moved the camera away; unknown while a step is on its way."""
+        """Whether the viewer has moved the camera; False before a confirmation by the browser."""
         away = float(np.linalg.norm(self._client.camera.position - look.eye))
         return self._arrived and self._set is None and away > _LEAST_STEP
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
-        """Something has come back: is it what was set, or later than that?"""
+        """Handle a report of the browser: check whether it confirms the last position."""
         there = self._set is not None and bool(
             np.linalg.norm(camera.position - self._set) < _LEAST_STEP
         )
         self._arrived = self._arrived or there
-        # A slow browser says for seconds where it was before: what is set is on its way still.
+        # A slow browser reports its old position for seconds: the new one has not arrived yet.
         late = np.linalg.norm(camera.position - self._from) < _LEAST_STEP
         if there or (monotonic() > self._set_at + _ECHO and not late):
             self._set = None
 
 
 def first_view(snapshot: Snapshot) -> str:
-    """Key of `PRESETS` of the first view: a door's where there is one."""
+    """Return the key of the first view in `PRESETS`: "door" in a scenario with a door."""
     return "iso" if snapshot.door is None else "door"
 
 
 def placed(
     preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window = ANY_WINDOW
 ) -> tuple[Array, Array]:
-    """Eye and target of a preset (3,) [m] in the world, turned with the base.
+    """Return eye and target (3,) [m] of a preset in the world, turned with the base.
 
-    All that is `shown` one after the other is in the picture. `extent` are points (N, 3) [m] of
-    the robot in its ready pose, in the base's frame.
+    Args:
+        preset: The view.
+        shown: Snapshots, all of which must be in the picture.
+        extent: (N, 3) [m] points of the robot in its ready pose, in the base's frame.
+        window: The part of the page with the scene.
     """
     about = shown[len(shown) // 2]
     away = pin.utils.rotate("z", about.base_pose[2]) @ preset.away
@@ -295,7 +301,7 @@ def placed(
 
 
 def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
-    """(N, 3) [m] what has to be in a picture of an instant; `of` as in `Preset`."""
+    """Return the points (N, 3) [m] that a picture of a snapshot must show; `of` as in `Preset`."""
     hand, robots = snapshot.p_ee, _robots(snapshot)
     seen = [_in_world(robot.base_pose, extent) for robot in robots]
     seen += [robot.p_ee + _HAND for robot in robots]
@@ -310,18 +316,18 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
         corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, top)]
         poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
         seen.append(np.array([T.act(np.array(c)) for T in poses for c in corners]))
-    return np.vstack([*seen, hand + SCALE * np.eye(3)])  # and the gizmo's tips
+    return np.vstack([*seen, hand + SCALE * np.eye(3)])  # includes the gizmo's tips
 
 
 def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
-    """Of a camera at a place (3,) [m] that looks at another one, in a picture so many [px] high."""
+    """Return the projection of a camera from `eye` to `target` in a picture of a height [px]."""
     half, (low, high) = height / 2, window.edges
     free = -half * window.aspect, half * low, half * window.aspect, half * high
     return Lens(eye, _axes(target - eye), half / np.tan(FIELD_OF_VIEW / 2), free)
 
 
 def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
-    """Whether the middle of points (N, 3) [m] is in the free part of a picture, large enough."""
+    """Whether points (N, 3) [m] have their centre in the free part and are large enough."""
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
@@ -329,19 +335,19 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
-    """The robot that is led, and the ghosts beside it that are to be seen with it."""
+    """Return the robot and the nearby ghosts."""
     away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
     return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 
 
 def _in_world(base_pose: Array, extent: Array) -> Array:
-    """(N, 3) [m] points of a robot in its base's frame, in the world."""
+    """Transform points (N, 3) [m] of a robot from its base's frame to the world."""
     x, y, phi = base_pose
     return np.array([x, y, 0.0]) + extent @ pin.utils.rotate("z", phi).T
 
 
 def _axes(forward: Array) -> Array:
-    """(3, 3) right, up and forward of a camera that looks along a direction; not upright."""
+    """Return right, up and forward axes (3, 3) of a camera that does not look vertically."""
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, UP)
     right /= np.linalg.norm(right)
@@ -349,19 +355,21 @@ def _axes(forward: Array) -> Array:
 
 
 def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:
-    """Where new viewers of a server look from at first, (3,) [m] in the world each."""
+    """Set eye and target (3,) [m] of new viewers in the world."""
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = eye, target, FIELD_OF_VIEW
 
 
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
-    """The nearest camera that sees all points, in the middle of the free part.
+    """Return the nearest camera that shows all points, centred in the free part.
 
-    `away` (3,) is from the points (N, 3) [m] towards the camera; not upright.
+    Args:
+        points: (N, 3) [m] points.
+        away: (3,) direction from the points to the camera, not vertical.
+        window: The part of the page with the scene.
 
     Returns:
-        (3,) [m] the eye, and (3,) [m] a point before it on the middle of the picture, as far away
-        as the middle of the points.
+        Eye (3,) [m], and target (3,) [m] on the optical axis, at the depth of the points' centre.
     """
     axes = _axes(-away)
     forward = axes[2]
@@ -376,10 +384,10 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
 
 
 class _Strip:
-    """What one direction of the picture asks of the camera.
+    """Constraints on the camera from one direction of the picture.
 
-    A point at u and depth w is seen at (u − u₀)/(w − w₀) from a camera at u₀, w₀, which has to be
-    between low and high: two half-planes of (u₀, w₀) a point.
+    A camera at (u₀, w₀) shows a point with coordinate u and depth w at (u − u₀)/(w − w₀). This
+    value must be between `low` and `high`: each point gives two half-planes of (u₀, w₀).
     """
 
     def __init__(self, u: Array, depth: Array, low: float, high: float) -> None:
@@ -390,9 +398,9 @@ class _Strip:
 
     @property
     def nearest(self) -> float:
-        """[m] the depth of the camera that is nearest to the points."""
+        """[m] depth of the camera that is nearest to the points."""
         return (self._most - self._least) / (self._high - self._low)
 
     def middle(self, depth: float) -> float:
-        """[m] where a camera at a depth has as much room on either side."""
+        """Return the position [m] of the camera at a depth with equal margins on both sides."""
         return (self._least + self._high * depth + self._most + self._low * depth) / 2

@@ -1,4 +1,4 @@
-"""Canvas: points, lines, arrows, labels and boxes of one picture after the other."""
+"""Canvas: points, lines, arrows, labels and boxes of successive pictures."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,45 +14,46 @@ from app.strict import Array
 Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right"]
 
 ROOT = "/robot"
-"""Scene node that moves with the base: origin on the floor below the base's centre, x forward."""
-METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
-METRES_PER_ACCELERATION = 0.2  # [s²] of v̇: 0.2 m is 1 m/s²
-HEAD_LENGTH = 0.035  # [m] of an arrow
+"""Scene node that moves with the base. The origin is on the floor below the base's centre, and the
+x axis points forward."""
+METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force: 0.1 m is 40 N
+METRES_PER_ACCELERATION = 0.2  # [s²] length of v̇: 0.2 m is 1 m/s²
+HEAD_LENGTH = 0.035  # [m] of an arrow's head
 ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-right")
-"""Corners of a label that may be at its place, the best first."""
+"""Corners of a label that may be at its position, the preferred one first."""
 FONT_SCALE = 0.85  # [-] of labels, 12 px high
-LINE, CHARACTER = 15.0, 5.6  # [px] room of a label of that size, and of one of its characters
-_ROOM = 4.0  # [px] beside a spot to which a label moves, so that it does not go to and fro
-_SOON = 0.5  # [s] between two pictures of what goes on
-_FARTHEST = 8  # lines that a label may stand away from its place
+LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a character
+_ROOM = 4.0  # [px] free space around a label's new spot, as a hysteresis
+_SOON = 0.5  # [s] longest time between two pictures of a motion
+_FARTHEST = 8  # [lines] largest shift of a label
 
 
 class Lens(NamedTuple):
-    """Where the places of a scene are seen."""
+    """Projection of the scene to a viewer's picture."""
 
     eye: Array
-    """(3,) [m]."""
+    """(3,) [m] position of the camera."""
     axes: Array
-    """(3, 3) right, up and forward."""
+    """(3, 3) right, up and forward axis of the camera."""
     focal: float
-    """[px] of what is as large as its distance."""
+    """[px] focal length."""
     free: tuple[float, float, float, float]
-    """[px] left, low, right and high edge of what nothing lies over, as `pixel` counts."""
+    """[px] left, low, right and high edge of the uncovered part, in the coordinates of `pixel`."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
-        """[px] to the right and up from the picture's middle, and [m] in front of the eye."""
+        """Return [px] to the right and up from the picture's centre, and depth [m]."""
         u, v, depth = map(float, self.axes @ (place - self.eye))
         scale = self.focal / max(depth, 1e-3)
         return scale * u, scale * v, depth
 
     def has(self, pixel: tuple[float, float, float]) -> bool:
-        """Whether what is seen there is in front of the eye, and nothing lies over it."""
+        """Whether a pixel is in front of the camera and in the uncovered part."""
         (u, v, depth), (left, low, right, high) = pixel, self.free
         return depth > 0.0 and left < u < right and low < v < high
 
 
 class Spot(NamedTuple):
-    """Where a label stands: the corner that is at its place, raised by so many pixels."""
+    """Position of a label: the corner at its point, and an upward shift in pixels."""
 
     anchor: Anchor
     rise: float
@@ -63,12 +64,12 @@ def set_apart(
     before: Mapping[str, Spot],
     free: tuple[float, float, float, float],
 ) -> dict[str, Spot]:
-    """Where labels stand so that none lies over another one; the first is at its place.
+    """Choose spots for labels so that they do not overlap; the first label has priority.
 
     Args:
         labels: [px] to the right and up, and text, by names.
-        before: Where they stood; a label stays where it is free until a nearer spot has room.
-        free: [px] left, low, right and high edge of where they can be read.
+        before: Previous spots; a label keeps its spot until a nearer one is free.
+        free: [px] left, low, right and high edge of the area for labels.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
@@ -92,35 +93,35 @@ def set_apart(
             ):
                 break
         else:
-            spot = spots[0]  # there is no room for it
+            spot = spots[0]  # no spot is free
         taken.append((left, low, wide, tall))
         found[name] = spot
     return found
 
 
 class Canvas:
-    """What is drawn during a picture is seen, and all else of the canvas is hidden.
+    """Shows the objects that were drawn in the last picture, and hides all others.
 
-    A node is sent when it is drawn first; from then on viser sends what has changed of it.
+    A node is sent when it is drawn for the first time; later viser sends only changes.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self.labels = True
-        """Whether labels are drawn; a page lays their texts out aside, so they may come late."""
+        """Whether labels are drawn. A browser renders their texts later than the picture."""
         self._handles: dict[str, Any] = {}
         self._drawn: set[str] = set()
         self._texts = True
-        self._places: dict[str, tuple[Array, str]] = {}  # of labels, with their texts
+        self._places: dict[str, tuple[Array, str]] = {}  # positions and texts of labels
         self._spots: dict[str, Spot] = {}
         self._t = 0.0
 
     @contextmanager
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
-        """Draw anew; the texts of labels that were there change only if `texts`.
+        """Draw a picture; the texts of existing labels change only if `texts`.
 
-        Labels keep apart as they are seen through a lens, and stay where they were while a time
-        [s] goes on: pictures of one instant are the same.
+        Through a lens, labels are placed without overlap. While the time `t` [s] advances, labels
+        prefer their last spots. Pictures of one instant are always equal.
         """
         if not 0.0 < t - self._t < _SOON:
             self._spots = {}
@@ -131,7 +132,7 @@ class Canvas:
             handle.visible = name in self._drawn
 
     def point(self, name: str, place: Array, colour: Rgb, radius: float) -> None:
-        """A ball of a radius [m] at a place (3,) [m]."""
+        """Draw a ball of a radius [m] at a position (3,) [m]."""
         node = self._node(
             name,
             lambda: self._scene.add_icosphere(
@@ -141,7 +142,7 @@ class Canvas:
         node.position = place
 
     def label(self, name: str, place: Array, text: str) -> None:
-        """A text at a place (3,) [m] of the world; what is named first stands nearest to it."""
+        """Draw a text at a position (3,) [m] in the world; earlier labels have priority."""
         if not self.labels:
             return
         node = self._node(
@@ -155,18 +156,18 @@ class Canvas:
         self._places[name] = place, node.text
 
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
-        """Lines of one colour through points (K, 3) [m] each, K ≥ 2.
+        """Draw lines of one colour through points (K, 3) [m] each, K ≥ 2.
 
-        viser takes colours of single segments for linear ones, which washes them out, and a line
-        that goes over to them stays white now and then.
+        viser takes colours of single segments as linear colours, which look too bright, and a line
+        that changes to such colours sometimes stays white.
         """
         segments = [np.stack([points[:-1], points[1:]], axis=1) for points in lines]
         self.segments(name, np.concatenate(segments), np.array(colour, np.uint8), pixels)
 
     def segments(self, name: str, ends: Array, colours: Array, pixels: float) -> None:
-        """Straight lines between ends (N, 2, 3) [m]; see `lines`.
+        """Draw straight segments between their ends (N, 2, 3) [m]; see `lines`.
 
-        Colours are uint8: (3,) of all, or (N, 2, 3), which viser takes as linear in light.
+        Colours are uint8: (3,) for all, or (N, 2, 3), which viser takes as linear colours.
         """
         node = self._node(
             name,
@@ -178,7 +179,7 @@ class Canvas:
         node.points = ends
 
     def arrow(self, name: str, start: Array, end: Array, colour: Rgb) -> None:
-        """An arrow between two places (3,) [m]."""
+        """Draw an arrow between two points (3,) [m]."""
         ends = np.array([[start, end]])
         node = self._node(
             name,
@@ -197,7 +198,7 @@ class Canvas:
     def box(
         self, name: str, T: pin.SE3, size: Sequence[float], colour: Rgb, opacity: float | None
     ) -> None:
-        """A box of a size (3,) [m] whose middle is at a pose."""
+        """Draw a box of a size (3,) [m] with its centre at a pose."""
         node = self._node(
             name, lambda: self._scene.add_box(name, color=colour, opacity=opacity, visible=False)
         )
@@ -225,11 +226,11 @@ class Canvas:
 
 
 def to_viser(T: pin.SE3) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion wxyz (4,) of a pose."""
+    """Return position (3,) [m] and quaternion wxyz (4,) of a pose."""
     xyzquat = np.array(pin.SE3ToXYZQUAT(T))
     return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
 
 
 def from_viser(position: Array, wxyz: Array) -> pin.SE3:
-    """The pose of a position (3,) [m] and a quaternion wxyz (4,)."""
+    """Return the pose with a position (3,) [m] and a quaternion wxyz (4,)."""
     return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))

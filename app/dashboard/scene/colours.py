@@ -1,4 +1,4 @@
-"""Colours: of a dark and a light page, of what is drawn, and a perceptual map for the border."""
+"""Colours of dark and light pages and of the drawn objects, and a colour map for the border."""
 
 import numpy as np
 import viser
@@ -7,9 +7,9 @@ from app.strict import Array
 
 Rgb = tuple[int, int, int]
 
-BRAND: Rgb = (24, 104, 176)  # white text on it has a contrast of 5.9
+BRAND: Rgb = (24, 104, 176)  # with white text, the contrast is 5.9
 BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
-"""Of a dark and of a light page, behind the scene."""
+"""Background of the scene on a dark and on a light page."""
 
 _VIRIDIS = np.array(
     [
@@ -27,52 +27,52 @@ _VIRIDIS = np.array(
     ],
     dtype=float,
 )
-"""(11, 3) evenly spaced anchors of matplotlib's public-domain map, low to high."""
+"""(11, 3) evenly spaced colours of matplotlib's public-domain map "viridis", low to high."""
 
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
-"""One colour a link pair, in the order of the snapshot; distinct on white and on black."""
+"""Colours of the link pairs, in the order of the snapshot; distinct on white and on black."""
 
 BETA = "#8e6bd8"  # activation
-CLEAR: Rgb = (128, 138, 150)  # a pair outside of its buffer
-NEAR: Rgb = (235, 205, 70)  # a pair inside of its buffer, on which nothing acts
+CLEAR: Rgb = (128, 138, 150)  # a pair outside its buffer
+NEAR: Rgb = (235, 205, 70)  # a pair inside its buffer, without a reaction
 YIELDS: Rgb = (240, 150, 40)  # a pair for which the base gives way
-RESISTS: Rgb = (224, 84, 36)  # a pair whose distance the arm itself keeps
-CONTACT: Rgb = (226, 16, 56)  # what touches, or a pair of which one is inside the other
-PERSON: Rgb = (32, 150, 230)  # what the person does
+RESISTS: Rgb = (224, 84, 36)  # a pair whose distance the arm keeps
+CONTACT: Rgb = (226, 16, 56)  # contact or overlap
+PERSON: Rgb = (32, 150, 230)  # actions of a person
 ACTING: Rgb = (222, 49, 140)  # the acting point and its force
-ACCELERATION: Rgb = (60, 190, 90)  # what is asked of the base
-TRAIL_BASE: Rgb = (240, 140, 40)  # where the base has been
-TRAIL_HAND: Rgb = PERSON  # where the hand has been
+ACCELERATION: Rgb = (60, 190, 90)  # commanded acceleration of the base
+TRAIL_BASE: Rgb = (240, 140, 40)  # path of the base
+TRAIL_HAND: Rgb = PERSON  # path of the end-effector
 GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))  # robots of other controllers
 
 
 def viridis(u: Array) -> Array:
-    """Colours (N, 3) uint8 of values (N,), clipped to [0, 1]."""
+    """Return colours (N, 3) uint8 of values (N,), which are clipped to [0, 1]."""
     at = np.linspace(0.0, 1.0, len(_VIRIDIS))
     u = np.clip(u, 0.0, 1.0)
     return np.stack([np.interp(u, at, channel) for channel in _VIRIDIS.T], axis=-1).astype(np.uint8)
 
 
 def viridis_css() -> str:
-    """The same map as a gradient of CSS, low at the left."""
+    """Return the colour map as a CSS gradient, low at the left."""
     return ", ".join(f"rgb({r:.0f},{g:.0f},{b:.0f})" for r, g, b in _VIRIDIS)
 
 
 def css(colour: Rgb) -> str:
-    """The colour as CSS writes it."""
+    """Return a colour as CSS."""
     return "rgb({},{},{})".format(*colour)
 
 
 def ink(ground: Rgb) -> str:
-    """Black or white, whichever has more contrast on a ground: at least 4.5 to 1."""
+    """Return black or white for text on a colour; the contrast is at least 4.5 to 1."""
     luminance = float(linear(np.array(ground)) / 255.0 @ (0.2126, 0.7152, 0.0722))
     return "black" if luminance > 0.179 else "white"
 
 
 def linear(colours: Array) -> Array:
-    """Colours (N, 3) uint8 of a screen (sRGB), linear in light.
+    """Convert screen colours (sRGB) (N, 3) uint8 to linear colours.
 
-    So viser takes them for single segments of lines, which it does not convert.
+    viser takes linear colours for single segments of lines and does not convert them.
     """
     u = np.asarray(colours, float) / 255.0
     light = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)
@@ -80,5 +80,5 @@ def linear(colours: Array) -> Array:
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
-    """Dark or light page."""
+    """Set a dark or a light theme."""
     gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=BRAND)

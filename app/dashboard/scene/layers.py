@@ -1,4 +1,4 @@
-"""Layers: what explains the motion, each of them a function that draws a snapshot."""
+"""Layers that explain the motion; each layer is a function that draws a snapshot."""
 
 from collections.abc import Mapping, Sequence
 
@@ -30,19 +30,19 @@ from app.simulation.trace.snapshot import (
 from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
-_LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
-_SAME = 0.01  # [m or rad] nearer to the robot a ghost is not seen as another one
+_LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acting points
+_SAME = 0.01  # [m or rad] a ghost nearer to the robot is hidden
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
-_LEAST_FORCE = 0.5  # [N] weaker forces get no arrow, whose head would be longer than itself
-_FORCE_LIFT = 0.08  # [m] of the arrow of a force on the base over the base's top
+_LEAST_FORCE = 0.5  # [N] arrows of weaker forces would be shorter than their heads
+_FORCE_LIFT = 0.08  # [m] height of a force's arrow above the base's top
 _P_N: Rgb = (240, 240, 245)
 _P_T: Rgb = (32, 190, 200)
 
-_LEAST_ACCELERATION = 0.02  # [m/s²] and [rad/s²] smaller ones are not drawn
+_LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
 _RADIANS_PER_ACCELERATION = 0.4  # [s²] arc of ω̇: 0.4 rad is 1 rad/s²
 _MOST_ARC = np.deg2rad(300.0)  # [rad] longer arcs would close
-_RADIUS = 0.22  # [m] of the arc
-_MOTION_LIFT = 0.06  # [m] of the arrows of the base's acceleration over its top
+_RADIUS = 0.22  # [m] radius of the arc
+_MOTION_LIFT = 0.06  # [m] height of acceleration arrows above the base's top
 _ARC_POINTS = 24
 
 _HANDLE: Rgb = (70, 76, 84)
@@ -51,16 +51,16 @@ _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "board": ((225, 228, 232), None),
     "handle": (_HANDLE, None),
 }
-_DOOR_LIFT = 0.05  # [m] of the angle over the door
+_DOOR_LIFT = 0.05  # [m] height of the angle above the door
 _DOOR_ARC = 0.30  # [m] radius of the angle
 
 
 def draw_distances(
     canvas: Canvas, snapshot: Snapshot, verdict: Verdict, view: View, spoken: Mapping[str, str]
 ) -> None:
-    """Lines between closest points, thick inside of the buffer, with their distances on demand.
+    """Draw lines between closest points, thick inside the buffer, and their distances on demand.
 
-    Words for the pairs are `spoken`, by their names.
+    `spoken` has the pairs' names in words.
     """
     d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
@@ -72,7 +72,7 @@ def draw_distances(
     nearest = snapshot.nearest
     for pair in pairs:
         if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
-            # Between the base and the arm stand the acting points with their own labels.
+            # The acting points with their labels are between base and arm.
             place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
             overlap = "" if pair.d >= 0.0 else " overlap"
             text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
@@ -81,23 +81,23 @@ def draw_distances(
             node = f"/distances/{pair.name}"
             canvas.point(f"{node}/p_a", pair.p_a, colours.NEAR, 0.009)
             canvas.point(f"{node}/p_b", pair.p_b, colours.NEAR, 0.009)
-            if pair is nearest:  # those of all pairs would lie over one another
+            if pair is nearest:  # labels of all pairs would overlap
                 canvas.label(f"{node}/p_a_label", pair.p_a, "p_a")
                 canvas.label(f"{node}/p_b_label", pair.p_b, "p_b")
 
 
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
-    """(N, 2, 3) [m] one segment a pair; of a pair on the other side of d_b [m] it is a point."""
+    """Return a segment (2, 3) [m] per pair; pairs on the other side of d_b [m] have length zero."""
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
-    unwanted = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
-    ends[unwanted, 1] = ends[unwanted, 0]
+    hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
+    ends[hidden, 1] = ends[hidden, 0]
     return ends
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
-    """p_n, p_t, p_act and the force of avoidance of each active pair of L_m.
+    """Draw p_n, p_t, p_act and the avoidance force of each active pair of L_m.
 
-    The base's top is at a height [m].
+    `top` [m] is the height of the base's top.
     """
     for reading in snapshot.acting:
         size = np.linalg.norm(reading.f)
@@ -116,10 +116,10 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
 
 
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
-    """The arrow of the force on the base at p_act; gives its label's place.
+    """Draw the force on the base at p_act as an arrow, and return the position of its label.
 
-    The arrow ends there, for the base would hide one that began there; and below the base's top it
-    is drawn straight above p_act, for the arm would hide it.
+    The arrow ends at p_act, because the base would hide an arrow that starts there. Below the
+    base's top, the arrow is drawn above p_act, because the arm would hide it.
     """
     p_act = reading.p_act
     end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
@@ -130,7 +130,7 @@ def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -
 
 
 def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: float) -> None:
-    """The person's force, and over the base's top [m] the accelerations that it is asked for."""
+    """Draw the person's force, and the base's commanded acceleration above its top [m]."""
     force = snapshot.hand_force
     if snapshot.hand_target is not None and np.linalg.norm(force) >= _LEAST_FORCE:
         tip = snapshot.p_ee + METRES_PER_NEWTON * force
@@ -141,7 +141,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """An acceleration of the base (n_b,), over its top [m], below a node that moves with it."""
+    """Draw an acceleration (n_b,) of the base above its top [m], below a node of the base."""
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
@@ -150,20 +150,20 @@ def draw_acceleration(
     if abs(w) > _LEAST_ACCELERATION:
         points = over + arc(w)
         canvas.lines(f"{node}/w_arc", [points], colours.ACCELERATION, 4.0)
-        ahead = points[-1] - points[-2]  # the arrow is no longer than its head
+        ahead = points[-1] - points[-2]  # the arrow is as long as its head
         tip = points[-1] + HEAD_LENGTH / max(float(np.linalg.norm(ahead)), 1e-9) * ahead
         canvas.arrow(f"{node}/w_head", points[-1], tip, colours.ACCELERATION)
 
 
 def arc(w: float) -> Array:
-    """(K, 3) [m] the arc of an acceleration ω̇ [rad/s²] around the base's axis, begun ahead."""
+    """Return the arc (K, 3) [m] of an acceleration ω̇ [rad/s²] about the base's axis."""
     angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
     along = np.linspace(0.0, angle, _ARC_POINTS)
     return _RADIUS * np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
 
 
 def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
-    """The rubber bands by which people pull, with their newtons."""
+    """Draw the pulls of people as lines, with their forces."""
     for i, pull in enumerate(snapshot.pulls):
         ends = np.array([pull.point, pull.target])
         if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
@@ -175,7 +175,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """At a place (3,) [m] of each of several bases what its controller does, and its distance."""
+    """If ghosts are visible, draw each robot's controller and clearance at `at` (3,) [m]."""
     if all(coincides(ghost, snapshot) for ghost in snapshot.ghosts):
         return
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
@@ -187,18 +187,18 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
-    """Whether a ghost stands where the robot does: drawn over it, it would only tint the robot."""
+    """Whether a ghost is at the robot's pose, where it would only tint the robot."""
     poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
     return all(bool(np.abs(each).max() < _SAME) for each in poses)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:
-    """Refrigerator: case, door and handle."""
+    """Draw the refrigerator: case, door and handle."""
     door = view.door
     for name, (size, T) in drawn_parts(door, view.angle).items():
         colour, opacity = _DOOR_COLOURS[name]
         canvas.box(f"/door/{name}", T, size, colour, opacity)
-    # Over the door: its hinge, how far it is open, and the angle to which it is opened.
+    # Above the door: its hinge, its angle, and the angle of the goal.
     top = np.array([0.0, 0.0, door.bottom + door.height + _DOOR_LIFT])
     hinge, closed = door.pose(0.0).translation, door.pose(0.0)
     canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], colours.ACTING, 4.0)

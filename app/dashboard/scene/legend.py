@@ -1,4 +1,4 @@
-"""Legend: colour bars of the borders, in their units, and the key to all other signs."""
+"""Legend: colour bars of the borders with units, and the key to all other signs."""
 
 import math
 from typing import NamedTuple
@@ -14,13 +14,13 @@ from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 from app.strict import Array
 
-QUANTITIES = ("determinant", "reachability", "score")  # what the border can be coloured by
+QUANTITIES = ("determinant", "reachability", "score")  # quantities for the border's colour
 
 
 class BaseMeasure(NamedTuple):
-    """Words for what (10) makes its score of, by kind of base: `BaseKind.singularity`.
+    """Words for the measure of the base in the score (10): `BaseKind.singularity`.
 
-    Texts are HTML; `unit` is also the score's, and `score` says how (10) makes it.
+    Texts are HTML. The score has the same `unit`, and `score` is its formula.
     """
 
     title: str = "Mobility of the base"
@@ -40,27 +40,27 @@ _DETERMINANT = BaseMeasure(
 
 
 def measure_of(kind: str) -> BaseMeasure:
-    """The words for a kind of base, by its name in a description."""
+    """Return the words for a kind of base, by the kind's name in a description."""
     return _DETERMINANT if kind == "differential" else BaseMeasure()
 
 
 class Legend(NamedTuple):
-    """What the colour bar says."""
+    """Content of a colour bar."""
 
     pair: str
     title: str
-    """What is shown, as HTML."""
+    """Name of the quantity, as HTML."""
     unit: str
-    """Of it, and of the least and the largest value on the border; may be empty."""
+    """Unit of the quantity, of `low` and of `high`; may be empty."""
     d_b: float
     """[m] buffer distance."""
     low: float
     high: float
     drawn: int
     total: int
-    """Points drawn, and points of the border."""
+    """Number of drawn points, and of all points of the border."""
     top: float | None
-    """[m] height up to which it is drawn, None if all of it."""
+    """[m] largest height of the drawn part, or None if all of it is drawn."""
 
     @classmethod
     def of(
@@ -73,9 +73,16 @@ class Legend(NamedTuple):
         drawn: int,
         top: float | None,
     ) -> Self:
-        """Of a border whose points all have these values (N,), N ≥ 1, of one of `QUANTITIES`.
+        """Create the legend of a border from the values (N,) of all its points, N ≥ 1.
 
-        `base` is whose measure stands in the score.
+        Args:
+            pair: Name of the pair.
+            quantity: One of `QUANTITIES`.
+            base: The base, whose measure is part of the score.
+            d_b: [m] buffer distance.
+            values: Values of the quantity.
+            drawn: Number of drawn points.
+            top: [m] largest height of the drawn part, or None.
         """
         low, high = float(values.min()), float(values.max())
         measure = measure_of(base.kind)
@@ -87,20 +94,20 @@ class Legend(NamedTuple):
         return cls(pair, title, unit, d_b, low, high, drawn, len(values), top)
 
     def normalised(self, values: Array) -> Array:
-        """(N,) position of values on the bar, 0 to 1; a constant field lies in its middle."""
+        """Return positions (N,) on the bar, 0 to 1; equal values are in its middle."""
         span = self.high - self.low
         return np.full(len(values), 0.5) if span <= 0 else (values - self.low) / span
 
 
 def legend_html(legends: list[Legend]) -> str:
-    """The colour bars of all drawn borders as HTML; without one, a line that says so."""
+    """Return the colour bars of all drawn borders as HTML, or a note if there is none."""
     if not legends:
         return small("No border is shown (see tab View).", FAINT)
     return "".join(map(_bar_html, legends))
 
 
 def key_html(d_b: float) -> str:
-    """What the other colours and arrows mean, as HTML, for d_b [m]."""
+    """Return the key to the other colours and arrows as HTML, for d_b [m]."""
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
     states: dict[State, str] = {
         "clear": "closest points of a pair outside its buffer",
@@ -153,10 +160,10 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Numbers at the ends and in the middle of the bar, and the power of ten that they share.
+    """Return the numbers at the ends and in the middle of the bar, and their power of ten.
 
     Returns:
-        Three numbers of three digits, and a factor such as `10<sup>−3</sup> `, or an empty text.
+        Three numbers with three digits, and a factor such as `10<sup>−3</sup> ` or an empty text.
     """
     largest = max(abs(low), abs(high))
     power = 0 if largest == 0 else math.floor(math.log10(largest))

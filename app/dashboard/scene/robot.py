@@ -1,4 +1,4 @@
-"""Robot: what it looks like, read once for many viewers, and where its links are."""
+"""Robot: its meshes, which are loaded once for all viewers, and the poses of its links."""
 
 import logging
 from collections.abc import Sequence
@@ -22,28 +22,28 @@ from app.robot.urdf import colour, origin, urdf_mesh
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
-MAX_FACES = 2500  # faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000
+MAX_FACES = 2500  # [-] of a mesh on the page; a link of the Panda has 12,000 to 22,000
 MOST_FACES = 4 * MAX_FACES
-"""Faces that are borne where fewer would show; what cannot be decimated at all keeps more."""
+"""[-] faces of a mesh that needs them; a mesh that cannot be decimated may have more."""
 AGGRESSIONS = (3, 5, 7)
-"""Of the decimation, the first that gets below `MOST_FACES`. More of it takes corners off meshes of
-many parts, such as UR5's tubes; with less such meshes stay too heavy."""
+"""Settings of the decimation; the first one with at most `MOST_FACES` is used. Higher settings cut
+corners off meshes of many parts, such as UR5's tubes. Lower settings leave them too large."""
 LIGHT_FACES = 400
-"""Faces of all meshes of one colour that one joint moves, where a page draws in software."""
-CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
-GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
+"""Faces of all meshes with one colour on one joint, for a page without a GPU."""
+CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
+GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)
-_BELOW = np.array([0.0, 0.0, 0.12])  # [m] of a label at the top, which stands above its place
-_AT_TOP = 0.01  # [m] below the highest place
-_AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
+_BELOW = np.array([0.0, 0.0, 0.12])  # [m] from a label at the top down to its point
+_AT_TOP = 0.01  # [m] below the highest point
+_AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
 
 
 class Visual(NamedTuple):
-    """One mesh in the frame of the joint that moves it."""
+    """A mesh in the frame of the joint that moves it."""
 
     name: str
     joint: int
-    """Index of pinocchio's joint, 0 for what is fixed to the root."""
+    """Index of pinocchio's joint; 0 for a mesh that is fixed to the root."""
     placement: pin.SE3
     """T_joint_mesh."""
     mesh: trimesh.Trimesh
@@ -51,10 +51,10 @@ class Visual(NamedTuple):
 
 
 class LinkPoses:
-    """Kinematics of the whole URDF, wheels included, relative to its root.
+    """Kinematics of the whole URDF, including the wheels, relative to its root.
 
-    The controller's model has the wheels locked and a planar root; for drawing they turn, and the
-    root is the scene's node.
+    In the controller's model the wheels are locked and the root is a planar joint. For drawing, the
+    wheels turn, and the root is the scene's node.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -63,15 +63,17 @@ class LinkPoses:
         self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
-        """T_root_joint of every joint.
+        """Return T_root_joint of every joint.
 
-        Of the arm's joints (n_m,) [rad or m], and the angles (n_w,) [rad] of the base's `wheels`.
+        Args:
+            q_m: (n_m,) [rad or m] positions of the arm's joints.
+            wheel_angles: (n_w,) [rad] angles of the base's wheels.
         """
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
         wheels = self._robot.wheel_positions(wheel_angles)
         turned[self._places([*wheels])] = [*wheels.values()]
-        # pinocchio keeps a continuous joint, which a wheel often is, as a point on the circle.
+        # pinocchio represents a continuous joint, such as a wheel, as a point on the unit circle.
         q = pin.integrate(self.model, pin.neutral(self.model), turned)
         pin.forwardKinematics(self.model, self._data, q)
         return [T.copy() for T in self._data.oMi]
@@ -81,18 +83,18 @@ class LinkPoses:
 
 
 class RobotParts:
-    """Kinematics, visual meshes and convex bodies of a robot: read once, drawn for many viewers."""
+    """Kinematics, visual meshes and convex bodies of a robot, loaded once for all viewers."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.kinematics = LinkPoses(robot)
-        """Poses of what moves; used by the one thread that draws."""
+        """Poses of the moving parts; not thread-safe, for the drawing thread."""
         self.bodies = _bodies(robot, self.kinematics.model)
-        """The convex bodies that distances are measured to."""
+        """Convex bodies of the distance computation."""
         self.title = robot.description.title
-        """What people read over the robot; it says so if its meshes are not here."""
+        """Title of the robot, with a note if its meshes are not installed."""
         try:
             self.visuals = _visuals(robot)
-            """What the robot looks like; its convex bodies where a mesh is not installed."""
+            """Visual meshes, or the convex bodies if a mesh is not installed."""
         except (AssetError, RobotFileError) as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
@@ -101,15 +103,15 @@ class RobotParts:
             ]
             self.title += " (its meshes are not installed: convex bodies)"
         self.extent = self._extent(robot.description)
-        """(N, 3) [m] corners of all that a camera has to show, in the base's frame: the links in
-        the ready pose, and the borders' place around the base."""
+        """(N, 3) [m] corners of all parts that a camera must show, in the base's frame: the links
+        in the ready pose, and the space of the borders around the base."""
         top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
         self.crown = self.extent[top].mean(axis=0) - _BELOW
-        """(3,) [m] the top of the arm in its ready pose, in the base's frame."""
+        """(3,) [m] point at the top of the arm in its ready pose, in the base's frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:
-        """The visuals with few faces, one for each colour of what a joint moves."""
+        """Visual meshes with few faces, one mesh for each joint and colour."""
         groups: dict[tuple[int, Rgb], list[trimesh.Trimesh]] = {}
         for visual in self.visuals:
             mesh = visual.mesh.copy().apply_transform(visual.placement.homogeneous)
@@ -134,7 +136,7 @@ class RobotParts:
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
-    """The convex bodies of the description, in the frames of the joints that move them."""
+    """Return the convex bodies of the description, in the frames of their joints."""
     bodies = []
     for body in robot.description.bodies:
         frame = model.frames[model.getFrameId(body.frame)]
@@ -145,7 +147,7 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
     return bodies
 
 
-_MESHES = 20_000_000  # [bytes] by which the budget for all meshes of a robot counts
+_MESHES = 20_000_000  # [bytes] assumed size of all meshes of a robot, for the budget
 
 
 @kept_per_model(1)
@@ -162,17 +164,17 @@ def _visuals_of(description: RobotDescription) -> list[Visual]:
 
 
 def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
-    """All visual meshes of the URDF, decimated, in the URDF's colours.
+    """Load all visual meshes of the URDF, decimated, in the URDF's colours.
 
-    `model` is pinocchio's of the whole URDF, whose joints the visuals refer to.
+    `model` is pinocchio's model of the whole URDF, with the visuals' joints.
 
     Raises:
-        AssetError: The URDF or a mesh is not there.
-        RobotFileError: A shape of the URDF says nothing sensible, or a mesh cannot be read.
+        AssetError: The URDF or a mesh is missing.
+        RobotFileError: A shape of the URDF is invalid, or a mesh cannot be read.
     """
     tree = ElementTree.fromstring(resolved_urdf(description))
     materials = {each.get("name"): each for each in tree.iterfind("material")}
-    ready: dict[bytes, trimesh.Trimesh] = {}  # four wheels share one file
+    ready: dict[bytes, trimesh.Trimesh] = {}  # several visuals may share a file
     visuals = []
     for link in tree.iterfind("link"):
         name = link.get("name", "")
@@ -183,7 +185,7 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
             key = ElementTree.tostring(shape)
             if key not in ready:
                 mesh, _ = urdf_mesh(shape, where, read_mesh)
-                # Of positions only: textures would be copied with every part of it.
+                # Without textures, which every part of the mesh would copy.
                 ready[key] = for_display(trimesh.Trimesh(mesh.vertices, mesh.faces))
             placement = frame.placement * origin(visual, where)
             rgba = colour(visual, materials, where)
@@ -194,10 +196,10 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A mesh of about `MAX_FACES`, with the vertices of sharp edges doubled.
+    """Reduce a mesh to about `MAX_FACES` faces, and duplicate the vertices of sharp edges.
 
-    The browser averages normals over shared vertices, so without the doubling every edge of a box
-    would look like a pillow.
+    The browser averages normals at shared vertices; without duplicates, the edges of a box would
+    look round.
     """
     if len(mesh.faces) > MAX_FACES:
         mesh = _decimated(mesh)
@@ -206,7 +208,7 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh = mesh.copy()
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # loose triangles would shrink one by one
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # otherwise each triangle shrinks alone
     for aggression in AGGRESSIONS:
         light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
         if len(light.faces) <= MOST_FACES:
@@ -216,7 +218,7 @@ def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _light(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     mesh = trimesh.util.concatenate(meshes)
-    mesh.merge_vertices(merge_norm=True)  # those that were doubled for the sake of their normals
+    mesh.merge_vertices(merge_norm=True)  # undoes the duplication of vertices
     if len(mesh.faces) > LIGHT_FACES:
         mesh = mesh.simplify_quadric_decimation(face_count=LIGHT_FACES, aggression=AGGRESSIONS[-1])
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)

@@ -1,4 +1,4 @@
-"""Scene: the robot and all layers, and how a snapshot is drawn on them."""
+"""Scene: the robot and all layers, and the drawing of a snapshot."""
 
 from collections.abc import Mapping
 
@@ -25,13 +25,13 @@ from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
-SURROUNDINGS = "city"  # what viser mirrors in the meshes unless it is told otherwise
-_TRACK_LIFT = 0.004  # [m] of the base's track above the floor
+SURROUNDINGS = "city"  # viser's default environment for reflections
+_TRACK_LIFT = 0.004  # [m] height of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
 
 class SceneData:
-    """What scenes are drawn from; `update` takes in what is new."""
+    """Data of scenes; `update` adds new snapshots."""
 
     def __init__(
         self,
@@ -40,18 +40,18 @@ class SceneData:
         clouds: Mapping[str, Cloud],
         parts: RobotParts | None = None,
     ) -> None:
-        """Load what scenes need; `loop` has a snapshot already, `parts` may have been read."""
+        """Load the data; `loop` must have a snapshot, and `parts` may be loaded already."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
-        """It gives the snapshots; P_i of every pair of L_m, by the pair's name."""
+        """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
         self.pairs = [pair.name for pair in first.pairs]
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
-        """Names of all link pairs, in the order of the snapshots, and of those of L_m."""
+        """Names of all link pairs, in the order of the snapshots, and of the pairs of L_m."""
         self.of_door = f"{model.body_names[0]}-{DOOR}"
-        """Name of the pair of base and door, which comes with its scenario."""
+        """Name of the pair of base and door, which exists in scenarios with a door."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
-        """The pairs in words, by their names."""
+        """Names of the pairs in words."""
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
@@ -59,13 +59,13 @@ class SceneData:
             "hand": Track(lambda snapshot: snapshot.p_ee),
         }
         self.keepers: list[Rows | Course | Strip] = [*self.tracks.values()]
-        """All that keep something of the snapshots, in order of time."""
+        """All objects that collect snapshots, which they get in order of time."""
         self.last = -1.0
-        """[s] time of the newest snapshot that they were told, -1 if there is none."""
+        """[s] time of the newest collected snapshot, −1 if there is none."""
         self._newest = first
 
     def update(self) -> None:
-        """Tell each new snapshot once to all keepers; if time has begun anew, so do all."""
+        """Add each new snapshot once to all keepers; after a restart, reset the keepers."""
         before, self._newest = self._newest, self.loop.latest()
         if not self._newest.follows(before):
             self.last = -1.0
@@ -73,14 +73,14 @@ class SceneData:
                 keeper.begin()
         for snapshot in self.loop.history(self.last):
             if snapshot.run != self._newest.run:
-                return  # time has begun anew meanwhile, which the next picture sees
+                return  # restarted just now; the next call resets the keepers
             self.last = snapshot.t
             for keeper in self.keepers:
                 keeper.add(snapshot)
 
 
 class RobotScene:
-    """A robot in a scene: meshes sent once, under frames that move."""
+    """A robot in a scene: its meshes are sent once, below frames that move."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class RobotScene:
     ) -> None:
         """Send all meshes, below a node that moves with the base.
 
-        A ghost is translucent, of one colour and without bodies; `light` sends few faces.
+        A ghost is translucent, has one colour and no convex bodies. `light` sends few faces.
         """
         self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
         self.root = scene.add_frame(root, show_axes=False)
@@ -103,13 +103,13 @@ class RobotScene:
             joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
         }
         self.links: list[tuple[int, viser.MeshHandle]] = []
-        """Joint that moves it, and handle, of each visual mesh; a new list with new ones."""
+        """Joint and handle of each visual mesh; a new list after `dress`."""
         self.dress(light=light)
         self._bodies = [self._add(body, body.colour, BODY_OPACITY) for body in bodies]
         self.show(meshes=True, bodies=False)
 
     def dress(self, *, light: bool) -> None:
-        """Send the visual meshes, or those of few faces, in place of the others."""
+        """Replace the visual meshes by those with few faces (`light`) or by the full ones."""
         for _, handle in self.links:
             handle.remove()
         opacity = None if self._ghost is None else GHOST_OPACITY
@@ -119,16 +119,17 @@ class RobotScene:
         ]
 
     def show(self, *, meshes: bool, bodies: bool) -> None:
-        """Choose what is to be seen of the robot."""
+        """Show or hide the meshes and the convex bodies."""
         for _, handle in self.links:
             handle.visible = meshes
         for handle in self._bodies:
             handle.visible = bodies
 
     def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
-        """Move the frames; viser sends only those that moved.
+        """Move the frames; viser sends only frames that have moved.
 
-        The base pose (3,) is x, y [m] and heading [rad] in the world; else as `LinkPoses.update`.
+        `base_pose` (3,) is x, y [m] and heading [rad] in the world; the other arguments are those
+        of `LinkPoses.update`.
         """
         x, y, phi = base_pose
         self.root.position = (x, y, 0.0)
@@ -138,7 +139,7 @@ class RobotScene:
             frame.position, frame.wxyz = to_viser(poses[joint])
 
     def world_pose(self, joint: int) -> pin.SE3:
-        """T_world_joint of a joint, as it was drawn last."""
+        """Return T_world_joint of a joint at the last drawing."""
         frame = self._frames[joint]
         return from_viser(self.root.position, self.root.wxyz) * from_viser(
             frame.position, frame.wxyz
@@ -165,15 +166,15 @@ class RobotScene:
 
 
 def node_of(model: pin.Model, joint: int, root: str = ROOT) -> str:
-    """The scene node that moves with a joint of the drawn model; 0 is what is fixed to the root."""
+    """Return the scene node of a joint of the drawn model; joint 0 is the root's fixed node."""
     return f"{root}/{model.names[joint] if joint else 'fixed'}"
 
 
 class Scene:
-    """The robot and what explains its motion, without any widget."""
+    """The robot and the layers that explain its motion, without widgets."""
 
     def __init__(self, scene: viser.SceneApi, data: SceneData, view: View) -> None:
-        """Send what does not change; `view` is read at each drawing."""
+        """Send all constant objects; each drawing reads `view`."""
         self._scene, self._data, self._view = scene, data, view
         self.robot = RobotScene(scene, data.parts, light=view.light)
         self._ghosts: list[RobotScene] = []
@@ -186,13 +187,13 @@ class Scene:
 
     @property
     def legends(self) -> list[Legend]:
-        """Of the borders that are drawn."""
+        """Legends of the drawn borders."""
         return self._border.legends
 
     def select_border(self, snapshot: Snapshot) -> bool:
-        """Draw other borders if they have changed.
+        """Draw the borders that have changed.
 
-        Selecting takes milliseconds: call it outside of `atomic`, which holds up all sending.
+        This takes milliseconds: call it outside of `atomic`, which delays all messages.
 
         Returns:
             Whether `legends` is new.
@@ -200,7 +201,7 @@ class Scene:
         return self._border.update(self._view, snapshot.border)
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
-        """Draw a snapshot, as it is seen through a lens; labels and trails only if `texts`."""
+        """Draw a snapshot as seen through a lens; update labels and trails only if `texts`."""
         view = self._view
         if (self._dark, self._light) != (view.dark, view.light):
             for robot in (self.robot, *self._ghosts) if self._light != view.light else ():
@@ -216,10 +217,9 @@ class Scene:
             self._draw_layers(snapshot)
 
     def _light_up(self) -> None:
-        """Lights that leave no side of the robot black, and the floor.
+        """Set lights that leave no side of the robot black, and the floor.
 
-        Where a page draws in software, each point that mirrors its surroundings costs as much as
-        all else of it.
+        With software rendering, reflections would double the cost of each pixel.
         """
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
@@ -254,7 +254,7 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts of a snapshot, hide the others; meshes are sent with the first one."""
+        """Move the ghosts of a snapshot and hide the others; send meshes at the first use."""
         for i, ghost in enumerate(snapshot.ghosts):
             if i == len(self._ghosts):
                 colour = GHOSTS[i % len(GHOSTS)]
@@ -269,7 +269,7 @@ class Scene:
 
 
 def set_floor(scene: viser.SceneApi, *, dark: bool, shadows: bool = True) -> None:
-    """A grid of 0.1 m with lines of 1 m, that can be read on a dark or a light page."""
+    """Draw a grid of 0.1 m with lines every 1 m, legible on a dark or a light page."""
     scene.add_grid(
         "/floor",
         width=8.0,
