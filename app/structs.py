@@ -1,10 +1,10 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
 A compiled function takes a struct as one pointer, in 0.2 µs for any number of fields; a tuple of
-arrays costs 0.1 µs for each of them. Both sides share the memory: Python reads the values that
-compiled code writes into an array without a copy. Numbers, and the arrays that the fields refer
-to, are fixed when a struct is made. With ``NUMBA_DISABLE_JIT=1`` the struct is the named tuple
-that it is made from.
+arrays costs 0.1 µs for each array. Both sides share the memory: Python reads the values that
+compiled code writes into an array without a copy. The numbers of a struct, and the arrays that
+its fields refer to, are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` the struct is the named
+tuple from which it is created.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,8 @@ from app.compiled import compiled
 class _Struct(types.StructRef):
     """The type of a struct: names and types of its fields.
 
-    Its name is short because numba writes it into the name of every function that takes the struct.
+    The type's name is short, because numba includes it in the name of every function that takes the
+    struct.
     """
 
     def __init__(self, name: str, fields: dict[str, types.Type]) -> None:
@@ -51,23 +52,28 @@ class StructType(NamedTuple):
     """A kind of struct."""
 
     type: types.StructRef
-    """Its name in the signature of a compiled function."""
+    """The type of such structs in the signature of a compiled function."""
     made_from: Signature
-    """The signature of the compiled function that makes it from a named tuple, by `assemble`."""
+    """The signature of the compiled function that creates such a struct from a named tuple."""
 
 
 _TYPES: dict[type, types.StructRef] = {}
 
 
 def struct_type(values: type[Any], fields: dict[str, types.Type]) -> StructType:
-    """The kind of struct with the fields of a named tuple, each of a numba type."""
+    """The kind of struct with the fields of a named tuple.
+
+    Args:
+        values: The class of the named tuple.
+        fields: The numba type of each field, in the order of the named tuple.
+    """
     struct = _TYPES[values] = _Struct(values.__name__, fields)
-    given = types.NamedTuple(tuple(fields.values()), values)
-    return StructType(struct, Signature(struct, (given,), None))
+    source = types.NamedTuple(tuple(fields.values()), values)
+    return StructType(struct, Signature(struct, (source,), None))
 
 
 def assemble(values: Any) -> Any:
-    """A struct from a named tuple, in compiled code; in Python the named tuple itself."""
+    """A struct with the values of a named tuple; in interpreted code, the named tuple itself."""
     return values
 
 
