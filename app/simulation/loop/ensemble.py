@@ -29,7 +29,7 @@ _TOGETHER = 100  # number of control steps that are evaluated together, to save 
 
 
 class Ensemble:
-    """All robots of the live loop; commands restart them at a scenario's start or the free start."""
+    """All robots of the live loop, which start at a scenario's start or at the free start."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
         """Start at the free start.

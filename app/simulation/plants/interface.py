@@ -122,7 +122,7 @@ class PlanarWorld(ABC):
 
     @abstractmethod
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Positions (3,) and velocities (3,) of x, y and yaw, and q_m and q̇_m (n_m,), as copies."""
+        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
 
     @abstractmethod
     def step(
