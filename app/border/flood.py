@@ -31,7 +31,7 @@ class Witnesses(NamedTuple):
 
 
 class PairReader:
-    """Computes closest points of one pair for many poses of the arm, with the base at the origin."""
+    """Computes closest points of one pair for many poses of the arm; the base is at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
