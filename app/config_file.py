@@ -77,8 +77,7 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
     hosts = server.pop(_HOSTS, []) if isinstance(server, dict) else None
     if server or not isinstance(hosts, list) or not all(isinstance(host, str) for host in hosts):
         raise ConfigError(
-            f"[{_SERVER}]: must have only {_HOSTS}, a list of names such as "
-            '["robot.local"]'
+            f'[{_SERVER}]: must have only {_HOSTS}, a list of names such as ["robot.local"]'
         )
     return NamedConfig(
         checked_name(name), make_config(data, usual), tuple(map(checked_host, hosts))

@@ -134,7 +134,7 @@ def _path(loc: tuple[int | str, ...]) -> str:
 def _short(value: object) -> str:
     try:
         return _cut(repr(value.tolist() if isinstance(value, np.ndarray) else value))
-    except (ValueError, RecursionError):  # an integer is too long to be printed, or lists nest too deeply
+    except (ValueError, RecursionError):  # an integer is too long, or lists nest too deeply
         return "too large to be shown"
 
 

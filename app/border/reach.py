@@ -51,8 +51,9 @@ class Chain:
         joints = _moving_joints(model, body)
         if len(joints) < _MIN_JOINTS:
             raise ConfigError(
-                f"{body}: only {len(joints)} of the arm's joints move this body, a reachability map "
-                f"needs {_MIN_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
+                f"{body}: only {len(joints)} of the arm's joints move this body, but a reachability"
+                f" map needs {_MIN_JOINTS}; choose from: "
+                f"{', '.join(reach_bodies(model)) or '(none)'}"
             )
         self.body = body
         self.joints = [joint - 2 for joint in joints]
