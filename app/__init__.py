@@ -1,10 +1,10 @@
 """Reactive self-collision avoidance for a differentially driven mobile manipulator.
 
 An implementation of Jang, Kim and Park's method: a distance buffer border (DBB) around the base,
-scored by the base's singularity and the arm's reachability; a force from it that moves the base out
-of the arm's way; and continuous task transition in a QP.
+scored by the base's singularity and the arm's reachability; a force from the border that moves the
+base out of the arm's way; and continuous task transition in a QP.
 
-In a robot's own loop at 1 kHz, where `sensors` and `send` are the robot's::
+In a robot's own loop at 1 kHz, with the robot's functions `sensors` and `send`::
 
     from app import ControlLoop, Measurement, RobotModel, load_robot
 
@@ -13,7 +13,7 @@ In a robot's own loop at 1 kHz, where `sensors` and `send` are the robot's::
         command = loop.step(Measurement(*readings))
         send(command.u_a, command.base_velocity)  # [N m], [m/s and rad/s]
 
-With a `Reference` as the second argument of `step` the end-effector tracks it; without one a person
+If the second argument of `step` is a `Reference`, the end-effector tracks it; otherwise a person
 guides the arm. Each name below is loaded on first use.
 """
 
@@ -77,5 +77,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """The names of the interface, and the module's own."""
+    """The names of the interface, and the names in this module."""
     return sorted({*globals(), *_MODULES})

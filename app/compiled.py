@@ -1,8 +1,8 @@
-"""Numerical kernels, compiled to machine code once and shared by all users who may read them.
+"""Numerical kernels, compiled to machine code once and shared by all users of the installation.
 
 In an interpreter a control step on vectors of nine entries is mostly overhead: kernels make the
 whole step two to three times as fast. A kernel is a plain function of floats and arrays; with
-`NUMBA_DISABLE_JIT=1` it does the same, slowly.
+`NUMBA_DISABLE_JIT=1` Python interprets the kernel, slowly.
 """
 
 import sys
@@ -23,21 +23,21 @@ from numba.core.typing.templates import Signature
 
 from app.kernel_store import KernelStore
 
-_INLINED = 400  # bytes of bytecode of a function that may be inlined: LLVM needs far longer for
-# one large function than for several
+_INLINED = 400  # [bytes] longest bytecode of an inlined function: LLVM needs far longer for
+# one large function than for several small functions
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """Compile a function for the given types when its module is first imported.
 
-    Thus a control loop never waits for a compiler, and an array of another dtype is refused. If no
-    folder is writable, each process compiles the kernels that it imports.
+    Thus a control loop never waits for a compiler, and a call with an array of another dtype
+    fails. If no folder is writable, each process compiles the kernels that it imports.
 
     Args:
-        signatures: In numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own objects,
-            which are used unchanged. Without signatures the function becomes a part of the kernels
-            that call it; a call from Python then waits for the compiler the first time.
+        signatures: Types in numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own
+            objects, which are used unchanged. Without signatures the function becomes a part of
+            the kernels that call it, and the first call from Python waits for the compiler.
     """
 
     def compile_(function: Function) -> Function:
@@ -53,7 +53,7 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
             kernel.compile(_any_array(signature) if isinstance(signature, str) else signature)
         kernel.disable_compile()
         if kernel.stats.cache_misses or not isinstance(kernel._cache, KernelStore):
-            _tell_once(getattr(kernel._cache, "saved", False))
+            _announce_once(getattr(kernel._cache, "saved", False))
         return cast("Function", kernel)
 
     return compile_
@@ -62,13 +62,13 @@ def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
 def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) -> None:
     """Let compiled callers include the function instead of linking its machine code.
 
-    numba optimises a function and makes machine code of it before it links it into a caller, where
-    both happen again: ten times for a chain of ten calls.
+    Otherwise numba would optimise and compile a function, link the result into a caller, and then
+    optimise and compile both again: ten times for a chain of ten calls.
     """
     part = as_part(kernel.py_func)
 
     def get_call_template(args: Sequence[types.Type], kws: Mapping[str, types.Type]) -> Any:
-        # One version for all numbers, not one for each number that a caller writes.
+        # One version for all numbers instead of a version for each literal number.
         named = {name: types.unliteral(kind) for name, kind in kws.items()}
         return part.get_call_template(tuple(map(types.unliteral, args)), named)
 
@@ -77,7 +77,7 @@ def _be_part_of_callers(kernel: Dispatcher, as_part: Callable[..., Dispatcher]) 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _PartLowering(NativeLowering):
-    """Lowers a function to code that only callers link."""
+    """Translation of a function to code that only callers link."""
 
     _name = "part_lowering"
 
@@ -94,7 +94,7 @@ class _PartLowering(NativeLowering):
         if len(state.func_id.func.__code__.co_code) > _INLINED:
             function.add_function_attribute("noinline")
 
-        entry_point = [].append  # never called: numba wants a built-in function of its own here
+        entry_point = [].append  # never called: numba requires a separate built-in function here
         state.targetctx.insert_user_function(entry_point, state.cr.fndesc, [library])
         state.cr = state.cr._replace(cfunc=entry_point)
         return True
@@ -102,10 +102,10 @@ class _PartLowering(NativeLowering):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Makes machine code without vector instructions and unrolled loops.
+    """Translation to machine code without vector instructions and unrolled loops.
 
-    For loops of nine rounds vectors are slower, and unrolling doubles the size of the code, which
-    has to be read from memory in each control step.
+    Vector instructions are slower for loops of nine rounds. Unrolled loops double the size of the
+    code, which each control step has to read from memory.
     """
 
     _name = "compact_lowering"
@@ -113,7 +113,7 @@ class _Lowering(NativeLowering):
     def run_pass(self, state: Any) -> bool:
         codegen, before = state.targetctx.codegen(), config.LOOP_VECTORIZE
         config.LOOP_VECTORIZE = codegen._loopvect = 0
-        codegen._pass_builder = partial(_pass_builder, codegen)  # numba 0.61 has none
+        codegen._pass_builder = partial(_pass_builder, codegen)  # numba 0.61 has no such method
         try:
             return super().run_pass(state)
         finally:
@@ -122,7 +122,7 @@ class _Lowering(NativeLowering):
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
-    """numba's, with other options."""
+    """numba's pass builder with other options."""
     options = llvm.create_pipeline_tuning_options()
     options.speed_level = config.OPT if opt is None else opt
     options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
@@ -152,8 +152,8 @@ class _PartCompiler(_Compiler):
 def direct(kernel: Function) -> Function:
     """The compiled code of a kernel with one signature, for callers with known types.
 
-    It does not check the types of its arguments, because numba's check takes 2 to 3 µs per call: a
-    wrong type is undefined behaviour.
+    The code does not check the types of the arguments, because numba's check takes 2 to 3 µs per
+    call. A call with a wrong type has undefined behaviour.
     """
     if config.DISABLE_JIT:
         return kernel
@@ -162,26 +162,26 @@ def direct(kernel: Function) -> Function:
 
 
 def _any_array(signature: str) -> Signature:
-    """The signature with arrays of any strides, also read-only ones.
+    """The signature with array arguments of any strides, also read-only arrays.
 
-    Arrays that are declared contiguous do not change. The arrays of a function that returns nothing
-    do not change either, because the function writes to them.
+    Arrays that are declared contiguous do not change. The arguments of a function without a result
+    do not change either, because the function writes into them.
     """
-    given, returned = sigutils.normalize_signature(signature)
+    arguments, returned = sigutils.normalize_signature(signature)
     if returned == types.void:
-        return Signature(returned, given, None)
-    as_they_come = tuple(
+        return Signature(returned, arguments, None)
+    relaxed = tuple(
         types.Array(each.dtype, each.ndim, "A", readonly=True)
         if isinstance(each, types.Array) and each.layout == "A"
         else each
-        for each in given
+        for each in arguments
     )
-    return Signature(returned, as_they_come, None)
+    return Signature(returned, relaxed, None)
 
 
 @lru_cache(maxsize=1)
-def _tell_once(saved: bool) -> None:
-    """Explain the delay once: a kernel is being compiled because it is not stored yet."""
-    never = "each time: set NUMBA_CACHE_DIR to a folder that can be written"
+def _announce_once(saved: bool) -> None:
+    """Print the reason for the delay once: a kernel is being compiled because it is not stored."""
+    never = "each time: set NUMBA_CACHE_DIR to a writable folder"
     how_often = "once on this machine" if saved else never
     print(f"dbb: compiling kernels, {how_often}: half a minute", file=sys.stderr)

@@ -39,7 +39,7 @@ class BorderConfig(Strict):
     eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] tolerance ε of (3)."""
     kind: Annotated[Literal["surface", "points"], Shown("Acting point on")] = "surface"
-    """[-] border as a continuous surface, or as the paper's points, among which p_act jumps."""
+    """[-] continuous surface, or the paper's points, between which the acting point jumps."""
 
 
 class ForceConfig(Strict):
@@ -54,7 +54,7 @@ class ForceConfig(Strict):
     alpha_gain: Annotated[float, Shown("Step gain S_0", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
-    """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and far from it S_0 d / |S|."""
+    """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and S_0 d / |S| far from the axis."""
     alpha_min: Annotated[float, Shown("Smallest step α_min")] = Field(default=0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""
     alpha_max: Annotated[float, Shown("Largest step α_max")] = Field(default=0.15, ge=0.10, le=0.40)
@@ -67,11 +67,12 @@ class ActivationConfig(Strict):
     d_full: Annotated[float, Shown("Full activation at d_full")] = Field(
         default=0.05, ge=0.0, le=0.05
     )
-    """[m] distance from which the avoidance task is fully active."""
+    """[m] distance at and below which the avoidance task is fully active."""
     closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
         Field(default=0.005, ge=0.001, le=0.05)
     )
-    """[m] smoothing of the closest point: parts of a link up to this much farther contribute."""
+    """[m] smoothing length of the closest point: parts of a link that are not more than about this
+    length farther away than the nearest part contribute."""
 
 
 class RepulsionConfig(Strict):
@@ -87,13 +88,13 @@ class BarrierConfig(Strict):
     """Minimum distance between arm and base, as a barrier; also the compared method `barrier`."""
 
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
-    """[m] minimum distance, within the torque limits."""
+    """[m] minimum distance between arm and base; the torque limits have priority."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
-    """[1/s] approach rate: approach speed per remaining distance."""
+    """[1/s] approach rate: largest approach speed divided by the remaining distance."""
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
         default=0.3, ge=0.05, le=2.0
     )
-    """[m/s] upper bound of the separation speed of a pair nearer than that, also in penetration."""
+    """[m/s] upper bound of the separation speed of a pair below d_min, also in penetration."""
 
 
 class EeHoldConfig(Strict):
@@ -106,11 +107,12 @@ class EeHoldConfig(Strict):
     weight: Annotated[float, Shown("Weight of a dragged hand")] = Field(
         default=3000.0, ge=0.01, le=1e5
     )
-    """[-] weight of the end-effector motion that the base would cause, in masses of the base."""
+    """[-] weight of the end-effector motion that the base would cause, relative to the base's
+    mass."""
 
 
 class TaskConfig(Strict):
-    """The tasks below self-collision avoidance."""
+    """The tasks with a lower priority than self-collision avoidance."""
 
     ee_stiffness: Annotated[float, Shown("End-effector stiffness")] = Field(
         default=900.0, ge=0.0, le=4000.0
@@ -125,11 +127,11 @@ class TaskConfig(Strict):
     )
     """[m/s] and [rad/s] upper bound of the end-effector's correction speed."""
     posture_stiffness: float = Field(default=4.0, ge=0.0, le=100.0)
-    """[1/s²] stiffness of the arm's posture task, towards its starting posture."""
+    """[1/s²] stiffness of the arm's posture task, towards the starting posture."""
     joint_centering: Annotated[float, Shown("Joint-limit stiffness")] = Field(
         default=8.0, ge=0.0, le=100.0
     )
-    """[1/s²] stiffness towards the middle of a joint's range, at its limit."""
+    """[1/s²] stiffness towards the middle of a joint's range, for a joint at its limit."""
     posture_damping: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s] damping of the arm's posture task."""
     base_damping: Annotated[float, Shown("Base damping k")] = Field(default=3.0, ge=0.0, le=20.0)
@@ -137,9 +139,9 @@ class TaskConfig(Strict):
     base_time_scale: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
         default=5.0, ge=1.0, le=100.0
     )
-    """[-] time scale of the base's gains relative to the arm's, because the base runs at 10 Hz."""
+    """[-] ratio of the base's time constants to the arm's, because the base runs at 10 Hz."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
-    """[-] cost of the base's acceleration relative to the arm's, in the posture task."""
+    """[-] cost of the base's acceleration relative to that of the arm's, in the posture task."""
     ee_weight: Annotated[float, Shown("End-effector weight", advanced=True)] = Field(
         default=1e5, ge=1.0, le=1e7
     )
@@ -147,7 +149,7 @@ class TaskConfig(Strict):
     slack_weight: Annotated[float, Shown("Softness ε", advanced=True)] = Field(
         default=1e-3, ge=1e-4, le=0.1
     )
-    """[-] ε, softness of a fully active row of T_sca; that of the arm's limits is ε²."""
+    """[-] ε, softness of a fully active row of T_sca; the arm's limits have the softness ε²."""
 
 
 class LimitConfig(Strict):
@@ -156,15 +158,15 @@ class LimitConfig(Strict):
     position_rate: Annotated[float, Shown("Position-limit rate", advanced=True)] = Field(
         default=30.0, ge=1.0, le=100.0
     )
-    """[1/s] approach rate of position limits: joint speed per remaining distance."""
+    """[1/s] approach rate of position limits: joint speed divided by the remaining distance."""
     velocity_rate: Annotated[float, Shown("Velocity-limit rate", advanced=True)] = Field(
         default=70.0, ge=1.0, le=200.0
     )
-    """[1/s] approach rate of velocity limits: joint acceleration per remaining speed."""
+    """[1/s] approach rate of velocity limits: joint acceleration divided by the remaining speed."""
     torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
         default=1000.0, ge=50.0, le=1e6
     )
-    """[N m/s] slew rate limit of the arm's torques; 1000 for a Panda."""
+    """[N m/s] slew rate limit of the arm's torques; a Panda has 1000."""
 
 
 class EstimateConfig(Strict):
@@ -173,15 +175,15 @@ class EstimateConfig(Strict):
     external_drift: Annotated[float, Shown("External push noise")] = Field(
         default=3.0, ge=0.1, le=100.0
     )
-    """[rad/s²] process noise of the external joint acceleration in one second; or m/s²."""
+    """[rad/s²] process noise of the external joint acceleration in one second; m/s² for a slide."""
     least_noise: Annotated[float, Shown("Smallest position noise", advanced=True)] = Field(
         default=2e-8, ge=1e-9, le=0.005
     )
-    """[rad] lower bound of the position noise, or m; the actual level is estimated."""
+    """[rad] lower bound of the estimated position noise; m for a slide."""
     velocity_noise: Annotated[float, Shown("Smallest velocity noise", advanced=True)] = Field(
         default=100.0, ge=1.0, le=1e4
     )
-    """[1/s] lower bound of the velocity noise, relative to the position noise."""
+    """[1/s] lower bound of the ratio of velocity noise to position noise."""
     noise_window: Annotated[float, Shown("Noise window", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )
@@ -189,45 +191,46 @@ class EstimateConfig(Strict):
     delay: Annotated[float, Shown("Known reading age", advanced=True)] = Field(
         default=0.0, ge=0.0, le=0.03
     )
-    """[s] known age of a reading when its step begins; a larger age is identified."""
+    """[s] age of the readings at the start of a control step, if known. The controller detects and
+    compensates a larger age."""
 
 
 class PayloadConfig(Strict):
     """Load in the gripper that the controller includes: mass and centre, without its shape."""
 
     mass: Annotated[float, Shown("Payload mass")] = Field(default=0.0, ge=0.0, le=20.0)
-    """[kg] of the load."""
+    """[kg] mass of the load."""
     x: Annotated[float, Shown("Payload centre x", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
-    """[m] centre of mass in the end-effector's frame."""
+    """[m] x coordinate of the centre of mass in the end-effector's frame."""
     y: Annotated[float, Shown("Payload centre y", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
-    """[m] likewise."""
+    """[m] y coordinate of the centre of mass."""
     z: Annotated[float, Shown("Payload centre z", advanced=True)] = Field(
         default=0.0, ge=-1.0, le=1.0
     )
-    """[m] likewise."""
+    """[m] z coordinate of the centre of mass."""
 
 
 class AdmittanceConfig(Strict):
     """§4.1: velocity command of the base, M_a v̇ + D_a v = F."""
 
     mass: Annotated[float, Shown("Virtual mass")] = Field(default=60.0, ge=5.0, le=300.0)
-    """[kg] M_a, linear."""
+    """[kg] M_a, virtual mass of the base's translation."""
     inertia: Annotated[float, Shown("Virtual inertia")] = Field(default=16.0, ge=0.5, le=60.0)
-    """[kg m²] M_a, angular."""
+    """[kg m²] M_a, virtual inertia of the base's rotation."""
     damping: Annotated[float, Shown("Linear damping")] = Field(default=180.0, ge=0.0, le=600.0)
-    """[N s/m] D_a, linear."""
+    """[N s/m] D_a, damping of the base's translation."""
     angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
-    """[N m s] D_a, angular."""
+    """[N m s] D_a, damping of the base's rotation."""
     v_max: Annotated[float, Shown("Top speed v_max")] = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed, within the base's own limit and the arm's ability."""
+    """[m/s] largest commanded speed; a lower limit of the base, or a slower arm, reduces it."""
     omega_max: Annotated[float, Shown("Top turn rate ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
-    """[rad/s] largest commanded turn, within the base's own limit."""
+    """[rad/s] largest commanded turn rate; a lower limit of the base reduces it."""
     period: Annotated[float, Shown("Command period")] = Field(default=0.1, ge=0.001, le=0.5)
-    """[s] between two velocity commands."""
+    """[s] time between two velocity commands."""
 
 
 class PersonConfig(Strict):
@@ -236,13 +239,14 @@ class PersonConfig(Strict):
     stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
     """[N/m] stiffness of the spring between the person's hand and the end-effector."""
     damping: Annotated[float, Shown("Pull damping")] = Field(default=25.0, ge=0.0, le=200.0)
-    """[N s/m] damping of the damper beside that spring."""
+    """[N s/m] damping between the end-effector and the world."""
     f_max: Annotated[float, Shown("Largest pull force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
     mass: Annotated[float, Shown("Mass of the hand", advanced=True)] = Field(
         default=0.0, ge=0.0, le=5.0
     )
-    """[kg] mass of hand and forearm; stopping it takes more force than the spring's limit."""
+    """[kg] mass of hand and forearm; the force that stops this mass can exceed the spring's
+    limit."""
 
 
 class DisturbanceConfig(Strict):
@@ -259,15 +263,15 @@ class DisturbanceConfig(Strict):
     sensor_delay: float = Field(default=0.0, ge=0.0, le=0.05)
     """[s] age of all readings on arrival."""
     sensor_period: float = Field(default=0.0, ge=0.0, le=0.05)
-    """[s] interval between new readings, during which each one is repeated; 0 is one per step."""
+    """[s] time between new readings, in which each reading is repeated; 0: new in each step."""
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
     """[kg] weight at the end-effector that the controller does not include."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
-    """[s] control period that the controller assumes; the true one is 0.001."""
+    """[s] control period that the controller assumes; the true period is 0.001 s."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
-    """[s] time from which the readings are poor and the unknown load acts."""
+    """[s] time from which readings are late, repeated or lost, and the unknown load acts."""
 
 
 class Config(Strict):
@@ -306,10 +310,13 @@ class Config(Strict):
         return _renamed(data) if isinstance(data, Mapping) else data
 
     def changed(self, values: Mapping[str, Any]) -> Config:
-        """A copy with some parameters changed, by their paths, as in `border.d_b`.
+        """A copy with some parameters changed.
+
+        Args:
+            values: The new values by the parameters' paths, such as `border.d_b`.
 
         Raises:
-            ConfigError: No such parameter, or a value out of its range.
+            ConfigError: A parameter does not exist, or a value is out of its range.
         """
         data = self.model_dump()
         for path, value in values.items():
@@ -322,24 +329,24 @@ class Config(Strict):
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
-        """The values of all parameters that differ from another configuration, by their paths."""
+        """The values of all parameters that differ from those in `since`, by their paths."""
         return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
         """The value of a parameter.
 
         Raises:
-            ConfigError: No such parameter.
+            ConfigError: The parameter does not exist.
         """
         section, _, name = tunable(path).path.partition(".")
         return getattr(getattr(self, section), name)
 
 
 def slowed(config: Config) -> Config:
-    """The gains of the same closed loops, slower by the factor `base_time_scale`.
+    """The gains of the same closed loops, with time stretched by the factor `base_time_scale`.
 
-    Stretching time by a factor divides stiffnesses by its square, and damping and rates by the
-    factor itself. Velocity limits are approached at the rate of position limits.
+    The stretch divides stiffnesses by the square of the factor, and damping and rates by the
+    factor. Velocity limits have the approach rate of position limits.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
     s = task.base_time_scale
@@ -366,10 +373,11 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
     """A checked configuration from nested dictionaries; missing parameters come from `usual`.
 
     Raises:
-        ConfigError: Names each parameter that is unknown or out of its range, and the range.
+        ConfigError: A parameter is unknown or out of its range; the message names all such
+            parameters and the ranges.
     """
     try:
-        # Strict: neither `true` nor "0.2" is a number.
+        # Strict: `true` and "0.2" are not numbers.
         config = Config.model_validate(data, strict=True)
     except ValidationError as error:
         raise ConfigError(explain(error, Config, range_text)) from None
@@ -433,10 +441,10 @@ def tunables() -> dict[str, Tunable]:
 
 
 def tunable(path: str) -> Tunable:
-    """A parameter by its path, as in `border.d_b`.
+    """The parameter with a path, such as `border.d_b`.
 
     Raises:
-        ConfigError: No such parameter.
+        ConfigError: The parameter does not exist.
     """
     path = present_name(path)
     if path not in tunables():
@@ -448,7 +456,7 @@ def parameter(path: str) -> Parameter:
     """Range, default, unit and meaning of a parameter that is a number.
 
     Raises:
-        ConfigError: No such parameter, or it is a choice among words.
+        ConfigError: The parameter does not exist, or is a choice among words.
     """
     found = tunable(path)
     if not isinstance(found, Parameter):

@@ -1,6 +1,6 @@
-"""A configuration as a commented TOML file: written, and read with checks.
+"""A configuration as a TOML file with comments: functions that write, read and check the file.
 
-A file may have only some sections and parameters; the others have their defaults.
+A file may have only some sections and parameters; the other parameters have their defaults.
 """
 
 import re
@@ -15,8 +15,8 @@ from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
 from app.strict import from_toml, text_of
 
-MAX_BYTES = 64 * 1024  # [-] largest file; one with all parameters has a tenth of that
-LONGEST_NAME = 60  # [-] characters
+MAX_BYTES = 64 * 1024  # [-] largest file, ten times as large as a file with all parameters
+LONGEST_NAME = 60  # [-] characters of the longest name
 _NAME = "name"  # key of the file's own name, beside the sections
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
 _HOST = re.compile(r"[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?")
@@ -26,14 +26,16 @@ class NamedConfig(NamedTuple):
     """The content of a file."""
 
     name: str
-    """Empty if the file has no name."""
+    """Name in the file, empty if the file has no name."""
     config: Config
     hosts: tuple[str, ...] = ()
     """Names in `[server] allow_host`, which only `dbb serve` uses."""
 
 
 def save_config(config: Config, name: str = "") -> str:
-    """The text of a file with every parameter, its unit, range and meaning, and marked changes.
+    """The text of a file with the value, unit, range and meaning of each parameter.
+
+    A comment marks each parameter that differs from its default.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.
@@ -54,35 +56,40 @@ def save_config(config: Config, name: str = "") -> str:
 
 
 def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
-    """The parameters of a file's bytes; missing ones come from `usual`, or are the defaults.
+    """The parameters in the bytes of a file; missing parameters come from `usual` or the defaults.
 
     Raises:
-        ConfigError: The file is too large or not TOML, or has an unknown parameter or a value
+        ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value is
             out of its range.
     """
     if len(content) > MAX_BYTES:
-        raise ConfigError(f"{len(content)} bytes, more than the {MAX_BYTES} of a configuration")
+        raise ConfigError(
+            f"the file has {len(content)} bytes; a configuration has at most {MAX_BYTES}"
+        )
     try:
         data: dict[str, Any] = from_toml(text_of(content))
     except ValueError as error:
-        raise ConfigError(f"no TOML: {error}") from None
+        raise ConfigError(f"the file is not TOML: {error}") from None
     name = data.pop(_NAME, "")
     if not isinstance(name, str):
-        raise ConfigError(f"{_NAME}: must be a text")
+        raise ConfigError(f"{_NAME}: must be a string")
     server = data.pop(_SERVER, {})
     hosts = server.pop(_HOSTS, []) if isinstance(server, dict) else None
     if server or not isinstance(hosts, list) or not all(isinstance(host, str) for host in hosts):
-        raise ConfigError(f'[{_SERVER}]: holds only {_HOSTS}, a list of names: ["robot.local"]')
+        raise ConfigError(
+            f'[{_SERVER}]: must have only {_HOSTS}, a list of names such as ["robot.local"]'
+        )
     return NamedConfig(
         checked_name(name), make_config(data, usual), tuple(map(checked_host, hosts))
     )
 
 
 def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
-    """The parameters of a file; missing ones come from `usual`, or are the defaults.
+    """The parameters in a file; missing parameters come from `usual` or are the defaults.
 
     Raises:
-        ConfigError: As for `decode_config`, or the file cannot be read; names the file.
+        ConfigError: The file cannot be read, or `decode_config` raises an error. The message
+            names the file.
     """
     try:
         with path.open("rb") as file:
@@ -96,7 +103,7 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
 
 
 def checked_name(name: str) -> str:
-    """A file's own name without leading and trailing blanks.
+    """A file's name without leading and trailing blanks.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.
@@ -104,7 +111,7 @@ def checked_name(name: str) -> str:
     name = name.strip()
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise ConfigError(
-            f"name: must have at most {LONGEST_NAME} characters, all of which can be printed"
+            f"name: must have at most {LONGEST_NAME} characters, all of them printable"
         )
     return name
 
@@ -113,7 +120,7 @@ def checked_host(name: str) -> str:
     """The name of a host, in the form that browsers send.
 
     Raises:
-        ConfigError: The text is not a host name, or is an address with more than a name.
+        ConfigError: The text is not a host name alone.
     """
     try:
         host = name.strip().rstrip(".").lower().encode("idna").decode()
@@ -121,8 +128,8 @@ def checked_host(name: str) -> str:
         host = ""
     if not _HOST.fullmatch(host):
         raise ConfigError(
-            f"{name!r} is not the name of a host; write it without http://, port and path, "
-            "as in robot.local"
+            f"{name!r} is not the name of a host; write the name without http://, port and path, "
+            "such as robot.local"
         )
     return host
 

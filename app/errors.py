@@ -1,4 +1,4 @@
-"""One tree of exceptions: each error that a user can cause is a `DbbError` of one line."""
+"""The tree of exceptions: each error that a user can cause is a `DbbError` with a one-line text."""
 
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
@@ -10,7 +10,7 @@ class DbbError(Exception):
     """Base of all errors that a user can cause; the command line prints it, with status 2."""
 
     def __str__(self) -> str:
-        """One line, independent of the characters of a quoted file."""
+        """One printable line, also if the message quotes a file with other characters."""
         return printable(" ".join(super().__str__().splitlines()))
 
 
@@ -24,7 +24,7 @@ class UnknownNameError(DbbError):
 
     def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
         self.kind, self.name, self.choices = kind, name, sorted(choices)
-        """The kind of the name, as in "robot", the unknown name, and the existing ones."""
+        """The kind of name, such as "robot"; the unknown name; the existing names."""
         super().__init__(
             f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
             f"choose from: {', '.join(self.choices) or '(none)'}"
@@ -32,17 +32,17 @@ class UnknownNameError(DbbError):
 
 
 def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
-    """Refuse a name that does not exist.
+    """Check that a name of a kind is one of the choices.
 
     Raises:
-        UnknownNameError: Lists the existing ones.
+        UnknownNameError: The name does not exist; the message lists the choices.
     """
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
 
 
 class DescriptionError(DbbError):
-    """A robot description that is missing, misspelt or out of range; names file and field."""
+    """A robot description is missing or has an invalid field; the message names file and field."""
 
 
 class AssetError(DbbError):
@@ -50,11 +50,11 @@ class AssetError(DbbError):
 
 
 class RobotFileError(DbbError):
-    """A URDF that cannot become a robot description; names the part and the helpful option."""
+    """A URDF cannot become a robot description; the message names the part and a remedy."""
 
 
 class ConfigError(DbbError):
-    """A parameter out of its range."""
+    """A parameter or option is invalid, for example out of its range."""
 
 
 class UnreachableError(DbbError):
@@ -67,11 +67,11 @@ class UnreachableError(DbbError):
 
 
 class MeasurementError(DbbError):
-    """A measurement with a wrong shape or an impossible first value."""
+    """A measurement has a wrong shape or an impossible first value."""
 
 
 class TargetError(DbbError):
-    """A target of the person's hand that is out of bounds, such as below the floor."""
+    """A position is impossible, such as a target of the person's hand below the floor."""
 
 
 class OutputError(DbbError):
@@ -79,11 +79,11 @@ class OutputError(DbbError):
 
 
 class LogError(DbbError):
-    """A log that cannot be read or made: damaged, another file, or with unknown columns."""
+    """A log cannot be read or written: it is damaged, is not a log, or has unknown columns."""
 
 
 class CaseError(DbbError):
-    """A case of a study that cannot be read, or is of another robot."""
+    """A case cannot be read, or belongs to another robot."""
 
 
 class StudyError(DbbError):
@@ -91,7 +91,7 @@ class StudyError(DbbError):
 
 
 class MissingExtraError(DbbError):
-    """A library of some commands is not installed; names the extra that installs it."""
+    """A library is not installed; the message names the extra that installs the library."""
 
 
 class ServerError(DbbError):
@@ -99,7 +99,7 @@ class ServerError(DbbError):
 
 
 class BrowserError(DbbError):
-    """No browser that can draw is available."""
+    """No browser with 3D graphics is available."""
 
 
 class LoopError(DbbError):
@@ -123,25 +123,25 @@ EXTRAS = {
         *("scipy", "trimesh"),
     ),
 }
-"""The extras of the package, and the modules that each installs; all include those of `sim`. The
-first three belong to the rooms of their names."""
+"""The extras of the package, and the modules that each of them installs. Each extra includes `sim`.
+The first three extras belong to the packages in `app` of the same names."""
 
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """Convert the import error of a module of an extra to an error of one line, during the `with`.
+    """Replace an import error in the `with` by an error that names the missing extra.
 
     Raises:
-        MissingExtraError: Says how to install the extra of the importing room.
+        MissingExtraError: The message states how to install the extra of the importing package.
     """
     try:
         yield
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
-        asked = [str(frame.f_globals["__name__"]) for frame, _ in walk_tb(error.__traceback__)]
+        importers = [str(frame.f_globals["__name__"]) for frame, _ in walk_tb(error.__traceback__)]
         for extra, modules in EXTRAS.items():
             if missing in modules or (
-                missing in EXTRAS["sim"] and any(n.startswith(f"app.{extra}.") for n in asked)
+                missing in EXTRAS["sim"] and any(n.startswith(f"app.{extra}.") for n in importers)
             ):
                 raise MissingExtraError(
                     f"this needs {missing}, which is not installed; "

@@ -1,4 +1,4 @@
-"""The folders of compiled kernels: shared for reading, and written where possible."""
+"""The folders of compiled kernels: kernels are read from all, written to the first writable one."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from app.system import cache_folders
 
 
 def _stamp(function: FunctionType) -> tuple[tuple[str, str], ...]:
-    """Name and digest of the files of a kernel: its own, and those of the functions that it calls.
+    """Name and digest of a kernel's source file, and of the files of the functions that it calls.
 
-    Called functions are found by their names in the kernel; constants must be in its
-    own file. A digest, unlike a time, survives the copy of an installation into an image.
+    Called functions are found by their names in the kernel. The kernel's constants must be in the
+    kernel's file. A digest, unlike a time, does not change if an installation is copied.
 
     Raises:
-        OSError: One of them is not a readable file.
+        OSError: A file cannot be read.
     """
     files, known, called = set[Path](), set[FunctionType](), [function]
     while called:
@@ -44,8 +44,8 @@ def _digest(file: Path) -> str:
 def _folders(file: str) -> list[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
-    A folder that the environment names, the folder of Python's own compiled files beside the
-    source, and those of this user.
+    They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and
+    the cache folders of this user.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     named = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
@@ -58,7 +58,7 @@ def _folders(file: str) -> list[Path]:
 
 
 class _Locator(caching._CacheLocator):
-    """Describes a kernel to numba, whose own locators refuse each folder that is not writable."""
+    """Description of a kernel for numba, whose own locators refuse read-only folders."""
 
     def __init__(self, function: FunctionType) -> None:
         self._function = function
@@ -71,7 +71,7 @@ class _Locator(caching._CacheLocator):
         return str(Path(inspect.getfile(self._function)).parent)
 
     def ensure_cache_path(self) -> None:
-        """Nothing to do here: the write itself shows whether the folder is writable."""
+        """Do nothing: the write itself shows whether the folder is writable."""
 
     def get_source_stamp(self) -> tuple[tuple[str, str], ...]:
         return _stamp(self._function)
@@ -83,11 +83,11 @@ class _Locator(caching._CacheLocator):
 class _Described(caching.CompileResultCacheImpl):
     """Format and file name of a stored kernel, as numba defines them."""
 
-    _locator_classes = [_Locator]  # noqa: RUF012 - as numba has it
+    _locator_classes = [_Locator]  # noqa: RUF012 - numba's own form
 
 
 class _Index(caching.IndexDataCacheFile):
-    """The index of a folder's kernels; a damaged one counts as empty and is written again."""
+    """The index of a folder's kernels; a damaged index counts as empty and is written again."""
 
     def _load_index(self) -> dict[Any, str]:
         try:
@@ -97,9 +97,9 @@ class _Index(caching.IndexDataCacheFile):
 
 
 class KernelStore(caching.FunctionCache):
-    """The stored kernels of a function: read from any folder, written to the first writable one.
+    """The stored kernels of a function, read from any folder, written to the first writable folder.
 
-    Thus a user without write access reads the kernels that another user has compiled.
+    Thus a user without write access can use the kernels that another user has compiled.
     """
 
     _impl_class = _Described
@@ -111,12 +111,12 @@ class KernelStore(caching.FunctionCache):
             _Index(str(folder), name, stamp) for folder in _folders(inspect.getfile(function))
         ]
         self.saved = False
-        """Whether a kernel that this process has compiled could be stored."""
+        """Whether this process has stored a compiled kernel."""
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         for file in self._files:
             self._cache_file = file
-            with suppress(Exception):  # it cannot be read, or is damaged
+            with suppress(Exception):  # the file cannot be read, or is damaged
                 found = super()._load_overload(sig, target_context)
                 if found is not None:
                     return found

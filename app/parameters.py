@@ -6,29 +6,29 @@ from pydantic.fields import FieldInfo
 
 from app.strict import Strict
 
-_DECADES = 1000  # [-] ratio of highest to lowest value from which a scale is logarithmic
+_DECADES = 1000  # [-] smallest ratio of highest to lowest value of a logarithmic scale
 
 
 class Shown(NamedTuple):
-    """Display options of a field, in its `Annotated`."""
+    """Display options of a field, part of the field's `Annotated` type."""
 
     label: str = ""
-    """Label in place of the name."""
+    """Label that replaces the name."""
     advanced: bool = False
     """Hidden until the user displays all parameters."""
 
 
 class _Tuned(Strict):
     path: str
-    """Section and name, as in `border.d_b`."""
+    """Section and name, such as `border.d_b`."""
     help: str
     label: str
-    """Name for people, then the symbol if there is one, without the unit."""
+    """Displayed name, followed by the symbol if there is one, without the unit."""
     advanced: bool
 
     @property
     def title(self) -> str:
-        """Label and unit, as in `Buffer distance d_b [m]`; a word has no unit."""
+        """Label and unit, such as `Buffer distance d_b [m]`; a choice has no unit."""
         return self.label
 
 
@@ -46,12 +46,12 @@ class Parameter(_Tuned):
 
     @property
     def allowed(self) -> str:
-        """As in `0.06 to 0.3 m`."""
+        """The range, such as `0.06 to 0.3 m`."""
         return f"{self.low:.15g} to {self.high:.15g} {self.unit}".removesuffix(" -")
 
     @property
     def log(self) -> bool:
-        """Whether the scale is logarithmic, because the range spans decades."""
+        """Whether the scale is logarithmic, because the range spans three decades or more."""
         return self.low > 0 and self.high / self.low >= _DECADES
 
 
@@ -63,7 +63,7 @@ class Choice(_Tuned):
 
     @property
     def allowed(self) -> str:
-        """As in `surface or points`."""
+        """The choices, such as `surface or points`."""
         return " or ".join(self.choices)
 
 
@@ -74,19 +74,24 @@ class Section(NamedTuple):
     """Parameters that belong together."""
 
     name: str
-    """As in `border`."""
+    """Name in paths, such as `border`."""
     title: str
-    """For people."""
+    """Displayed title."""
     about: str
-    """One sentence."""
+    """Description in one sentence."""
     tunables: tuple[Tunable, ...]
-    """In the order of the record."""
+    """The parameters, in the order of the fields."""
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """A parameter from its field.
+    """The parameter of a field.
 
-    A unit stands in brackets at the start of a field's docstring; number fields have both bounds.
+    The field's docstring starts with the unit in brackets. A number must have both bounds.
+
+    Args:
+        section: Name of the section.
+        name: Name of the field.
+        field: The field of the section's record.
     """
     marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
     shown: Shown = marks.get("Shown", Shown())

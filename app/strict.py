@@ -1,4 +1,4 @@
-"""Validated, frozen records for descriptions and configurations."""
+"""Validated, frozen records for descriptions and configurations, and readers of untrusted text."""
 
 import codecs
 import re
@@ -35,15 +35,15 @@ Array = np.ndarray
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
-_MAX_PARTS = 500  # [-] most dots and brackets of a TOML line that this process reads
-LARGEST_TEXT = 10_000_000  # [bytes] of a file of XML, or of a log as CSV
-LARGEST_DATA = 10**6  # [characters] of TOML or JSON; the checks of each value take 400 bytes
-_MAX_PROBLEMS = 8  # [-] most reported problems of a file
-_MAX_LISTED = 1000  # [-] of a file that are looked at, which takes 1 kB each
+_MAX_PARTS = 500  # [-] dots and brackets in the longest TOML line that this process reads
+LARGEST_TEXT = 10_000_000  # [bytes] size of the largest XML file or CSV log
+LARGEST_DATA = 10**6  # [characters] of the longest TOML or JSON; a value's check takes 400 bytes
+_MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
+_MAX_LISTED = 1000  # [-] largest number of problems that are listed, which takes 1 kB for each
 
 
 class Strict(BaseModel):
-    """A frozen record that refuses unknown fields; the docstrings of fields are their help."""
+    """A frozen record without unknown fields; the docstring of a field is its help text."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=False
@@ -54,7 +54,7 @@ class Sourced(Strict):
     """A record in which every stated number needs a line in `source`."""
 
     source: dict[str, str] = Field(default_factory=dict)
-    """The source of each number: one entry per numeric field, by the field's name."""
+    """The source of each number, by the name of the numeric field."""
 
     @model_validator(mode="after")
     def _every_number_has_a_source(self) -> Self:
@@ -65,7 +65,7 @@ class Sourced(Strict):
         }
         if missing := stated - self.source.keys():
             raise ValueError(
-                f"give the source of {', '.join(sorted(missing))} in the table `source`"
+                f"state the source of {', '.join(sorted(missing))} in the table `source`"
             )
         if unknown := self.source.keys() - type(self).model_fields.keys():
             raise ValueError(f"`source` names unknown fields: {', '.join(sorted(unknown))}")
@@ -81,44 +81,47 @@ def _holds_a_number(value: object) -> bool:
 def explain(
     error: ValidationError,
     model: type[BaseModel],
-    wanted: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
+    valid_text: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
 ) -> str:
-    """A validation error on one line, with one `field: valid value` per problem.
+    """A validation error as one line, with `field: valid value` for each problem.
 
-    `wanted` gives the valid values from a problem's place and kind, or None for pydantic's own
-    words.
+    Args:
+        error: The error.
+        model: The record that was validated.
+        valid_text: Returns a text about the valid values, from the place and kind of a problem;
+            None selects pydantic's own text.
     """
-    told = [_explain(each, model, wanted) for each in problems_of(error)[:_MAX_PROBLEMS]]
-    if more := error.error_count() - len(told):
-        told.append(f"and {more} more" if told else f"{more:,} wrong values, too many to list")
-    return "; ".join(told)
+    texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
+    if more := error.error_count() - len(texts):
+        texts.append(f"and {more} more" if texts else f"{more:,} wrong values, too many to list")
+    return "; ".join(texts)
 
 
 def problems_of(error: ValidationError) -> list[ErrorDetails]:
-    """The problems of a validation error; none if there are too many to list."""
+    """The problems of a validation error; empty if there are too many to list."""
     return error.errors() if error.error_count() <= _MAX_LISTED else []
 
 
 def _explain(
     problem: ErrorDetails,
     model: type[BaseModel],
-    wanted: Callable[[tuple[int | str, ...], str], str | None],
+    valid_text: Callable[[tuple[int | str, ...], str], str | None],
 ) -> str:
     path = _path(_without_kinds(model, problem["loc"]))
     if problem["type"] == "missing":
         return f"{path}: missing"
     if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
-        told = problem.get("ctx", {})
-        path += "." + str(told["discriminator"]).strip("'")
-        if "tag" not in told:
+        context = problem.get("ctx", {})
+        path += "." + str(context["discriminator"]).strip("'")
+        if "tag" not in context:
             return f"{path}: missing"
-        return f"{path}: one of {told['expected_tags']} (was {told['tag']!r})"
+        return f"{path}: must be one of {context['expected_tags']} (was {context['tag']!r})"
     if problem["type"] == "extra_forbidden":
         names = sorted({n for c in _records_at(model, problem["loc"][:-1]) for n in c.model_fields})
         hint = did_you_mean(str(problem["loc"][-1]), names)
         return f"{path}: unknown field{hint}; known: {', '.join(names)}"
-    right = wanted(problem["loc"], problem["type"]) or problem["msg"]
-    return f"{path}: {right} (was {_short(problem['input'])})"
+    text = valid_text(problem["loc"], problem["type"]) or problem["msg"]
+    return f"{path}: {text} (was {_short(problem['input'])})"
 
 
 def _path(loc: tuple[int | str, ...]) -> str:
@@ -131,7 +134,7 @@ def _path(loc: tuple[int | str, ...]) -> str:
 def _short(value: object) -> str:
     try:
         return _cut(repr(value.tolist() if isinstance(value, np.ndarray) else value))
-    except (ValueError, RecursionError):  # an integer too long to be printed, lists too deep
+    except (ValueError, RecursionError):  # an integer is too long, or lists nest too deeply
         return "too large to be shown"
 
 
@@ -140,7 +143,7 @@ def _cut(text: str) -> str:
 
 
 def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """The records that are possible at a place."""
+    """The types of records that are possible at a place in a record."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc:
         annotations = [
@@ -148,14 +151,14 @@ def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type
         ]
         if annotations:
             candidates = [r for a in annotations for r in _records_in(a)]
-        elif isinstance(part, str):  # the tag of a union: keep the record that carries it
+        elif isinstance(part, str):  # the tag of a union: keep the record with this tag
             tagged = [c for c in candidates if part in _tags(c)]
             candidates = tagged or candidates
     return candidates
 
 
 def _without_kinds(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
-    """A place without the parts that are values of a field `kind`, not names of fields."""
+    """A place without the parts that are values of a field `kind` instead of names of fields."""
     return tuple(
         part
         for i, part in enumerate(loc)
@@ -178,49 +181,49 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
 
 
 def content_of(path: Path) -> bytes:
-    """The bytes of an untrusted text file.
+    """Read the bytes of an untrusted text file.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: The file exceeds the largest size that this program reads.
+        ValueError: The file is larger than any file that this program reads.
     """
     with path.open("rb") as file:
         content = file.read(LARGEST_TEXT + 1)
     if len(content) > LARGEST_TEXT:
-        raise ValueError(f"it has more than the {LARGEST_TEXT / 1e6:.0f} MB of any such file")
+        raise ValueError(f"it has more than {LARGEST_TEXT / 1e6:.0f} MB, the largest valid size")
     return content
 
 
 def file_text(path: Path) -> str:
-    """`text_of` a file; raises the errors of `text_of` and `content_of`."""
+    """Read the text of a file; raises the errors of `text_of` and `content_of`."""
     return text_of(content_of(path))
 
 
 def parsed(loads: Callable[[str], Any], text: str) -> Any:
-    """The content of an untrusted text, by a reader of TOML or JSON.
+    """Parse an untrusted text with `loads`, a reader of TOML or JSON.
 
     Raises:
-        ValueError: It is none, is too long, takes more than its budget to read, nests too deeply,
-            or an integer in it has thousands of digits.
+        ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
+            of digits, or takes more than its budget to read.
     """
     return _read(loads, text, len(text))
 
 
 def from_toml(text: str) -> dict[str, Any]:
-    """The tables of a TOML text; raises the errors of `parsed`."""
-    # The work for a key, or for nested brackets, grows with the square of its parts.
+    """Parse an untrusted TOML text; raises the errors of `parsed`."""
+    # The time for a key or for nested brackets grows with the square of the number of parts.
     heavy = max(map(_parts, text.splitlines()), default=0) > _MAX_PARTS
     return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
 
 
 def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
     if len(text) > LARGEST_DATA:
-        raise ValueError(f"it has more than the {LARGEST_DATA / 1e6:.0f} MB of any such file")
+        raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
     return within_budget(_loaded, loads, text, size=size)
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
-    """The content of a text; an error names the probable slip, within the same budget."""
+    """Parse a text; an error message names the probable typing error."""
     try:
         return loads(text)
     except RecursionError:
@@ -230,12 +233,12 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def text_of(content: bytes) -> str:
-    """The text of a user's file: UTF-8, or UTF-16 from editors of Windows.
+    """Decode the text of a user's file: UTF-8, or UTF-16 from editors of Windows.
 
-    It has no byte order mark, and line feeds alone as line ends.
+    The result has no byte order mark, and only line feeds as line ends.
 
     Raises:
-        ValueError: The file has another encoding; names the line.
+        ValueError: The file has another encoding; the message names the line.
     """
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
@@ -249,14 +252,14 @@ def text_of(content: bytes) -> str:
 _SLIPS = {
     r"[“”„‘’‚«»]": 'is a typographic quote; write "',
     r"[:=\[]\s*-?\d+,\d+\s*([,}\]]\s*)?(#|$)": "has a decimal comma; write a point",
-    r"[\u00a0\u2007\u202f]": "is a space of a special kind; write a plain one",
-    r"[−–—]": "is no minus sign of a keyboard; write -",
+    r"[\u00a0\u2007\u202f]": "is a special space; write a plain space",
+    r"[−–—]": "is a typographic minus or dash; write -",
 }
-"""Typical slips of word processors and spreadsheets, as patterns of linear time."""
+"""Typical errors from word processors and spreadsheets, as patterns that take linear time."""
 
 
 def _slip(text: str) -> str:
-    """The slip of `_SLIPS` in an invalid text, and its line."""
+    """A text about the first error of `_SLIPS` in an invalid text, with its line; or empty."""
     for number, line in enumerate(text.splitlines(), 1):
         for pattern, why in _SLIPS.items():
             if found := re.search(pattern, line.partition("#")[0] or line):
@@ -269,12 +272,15 @@ def _parts(line: str) -> int:
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number outside of [low, high], or not-a-number.
+    """Check that a number is within [low, high], all in the same unit.
 
     Raises:
-        ConfigError: Names the option and its range.
+        ConfigError: The number is outside, or is not-a-number; the message names the option and the
+            range.
     """
     if not low <= value <= high:
-        given, least, most = (n if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
+        number, lowest, highest = (
+            n if isinstance(n, int) else f"{n:g}" for n in (value, low, high)
+        )
         space = f" {unit}" if unit else ""
-        raise ConfigError(f"{option}: {given}{space} is not within {least} to {most}{space}")
+        raise ConfigError(f"{option}: {number}{space} is not within {lowest} to {highest}{space}")

@@ -1,10 +1,10 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
 A compiled function takes a struct as one pointer, in 0.2 µs for any number of fields; a tuple of
-arrays costs 0.1 µs for each of them. Both sides share the memory: Python reads the values that
-compiled code writes into an array without a copy. Numbers, and the arrays that the fields refer
-to, are fixed when a struct is made. With ``NUMBA_DISABLE_JIT=1`` the struct is the named tuple
-that it is made of.
+arrays costs 0.1 µs for each array. Both sides share the memory: Python reads the values that
+compiled code writes into an array without a copy. Its numbers, and the arrays that its
+fields refer to, are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tuple
+from which it is created.
 """
 
 import struct
@@ -24,7 +24,8 @@ from app.compiled import compiled
 class _Struct(types.StructRef):
     """The type of a struct: names and types of its fields.
 
-    Its name is short because numba writes it into the name of every function that takes the struct.
+    The type's name is short, because numba includes it in the name of every function that takes the
+    struct.
     """
 
     def __init__(self, name: str, fields: dict[str, types.Type]) -> None:

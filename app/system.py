@@ -31,42 +31,42 @@ import platformdirs
 from app.errors import OutputError
 
 _REAL_TIME = 1  # [-] lowest real-time priority
-_SPARE = 3  # [-] cores from which a real-time thread leaves enough to others
-_BUDGET = 500_000  # [µs] that a real-time thread may work without a pause
-_MAX_BUDGET = 30_000_000  # [µs] after which the system ends a process that does not react
+_SPARE = 3  # [-] smallest number of cores with which this process uses real-time priority
+_BUDGET = 500_000  # [µs] longest work of a real-time thread without a pause
+_MAX_BUDGET = 30_000_000  # [µs] work without a pause after which the system ends the process
 _BEGUN = ".dbb~"  # prefix of folders with unfinished results
-_PATIENCE = 1.0  # [s] for another process to release such a folder
-_LOOK_EVERY = 0.02  # [s]
-_MAX_LINKS = 40  # [-] links in a chain, the limit of the system
+_PATIENCE = 1.0  # [s] time to wait until another process releases such a folder
+_LOOK_EVERY = 0.02  # [s] time between two attempts to lock a folder
+_MAX_LINKS = 40  # [-] longest chain of links, as in the operating system
 _ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; all cores if the system has no such set."""
+    """Number of cores that this process may use; all cores if the system cannot restrict them."""
     allowed = getattr(os, "sched_getaffinity", None)
     return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
 def raise_priority(niceness: int) -> None:
-    """Raise the priority of this process within the rights of its user, by a niceness below 0.
+    """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
-    If possible, it gets the real-time policy of robot controllers. On fewer than three cores a late
-    process would leave too little time to the others. On more cores, a process that exceeds its
-    budget without a pause loses the policy for good. Call it in the main thread, whose threads
-    inherit the policy.
+    On three or more cores, the process also gets a real-time policy if possible. With fewer cores,
+    a late process would leave too little time to other processes. A process that exceeds its budget
+    without a pause loses the policy permanently. Call this function in the main thread; the threads
+    that it starts inherit the policy.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if usable_cores() >= _SPARE:
         with suppress(AttributeError, OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MAX_BUDGET))
-            signal.signal(signal.SIGXCPU, _queue_up)
+            signal.signal(signal.SIGXCPU, _leave_real_time)
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
 
 
-def _queue_up(*_: object) -> None:
+def _leave_real_time(*_: object) -> None:
     """Return all threads of this process to the normal policy."""
     for thread in threading.enumerate():
         with suppress(OSError):  # it has just ended
@@ -81,10 +81,10 @@ def lower_priority(niceness: int) -> None:
 
 @contextmanager
 def limited(seconds: float, memory: int) -> Iterator[None]:
-    """Limit this process during the `with`: processor time [s], and address space [bytes] more.
+    """Limit the further processor time [s] and address space [bytes] of this process in the `with`.
 
-    Beyond the memory limit an allocation fails; beyond the time limit the system ends the process.
-    macOS limits the time alone.
+    Beyond the memory limit, an allocation fails. Beyond the time limit, the system ends the
+    process. macOS limits only the time.
     """
     used, size = sum(resource.getrusage(resource.RUSAGE_SELF)[:2]), resource.RLIM_INFINITY
     with suppress(OSError):
@@ -95,9 +95,9 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
         mallopt(_ARENA_MAX, 1)  # otherwise glibc reserves 64 MB per thread
     limits = {resource.RLIMIT_CPU: math.ceil(used + seconds), resource.RLIMIT_AS: size}
     before = {kind: resource.getrlimit(kind) for kind in limits}
-    for kind, most in limits.items():
+    for kind, limit in limits.items():
         with suppress(ValueError, OSError):  # above the present limit of this process
-            resource.setrlimit(kind, (most, before[kind][1]))
+            resource.setrlimit(kind, (limit, before[kind][1]))
     try:
         yield
     finally:
@@ -106,12 +106,12 @@ def limited(seconds: float, memory: int) -> Iterator[None]:
 
 
 ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-"""Signals that a user, a supervisor or a closed terminal sends to end a command."""
+"""Signals by which a user, a supervisor or a closed terminal ends a command."""
 
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Block Ctrl-C during the `with`, here and in processes that start meanwhile."""
+    """Block Ctrl-C during the `with`, in this process and in processes that it starts."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -120,8 +120,8 @@ def interrupt_blocked() -> Iterator[None]:
 
 
 def lead_group() -> None:
-    """Make this process the leader of a new group, which `end_group` ends."""
-    with suppress(PermissionError):  # it already leads one
+    """Make this process the leader of a new group of processes, which `end_group` can end."""
+    with suppress(PermissionError):  # it already leads a group
         os.setsid()
 
 
@@ -133,9 +133,9 @@ def wake_without_parent() -> None:
 
 
 def end_when_closed(pipe: int) -> None:
-    """Let the system end this process when all writers of a pipe have closed it (Linux).
+    """Let the system end this process when all writers of a pipe have closed the pipe (Linux).
 
-    No thread of the process takes part, so a hanging library cannot prevent it.
+    This works without a thread of the process, so a library that hangs cannot prevent it.
     """
     with suppress(AttributeError, OSError):
         fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
@@ -145,7 +145,7 @@ def end_when_closed(pipe: int) -> None:
 def wake_children() -> None:
     """Resume all suspended descendants of this process, if the system lists them.
 
-    Foreign programs, such as a browser and its driver, would otherwise not receive a signal to end.
+    A suspended program, such as a browser or its driver, would not react to a signal to end.
     """
     found = [os.getpid()]
     for parent in found:
@@ -153,15 +153,19 @@ def wake_children() -> None:
             with suppress(OSError):  # the thread has just ended
                 found += map(int, listed.read_text().split())
     for child in found[1:]:
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the process has just ended
             os.kill(child, signal.SIGCONT)
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End the group of a process, by its number, and all its descendants; 0 is this process's
-    group.
+    """End all processes of a group.
 
-    The processes receive SIGTERM, or SIGKILL with `at_once`. The group may be missing or ended.
+    The processes receive SIGTERM, or SIGKILL with `at_once`. It is no error if the group does not
+    exist or has ended.
+
+    Args:
+        leader: Number of the process that leads the group; 0 is the group of this process.
+        at_once: Whether the processes cannot clean up.
     """
     # macOS raises a PermissionError for a group that has only ended processes.
     with suppress(ProcessLookupError, PermissionError):
@@ -169,9 +173,11 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock a file or a folder until it is closed; False if another process has locked it.
+    """Lock a file or a folder until it is closed.
 
-    None if the file system has no locks.
+    Returns:
+        True if the lock succeeded, False if another process has locked the file, None if the file
+        system has no locks.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -184,18 +190,22 @@ def claim(file: BinaryIO | int) -> bool | None:
 
 @contextmanager
 def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
-    """A folder for an unfinished result, claimed by this process and removed at the end.
+    """Make a folder for an unfinished result, lock it, and remove it at the end.
 
-    Only one process at a time can claim a name. Remains of killed processes are removed first.
+    Only one process at a time can use a name. Remains of killed processes are removed first.
+
+    Args:
+        place: The folder in which the new folder is made.
+        name: Name of the result; default: a random name.
 
     Raises:
-        OutputError: Another process has claimed the name.
+        OutputError: Another process uses the name.
         OSError: The folder cannot be made.
     """
     _remove_abandoned_once(place)
     folder = place / f"{_BEGUN}{name[:200] or secrets.token_hex(4)}"
     lock = _claimed(folder)
-    holder = {folder}  # removed at the process's exit too
+    holder = {folder}  # `finalize` also removes the folder when the process exits
     remove = weakref.finalize(holder, shutil.rmtree, folder, ignore_errors=True)
     try:
         for left in folder.iterdir():  # remains of a killed process
@@ -207,7 +217,7 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
 
 
 def _claimed(folder: Path) -> int:
-    """The number of the open file that claims a folder for this user."""
+    """Lock a folder, and return the number of the open file that holds the lock."""
     end = time.monotonic() + _PATIENCE
     while True:
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -216,14 +226,15 @@ def _claimed(folder: Path) -> int:
             if lock is not None:
                 return lock
         if time.monotonic() > end:
-            raise OutputError(f"{folder.parent}: another process works on the same result")
+            raise OutputError(f"{folder.parent}: another process is writing the same result")
         time.sleep(_LOOK_EVERY)  # the removal of abandoned folders locks each of them briefly
 
 
 def _locked(folder: Path, *, surely: bool = False) -> int | None:
-    """The number of the open file that locks a folder of this user; None if another process does.
+    """The number of the open file that locks a folder of this user, or None.
 
-    If the file system has no locks, the file is open, but not `surely` locked.
+    The result is None if another process or user holds the folder. If the file system has no locks,
+    the result is None with `surely`, and otherwise the number of a file that locks nothing.
     """
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     found = os.fstat(lock)
@@ -237,7 +248,7 @@ def _locked(folder: Path, *, surely: bool = False) -> int | None:
 
 
 def remove_abandoned(place: Path) -> None:
-    """Remove unfinished results in a folder that killed processes of this user have left."""
+    """Remove unfinished results of killed processes of this user from a folder."""
     for folder in place.glob(f"{_BEGUN}*"):
         with suppress(OSError):
             lock = _locked(folder, surely=True)
@@ -255,10 +266,10 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """The path with its links resolved; refuses links of other users in a shared folder.
+    """Resolve the links of a path, but not links of other users in a shared folder.
 
     Raises:
-        OutputError: The path has such a link, or its links form a circle.
+        OutputError: The path has a link of another user, or its links form a circle.
     """
     found, parts, links = Path("/"), list((Path.cwd() / path).parts[1:]), 0
     while parts:
@@ -269,7 +280,9 @@ def own_path(path: Path) -> Path:
             continue
         links += 1
         if links > _MAX_LINKS or _is_foreign(here):
-            raise OutputError(f"cannot write {path}: {here} is a link of another user, or endless")
+            raise OutputError(
+                f"cannot write {path}: {here} is a link of another user, or part of a circle"
+            )
         target = here.readlink()
         found = Path("/") if target.is_absolute() else found
         parts[:0] = [each for each in target.parts if each != "/"]
@@ -284,17 +297,18 @@ def _is_foreign(link: Path) -> bool:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A file in its own folder, which replaces the target if the `with` raises nothing.
+    """Yield a temporary file that replaces the file at `path` if the `with` raises no error.
 
-    Thus no reader sees a part of it, and two writers do not disturb each other. A link of this user
-    remains a link, and points to the new file.
+    Thus no reader sees an incomplete file, and two writers do not disturb each other. If `path` is
+    a link of this user, it remains a link to the new file.
 
     Raises:
-        OutputError: The file cannot be written, as on a full disk; the previous file remains.
+        OutputError: The file cannot be written, for example because the disk is full; the previous
+            file remains.
     """
     try:
         if is_no_file(path):
-            raise OutputError(f"cannot write {path}: it is no file")
+            raise OutputError(f"cannot write {path}: it is a folder, a device or a pipe")
         real = own_path(path)
         with begun_folder(real.parent) as folder:
             beside = folder / path.name
@@ -308,10 +322,10 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(out: Path) -> Iterator[Path]:
-    """A folder elsewhere that becomes `out` at the end of a `with` that raises nothing.
+    """Yield a temporary folder that becomes `out` if the `with` raises no error.
 
     Raises:
-        OutputError: `out` exists, or cannot be written, or another process makes it.
+        OutputError: `out` exists or cannot be written, or another process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -321,7 +335,7 @@ def whole_folder(out: Path) -> Iterator[Path]:
         except OSError as error:
             raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise OutputError(f"--out: {out} exists; remove it or name another")
+            raise OutputError(f"--out: {out} exists; remove it or choose another folder")
         made = folder / out.name
         made.mkdir()
         yield made
@@ -329,7 +343,7 @@ def whole_folder(out: Path) -> Iterator[Path]:
 
 
 def is_no_file(path: Path) -> bool:
-    """Whether the path is a folder, a device or a pipe, which no file may replace."""
+    """Whether the path is a folder, a device or a pipe, which a file must not replace."""
     return path.exists() and not path.is_file()
 
 
@@ -341,49 +355,48 @@ def write_whole(path: Path, content: bytes | str) -> None:
 
 def peak_memory() -> float:
     """[MiB] peak memory of this process."""
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most / 2**20 if sys.platform == "darwin" else most / 2**10  # bytes there, KiB here
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10  # macOS: bytes; Linux: KiB
 
 
 def give_freed_memory_back() -> None:
-    """Return freed memory to the system; needed for glibc alone, which retains it per thread."""
+    """Return freed memory to the system; only glibc needs this, because it keeps freed memory."""
     trim = getattr(_c_library(), "malloc_trim", None)
     if trim is not None:
         trim(0)
 
 
 def home_folder(find: Callable[..., Path]) -> Path | None:
-    """This program's own folder of a kind of `platformdirs`; None for a user without a home."""
-    with suppress(RuntimeError):  # of recent versions
+    """The folder of this program that a function of `platformdirs` finds; None without a home."""
+    with suppress(RuntimeError):  # raised by recent versions without a home
         found = find("dbb", appauthor=False)
-        return found if found.is_absolute() else None  # "~/…" of others
+        return found if found.is_absolute() else None  # older versions return "~/…"
     return None
 
 
 def cache_folders() -> list[Path]:
-    """Folders of this user for files that can be made again: the standard one, then a temporary
-    one.
+    """Folders of this user for files that can be made again: the standard and a temporary folder.
 
-    A user without a home directory, as in a container, has only the second.
+    A user without a home directory, for example in a container, has only the temporary folder.
     """
     usual = home_folder(platformdirs.user_cache_path)
     found = [usual] if usual else []
-    with suppress(OSError):  # no temporary folder either
+    with suppress(OSError):  # there is no temporary folder
         found.append(_private_folder(Path(tempfile.gettempdir())))
     return found
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether files can be written into a folder; makes the folder if it does not exist."""
+    """Whether files can be written into a folder, or into a folder that does not exist yet."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     return os.access(there, os.W_OK | os.X_OK)
 
 
 def _private_folder(shared: Path) -> Path:
-    """This user's own folder in one that all users share.
+    """This user's own folder in a folder that all users share.
 
     Raises:
-        OSError: The folder cannot be made, or others could have put files into it.
+        OSError: The folder cannot be made, or other users can write into it.
     """
     folder = shared / f"dbb-{os.getuid()}"
     with suppress(FileExistsError):
@@ -397,21 +410,21 @@ def _private_folder(shared: Path) -> Path:
 def open_standard_files() -> None:
     """Open standard input, output and error as null devices if the parent process closed them.
 
-    Otherwise the next file, pipe or socket would get such a number, and printed text would go into
-    it. Characters that an output's encoding lacks are printed as their codes.
+    Otherwise the next file, pipe or socket would get the number of a standard file and receive
+    printed text. Characters outside of the encoding of standard output are printed as codes.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # a library's file may use its number now
+        if getattr(sys, name) is None:  # a file of a library may already use its number
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - it stays open
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def find_folders() -> None:
-    """Set an existing temporary folder and home for this program and its children.
+    """Set a writable temporary folder and an existing home for this program and its children.
 
-    On a read-only file system, as in a container, shared memory is the only writable place. A user
-    whom the system does not know has no home, and browsers do not start without one.
+    On a read-only file system, for example in a container, shared memory is the only writable
+    place. A user that the system does not know has no home, and browsers need a home to start.
     """
     if not os.access(os.environ.get("TMPDIR", ""), os.W_OK | os.X_OK):
         os.environ.pop("TMPDIR", None)

@@ -120,14 +120,14 @@ def found_by_newton(
     left = np.arange(len(q))
     for _ in range(30):
         T, J = places(chain, q[left])
-        e = misses(T, targets[left])[:, : chain.asked]
+        e = misses(T, targets[left])[:, : chain.coordinates]
         far = np.abs(e).max(axis=1) > 1e-8
-        left, e, J = left[far], e[far], J[far][:, : chain.asked, sought]
-        JJ = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(chain.asked)
+        left, e, J = left[far], e[far], J[far][:, : chain.coordinates, sought]
+        JJ = J @ J.transpose(0, 2, 1) + 1e-9 * np.eye(chain.coordinates)
         step = (J.transpose(0, 2, 1) @ np.linalg.solve(JJ, e[:, :, None]))[:, :, 0]
         step /= np.maximum(np.abs(step).max(axis=1, initial=0.0), 1.0)[:, None]
         q[np.ix_(left, sought)] -= step
-    last = misses(places(chain, q)[0], targets)[:, : chain.asked]
+    last = misses(places(chain, q)[0], targets)[:, : chain.coordinates]
     return np.abs(last).max(axis=1) < 1e-6
 
 
@@ -187,7 +187,7 @@ def test_the_hands_chain_ends_at_the_end_effector_and_the_forearms_on_its_capsul
     model = husky_panda()
     state = RobotState(model)
     hand, forearm = Chain(model, "lEE"), Chain(model, "l3")
-    assert (hand.asked, hand.free, forearm.asked, forearm.free) == (6, 1, 5, 0)
+    assert (hand.coordinates, hand.free, forearm.coordinates, forearm.free) == (6, 1, 5, 0)
     assert (len(hand.joints), len(forearm.joints)) == (7, 5)
     rng = np.random.default_rng(1)
     for _ in range(5):
@@ -210,7 +210,7 @@ def test_the_map_is_the_mean_number_of_solutions_that_a_search_finds(joints, bod
     """Over poses in the band where most are reached; with fewer joints the bound is lower."""
     model = changed(lambda urdf: urdf, joints=joints)
     chain = Chain(model, body)
-    assert (chain.asked, chain.free) == (asked, len(chain.joints) - asked)
+    assert (chain.coordinates, chain.free) == (asked, len(chain.joints) - asked)
     found = sample_reach_map(model, body, samples=40_000)
     band = (found.rho > 0.3) & (found.rho < 0.6)
     rng, targets = np.random.default_rng(3), []

@@ -196,10 +196,10 @@ def test_the_activation_is_the_controllers(drawn):
 def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
     run = sources.runs[LATERAL]
     np.testing.assert_array_equal(
-        approach._asked(run, "repulsive")["linear_mps2"], run.trace["base_a_mps2"]
+        approach._avoidance_columns(run, "repulsive")["linear_mps2"], run.trace["base_a_mps2"]
     )
     np.testing.assert_array_equal(
-        approach._asked(run, "dbb")["linear_mps2"], run.trace["avoidance_a_mps2"]
+        approach._avoidance_columns(run, "dbb")["linear_mps2"], run.trace["avoidance_a_mps2"]
     )
 
 

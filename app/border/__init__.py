@@ -1,13 +1,15 @@
-"""The distance buffer border: points around the mobile robot, their score, their file.
+"""The distance buffer border: points around the mobile robot, their score, and stored files.
 
-    dbb.py        P_i of Algorithm 1, and the border selected from it, (3)
-    score.py      (9) to (11): the score of its points, and the coefficients of (9)
+    dbb.py        P_i of Algorithm 1, and the border as selected points of P_i, (3)
+    score.py      (9) to (11): the score of a point, and the coefficients of (9)
     nearest.py    the border as a continuous surface or, as in the paper, as points
-    offset.py     that surface: the exact offset of l_m; mobile.py its distances
-    contours.py   the point of its contours nearest to another: p_n of Algorithm 3
-    sampling.py   P_i sampled sector by sector, on all cores; flood.py the flood of one sector
-    cache.py      files of offline results; pairs and clouds of a robot, from a file or sampled
-    reach.py      reachability maps for fitting (9)
+    offset.py     the surface: the exact offset of l_m
+    mobile.py     distances of points to l_m
+    contours.py   the nearest point of a contour: p_n of Algorithm 3
+    sampling.py   sampling of P_i on all cores, sector by sector
+    flood.py      the flood of one sector
+    cache.py      files with the pairs and clouds of a robot
+    reach.py      reachability maps, to which (9) is fitted
 
 (12) to (16) are in `app.avoidance.acting_point`.
 """

@@ -1,9 +1,8 @@
 """Files of a robot's offline results: its link pairs, and the clouds of their borders.
 
-A file is found by its key and verified before use; otherwise its content is computed once and
-stored. It is one `.npz` without pickles, written as a whole. Its key is a hash of all inputs,
-equal on all machines, and is part of its name and of its header.
-content depends on, equal on all machines, and stands in its name and in its header.
+A file is found by its key and verified before use; if there is no valid file, the content is
+computed once and stored. A file is an `.npz` without pickles. The key is a hash of all inputs,
+equal on all machines, and is part of the file's name and header.
 """
 
 import hashlib
@@ -57,11 +56,11 @@ _UNREADABLE = (
 
 
 class DamagedFileError(Exception):
-    """A file whose content does not match its name; the message has the reason."""
+    """A file cannot be read, or its content does not match its name."""
 
 
 class _Header(Strict):
-    """The description of a file, beside its arrays."""
+    """The header of a file: all data except the arrays."""
 
     key: str
     format: int
@@ -75,14 +74,14 @@ class _Header(Strict):
 
 
 def write(path: Path, header: _Header, arrays: Arrays) -> None:
-    """Write a file completely or not at all; a zip has a checksum of each array.
+    """Write a file completely or not at all; the zip format adds a checksum of each array.
 
     Raises:
         OSError: The folder cannot be made.
         OutputError: The file cannot be written.
     """
-    told = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
-    content: dict[str, Any] = {"header": told, **arrays}
+    header_bytes = np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)
+    content: dict[str, Any] = {"header": header_bytes, **arrays}
     packed = io.BytesIO()
     np.savez_compressed(packed, **content)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -90,18 +89,18 @@ def write(path: Path, header: _Header, arrays: Arrays) -> None:
 
 
 def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
-    """The content of a file with valid checksums, which are zip's own.
+    """Read a file, verify the checksums, and return the content that `unpack` makes of the arrays.
 
     Raises:
         FileNotFoundError: The file does not exist.
-        DamagedFileError: The file cannot be read, or has another content.
+        DamagedFileError: The file cannot be read, or its content is invalid.
     """
     try:
-        # Opened here: `np.load` leaves an unreadable file open, and accepts a plain array.
+        # `np.load` would leave an unreadable file open, and would accept a plain array.
         with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
             expanded = sum(each.file_size for each in file.zip.infolist())
             if expanded > _LARGEST:
-                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, too large")
+                raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
             return unpack({name: file[name] for name in file.files})
     except FileNotFoundError:
         raise
@@ -110,11 +109,11 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
 
 
 def robot_content(description: RobotDescription) -> dict[str, object]:
-    """All data of a robot that determine the places of its bodies.
+    """All data of a robot that determine the positions of its bodies.
 
-    From the description these are the bodies' shapes, the arm's joints and limits and the base's
-    link; from the URDF its joints; from a mesh its bytes. Sources, colours, masses, gains and the
-    paths of installed packages do not count.
+    These are the bodies' shapes, the arm's joints and limits, and the base's link of the
+    description; the joints of the URDF; and the bytes of the meshes. Sources, colours, masses,
+    gains and the paths of installed packages are not included.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -148,11 +147,12 @@ class BorderData:
     """All offline results for one robot."""
 
     pairs: LinkPairs
-    """§2.1, the pairs of (1)."""
+    """The link pairs of (1), §2.1."""
     clouds: dict[str, Cloud]
-    """P_i of Algorithm 1, by the name of the pair of L_m."""
+    """P_i of Algorithm 1 for each pair of L_m, by the pair's name."""
     origin: Literal["cache", "shipped", "sampled"]
-    """Its origin: the cache, a delivered file, or sampled now."""
+    """Origin of the data: "cache" is the user's cache, "shipped" a file of the project, "sampled"
+    a new computation."""
 
 
 def load_border_data(
@@ -163,10 +163,14 @@ def load_border_data(
     processes: int | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> BorderData:
-    """Pairs and clouds of a robot, stored or sampled now, by `processes` or on all cores.
+    """Load the pairs and clouds of a robot, or sample and store them.
 
-    The default sampling is that of the delivered file. `progress` draws a bar on stderr;
-    `on_progress` takes the share that is sampled, 0 to 1.
+    Args:
+        model: The robot.
+        sampling: Parameters of the sampling; the default is that of the project's files.
+        progress: Whether to draw a progress bar on standard error.
+        processes: Number of processes; default: one for each usable core.
+        on_progress: Called with the share of the work that is done, 0 to 1.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -200,9 +204,9 @@ def load_border_data(
 def kept_border_data(
     model: RobotModel, sampling: SamplingConfig | None = None
 ) -> BorderData | None:
-    """Pairs and clouds of a robot if they are stored, otherwise None.
+    """Load the pairs and clouds of a robot, or return None if they are not stored.
 
-    The user's cache has precedence over the project's files. A damaged file, or one of another
+    The user's cache has precedence over the project's files. A damaged file, or a file of another
     robot, is ignored with a warning.
 
     Raises:
@@ -227,7 +231,7 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
-    """32 hexadecimal digits that depend on all inputs of the border.
+    """The key of a robot's border: 32 hexadecimal digits that depend on all inputs.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -238,7 +242,7 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
 
 
 def pack(data: BorderData, key: str) -> tuple[_Header, Arrays]:
-    """Header and arrays of a file."""
+    """The header and the arrays of a file with these data and this key."""
     arrays = {}
     for i, pair in enumerate(data.pairs.mobile):
         for part, array in _pack(data.clouds[pair.name]).items():
@@ -247,10 +251,10 @@ def pack(data: BorderData, key: str) -> tuple[_Header, Arrays]:
 
 
 def unpack(arrays: Arrays, key: str) -> BorderData:
-    """The inverse of `pack`.
+    """The data of a file's arrays, the inverse of `pack`.
 
     Raises:
-        DamagedFileError: The file has another key or format, or a changed content.
+        DamagedFileError: The file has another key or format, or an invalid array.
     """
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
@@ -269,7 +273,10 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
 
 
 def _pack(cloud: Cloud) -> dict[str, Array]:
-    """Compressible bytes: differences of consecutive blocks, offsets in a block, distances."""
+    """A cloud as arrays of bytes that can be compressed well.
+
+    They are the differences of consecutive blocks, the offsets in the blocks, and the distances.
+    """
     blocks = cloud.points // _BLOCK
     order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
     blocks, points = blocks[order], cloud.points[order]
@@ -281,7 +288,7 @@ def _pack(cloud: Cloud) -> dict[str, Array]:
 
 
 def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
-    """The inverse of `_pack`.
+    """The cloud of three arrays of bytes, the inverse of `_pack`.
 
     Raises:
         DamagedFileError: An array has a wrong type or shape.
@@ -289,18 +296,18 @@ def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
     n = places.shape[-1]
     shapes = [(blocks, (3, 2, n)), (places, (3, n)), (distances, (1, 2, n))]
     if any(array.dtype != np.uint8 or array.shape != shape for array, shape in shapes):
-        raise DamagedFileError("an array of it has the wrong type or shape")
+        raise DamagedFileError("it has an array of a wrong type or shape")
     steps = _numbers(blocks, np.dtype("<i2"))
     points = np.cumsum(steps.T, axis=1, dtype=np.int16) * _BLOCK.astype(np.int16)[:, None] + places
     return make_cloud(pair, points.T, _numbers(distances, np.dtype("<u2"))[:, 0].astype(np.uint16))
 
 
 def _bytes(array: Array) -> Array:
-    """(k, 2, N) uint8: low and high bytes of each column of (N, k) 16-bit numbers, separately."""
+    """(k, 2, N) uint8 low and high bytes, in separate rows, of 16-bit numbers (N, k)."""
     little = np.ascontiguousarray(array.T).astype(array.dtype.newbyteorder("<"))
     return np.ascontiguousarray(little.view(np.uint8).reshape(*little.shape, 2).transpose(0, 2, 1))
 
 
 def _numbers(planes: Array, dtype: np.dtype) -> Array:
-    """(N, k) 16-bit numbers, the inverse of `_bytes`."""
+    """(N, k) 16-bit numbers from their bytes (k, 2, N), the inverse of `_bytes`."""
     return np.ascontiguousarray(planes.transpose(0, 2, 1)).view(dtype)[..., 0].T

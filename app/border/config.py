@@ -6,28 +6,29 @@ from app.strict import Strict
 
 
 class SamplingConfig(Strict):
-    """Sampling of the joints, for the pairs of (1) and for P_i."""
+    """Parameters of the sampling of joint positions, for the pairs of (1) and for P_i."""
 
     seed: int = Field(default=0, ge=0)
     """[-] seed of all random numbers."""
     pair_samples: int = Field(default=100_000, ge=100)
-    """[-] joint positions for (1)."""
+    """[-] number of joint positions for (1)."""
     cloud_samples: int = Field(default=200_000, ge=100)
-    """[-] joint positions from which the flood of P_i starts."""
+    """[-] number of random joint positions, at which the flood of P_i starts."""
     d_low: float = Field(default=0.03, ge=0.0, le=0.3)
     """[m] smallest distance d_m of P_i."""
     d_high: float = Field(default=0.32, ge=0.05, le=0.6)
     """[m] largest distance d_m of P_i."""
     voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
-    """[m] side of a voxel in plan; P_i has one point per voxel."""
+    """[m] horizontal side of a voxel; P_i has one point in each voxel."""
     voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)
     """[m] height of a voxel."""
     sectors: int = Field(default=16, ge=1, le=64)
-    """[-] sectors of the plan that are flooded separately."""
+    """[-] number of sectors around the base's centre that are flooded separately."""
     rounds: int = Field(default=4, ge=1, le=16)
-    """[-] most floods of a sector; the second and later ones start at the neighbours' seams."""
+    """[-] number of floods of a sector; the second and later floods start at the borders to the
+    neighbouring sectors."""
     retries: int = Field(default=6, ge=0, le=16)
-    """[-] number of retries of a batch of poses for its open neighbouring voxels."""
+    """[-] number of times that a batch of poses is tried again for open neighbouring voxels."""
 
 
 QUICK = SamplingConfig(
@@ -39,4 +40,4 @@ QUICK = SamplingConfig(
     retries=2,
     sectors=8,
 )
-"""Seconds on one core: a tenth of the samples, in voxels of 3 cm."""
+"""A coarse sampling, which takes seconds on one core: a tenth of the samples, voxels of 3 cm."""

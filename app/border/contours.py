@@ -1,10 +1,10 @@
-"""Contours of a union of convex shapes, height by height, and their nearest point to another point.
+"""Horizontal contours of a union of convex shapes, and the nearest point of a contour.
 
-The boundary of a union of convex slices consists of the parts of each slice's ring that are outside
-of the other slices: one closed curve or several, around islands or holes. Rings are closed
-polygons, one per height; their vertices, and the distances of these to the other shapes, are
-interpolated between two heights. Two rings cross where such a distance is zero. Everything moves
-continuously with the height.
+At each height, every shape has a ring: the boundary of its slice, as a closed polygon. The contour
+of the union consists of those parts of the rings that are outside of the other shapes. It is one
+closed curve, or several curves around islands or holes. Between two heights of the table, the
+vertices of a ring, and the distances of the vertices to the other shapes, are interpolated. Two
+rings cross where such a distance is zero. The contour changes continuously with the height.
 """
 
 import math
@@ -15,15 +15,17 @@ import numpy as np
 from app.compiled import compiled
 from app.strict import Array
 
-_SAME_CORNER = 0.01  # [m] largest distance of two ends that meet in one corner
+_SAME_CORNER = 0.01  # [m] largest distance of two ends that belong to the same corner
 _TOUCHING = 1e-9  # [m] distance below which the direction to a corner is undefined
 
-BLOCK = 24  # [-] edges of a block of the search; rings have a multiple of it
+BLOCK = 24  # [-] number of edges in a block of the search; a ring has a whole number of blocks
 
 Best = tuple[float, complex, complex]
-"""Distance [m] of the nearest point so far, the point, and the unit tangent there, as x + iy."""
+"""Distance [m] of the nearest point that the search has found, the point [m], and the unit tangent
+there, both as x + iy."""
 Corner = tuple[complex, complex, bool]
-"""A cut of a ring by another shape: the point, its unit tangent, whether the ring starts there."""
+"""A crossing of a ring with another shape: the point [m] and the unit tangent as x + iy, and
+whether the visible part of the ring starts there."""
 
 
 class Foot(NamedTuple):
@@ -39,7 +41,7 @@ class NearestBorder(Protocol):
     """The interface of a border for the search of the acting point."""
 
     def nearest(self, p: Array) -> Foot | None:
-        """The point nearest to p, (3,) [m], at its height; None only if there is no border."""
+        """The border's point nearest to p (3,) [m] at the height of p; None without a border."""
         ...
 
 
@@ -57,7 +59,8 @@ class Table(NamedTuple):
     shown: Array
     """(N, R + 1) [m] distance of the vertices to the other shapes, positive outside."""
     spans: Array
-    """(N, R / BLOCK) [m] largest distance from the middle vertex of a block to its others."""
+    """(N, R / BLOCK) [m] largest distance between the middle vertex and another vertex of a
+    block."""
 
 
 class Contours:
@@ -67,15 +70,15 @@ class Contours:
         self.table = table
 
     def within(self, z: float) -> float:
-        """[m] the available height nearest to z."""
+        """[m] the height nearest to z [m] that has a contour."""
         return level(self.table.firsts, self.table.heights, z)
 
     def nearest(self, p: Array) -> Foot | None:
-        """The point of the contours nearest to p, (3,) [m] in the base's frame, at its height.
+        """The contour's point nearest to p (3,) [m], in the base's frame, at the height of p.
 
-        It moves continuously with p, except where p has two nearest points (the medial axis).
-        Heights beyond the contours are replaced by their lowest or highest. None only if there is
-        no ring at all.
+        The point moves continuously with p, except if p crosses the medial axis, on which there are
+        two nearest points. If p is below or above all contours, the lowest or highest contour is
+        used. The result is None if there are no contours.
         """
         if not len(self.table.heights):
             return None
@@ -83,9 +86,10 @@ class Contours:
         return Foot(foot[0], foot[1])
 
     def contours(self, z: float) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height z [m], or the visible pieces of each ring.
+        """The contour at height z [m] as polygons (K, 2) [m].
 
-        There is none beyond the lowest and the highest ring.
+        A ring that the other shapes hide in part is divided into its visible pieces. A shape
+        without a ring at z is left out.
         """
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
@@ -99,17 +103,22 @@ class Contours:
         return found
 
     def curves(self, z: float) -> list[Array]:
-        """(K, 3) [m] each, the contours at a height or at the nearest available one, drawn at z."""
+        """The contour at the available height nearest to z [m] as curves (K, 3) [m], drawn at z."""
         if not len(self.table.heights):
             return []
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """(K, 2) [m] each, the parts of a closed ring (R + 1,) as x + iy with `shown` ≥ 0."""
+    """The visible pieces (K, 2) [m] of a closed ring.
+
+    Args:
+        ring: (R + 1,) [m] vertices as x + iy.
+        shown: (R + 1,) [m] distance of the vertices to the other shapes, negative where hidden.
+    """
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(shown[:-1]))  # start at a cut
+    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
     ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
     found: list[Array] = []
     piece: list[complex] = []
@@ -127,18 +136,18 @@ def _pieces(ring: Array, shown: Array) -> list[Array]:
 
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
-    """[m] the height nearest to z at which any shape has a ring."""
-    best, least = z, np.inf
+    """[m] the height nearest to z [m] at which any shape has a ring."""
+    best, distance = z, np.inf
     for j in range(len(firsts) - 1):
         at = min(max(z, heights[firsts[j]]), heights[firsts[j + 1] - 1])
-        if abs(at - z) < least:
-            best, least = at, abs(at - z)
+        if abs(at - z) < distance:
+            best, distance = at, abs(at - z)
     return float(best)
 
 
 @compiled()
 def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, float]:
-    """Row of the ring at or below z among rows first to last, and the fraction to the next one."""
+    """Row of the ring at or below z, from `first` to before `last`; fraction to the next ring."""
     k = first + int(np.searchsorted(heights[first:last], z, side="right")) - 1
     if heights[k] == z or k + 1 == last:
         return k, 0.0
@@ -164,7 +173,7 @@ def _search_edges(
     best: Best,
     corners: list[Corner],
 ) -> Best:
-    """The nearest point including a block of a ring's edges; adds the block's corners."""
+    """Search a block of a ring's edges for a nearer point than `best`; add the block's corners."""
     ahead = _dot(p - ring[0], tangents[0]) >= 0.0
     for i in range(BLOCK):
         edge, turn = ring[i + 1] - ring[i], tangents[i + 1] - tangents[i]
@@ -184,10 +193,10 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """The nearest point including the corners where one ring ends and another continues.
+    """Search the corners, at which one ring ends and another continues, for a nearer point.
 
-    The two ends differ by the interpolation error: the segment between them belongs to the
-    contour. At a corner the tangent turns with the query point.
+    The two ends at a corner differ by the interpolation error; the segment between the ends belongs
+    to the contour. At a corner the tangent is perpendicular to the line to p.
     """
     met = np.zeros(len(corners), np.bool_)
     for at, t, begins in corners:
@@ -205,14 +214,14 @@ def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
             t = both if abs(both) > _TOUCHING else t
         best = _nearer(best, p, at, _square(p, at, t))
     for c, (at, t, begins) in enumerate(corners):
-        if begins and not met[c]:  # no ring ends there: its shape is farther away
+        if begins and not met[c]:  # the ring that ends there is too far away to be searched
             best = _nearer(best, p, at, _square(p, at, t))
     return best
 
 
 @compiled()
 def _nearer(best: Best, p: complex, at: complex, tangent: complex) -> Best:
-    """The nearer of two points."""
+    """The nearer to p of the point `best` and the point `at`."""
     away = abs(p - at)
     return (away, at, tangent / abs(tangent)) if away < best[0] else best
 
@@ -226,8 +235,8 @@ def _dot(a: complex, b: complex) -> float:
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
     """The fraction along an edge at which the line to p is perpendicular to the contour's tangent.
 
-    The tangent is interpolated along the edge. The foot of p on the bare polygon would jump over
-    its corners, because seen from inside, a corner is never nearest.
+    The tangent is interpolated along the edge. Without this interpolation, the nearest point would
+    jump at the polygon's vertices, because a vertex is never nearest to a point inside.
     """
     # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
     a = -_dot(edge, t_next - t)
@@ -239,7 +248,10 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 
 @compiled()
 def _shown_part(start: float, end: float) -> tuple[float, float]:
-    """The part of an edge, within [0, 1], where a linear value is not negative."""
+    """The interval of fractions along an edge, within [0, 1], with a nonnegative linear value.
+
+    `start` and `end` are the values at the ends of the edge; the interval may be empty.
+    """
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0
     first = start / (start - end) if start < 0.0 else 0.0
@@ -249,7 +261,7 @@ def _shown_part(start: float, end: float) -> tuple[float, float]:
 
 @compiled()
 def _square(p: complex, foot: complex, along: complex) -> complex:
-    """The unit tangent perpendicular to the line from p to its foot, on the side of `along`."""
+    """The unit vector perpendicular to the line from p to `foot`, in the sense of `along`."""
     way = p - foot
     length = abs(way)
     if length < _TOUCHING:
@@ -268,15 +280,15 @@ def nearest_point(
     spans: Array,
     at: Array,
 ) -> Array:
-    """The point of a `Table` that is nearest to a point, at the available height nearest to its
-    own.
+    """The contour's point nearest to the point `at` (3,) [m]; the other arguments are a `Table`.
 
-    At each height of the table at least one part of a ring is outside of all other shapes. Blocks
-    of edges are searched in the order of their distance until the next one is farther than the
-    result, so the cost hardly grows with the number of shapes.
+    If there is no contour at the point's height, the nearest available height is used. At each
+    height of the table, at least one part of a ring is outside of all other shapes. Blocks of edges
+    are searched in the order of their distance, until the next block is farther than the nearest
+    point, so the cost hardly grows with the number of shapes.
 
     Returns:
-        (2, 3) of a `Foot`.
+        (2, 3) p and t of `Foot`.
     """
     z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
     shapes, blocks = len(firsts) - 1, spans.shape[1]

@@ -1,4 +1,4 @@
-"""Algorithm 1: P_i, points of an arm's body around the mobile robot, and the border among them."""
+"""Algorithm 1: P_i, points of an arm's body around the mobile robot, and the border within P_i."""
 
 from dataclasses import dataclass
 
@@ -16,11 +16,11 @@ class Cloud:
     """P_i of one pair of L_m, sorted by height."""
 
     pair: str
-    """Name of the pair, as in `lm-lEE`."""
+    """Name of the pair, such as `lm-lEE`."""
     points: Array
-    """(N, 3) int16 in units of 0.1 mm, in the base's frame; column 2 ascends."""
+    """(N, 3) int16 points in units of 0.1 mm, in the base's frame, by ascending height."""
     distances: Array
-    """(N,) uint16 in units of 10 µm, d_m of exactly these points."""
+    """(N,) uint16 distances d_m of the points, in units of 10 µm."""
 
     def __len__(self) -> int:
         return len(self.distances)
@@ -36,25 +36,25 @@ class Cloud:
 
     @property
     def d_m(self) -> Array:
-        """(N,) [m] their distances to l_m."""
+        """(N,) [m] distances of the points to l_m."""
         return self.distances * DISTANCE_UNIT
 
 
 def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
-    """A cloud from points (N, 3) int16 and distances (N,) uint16, as in `Cloud`, in any order."""
+    """Make a cloud from points (N, 3) int16 and distances (N,) uint16 in any order."""
     x, y, z = points.astype(np.int64).T
-    # One key of height, then y, then x, because sorting it is several times faster than three keys.
+    # A single sort key of height, y and x is several times faster than three keys.
     order = np.argsort((z << 32) + (y << 16) + x)
     return Cloud(pair, _frozen(points[order]), _frozen(distances[order]))
 
 
 def quantise_points(points: Array) -> Array:
-    """(N, 3) int16 from points (N, 3) [m], clipped to the range."""
+    """Convert points (N, 3) [m] to int16 in units of 0.1 mm, clipped to the range."""
     return np.rint(np.clip(points, -POINT_RANGE, POINT_RANGE) / POINT_UNIT).astype(np.int16)
 
 
 def quantise_distances(distances: Array) -> Array:
-    """(N,) uint16 from distances (N,) [m] ≥ 0."""
+    """Convert distances (N,) [m] ≥ 0 to uint16 in units of 10 µm."""
     return np.rint(np.clip(distances, 0.0, 0.65) / DISTANCE_UNIT).astype(np.uint16)
 
 
@@ -64,7 +64,7 @@ def _frozen(array: Array) -> Array:
     return array
 
 
-SAME_HEIGHT = 0.005  # [m] tolerance of the height of a point
+SAME_HEIGHT = 0.005  # [m] largest difference of equal heights
 
 
 @dataclass(frozen=True)
@@ -72,23 +72,24 @@ class Border:
     """DBB_i of one pair of L_m, in the base's frame, sorted by height."""
 
     pair: str
-    """Name of the pair, as in `lm-lEE`."""
+    """Name of the pair, such as `lm-lEE`."""
     d_b: float
     """[m] buffer distance."""
     eps: float
-    """[m] tolerance ε."""
+    """[m] tolerance ε of (3)."""
     points: Array
-    """(N, 3) [m], column 2 ascends."""
+    """(N, 3) [m] points, by ascending height."""
     heights: Array
-    """(N,) [m] column 2 of the points, contiguous."""
+    """(N,) [m] heights of the points, as a contiguous array."""
 
     def __len__(self) -> int:
         return len(self.points)
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
-        """(M, 3) [m] DBB_xy: FindSameHeight of Algorithm 3, in O(log N) and without a copy.
+        """DBB_xy (M, 3) [m], the points near height z [m]: FindSameHeight of Algorithm 3.
 
-        A view of the points within a half thickness [m] of a height z [m].
+        The heights differ from z by at most `half_thickness` [m]. The result is a view, found in
+        O(log N).
         """
         first = self.heights.searchsorted(z - half_thickness, "left")
         last = self.heights.searchsorted(z + half_thickness, "right")
@@ -96,12 +97,13 @@ class Border:
 
 
 def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
-    """ConstructDBB: the points of P_i whose distance to l_m is d_b within ε, both [m].
+    """ConstructDBB: the points of P_i whose distance to l_m differs from d_b [m] by at most ε [m].
 
     Paper: Eq. (3).
 
-    Stored distances are rounded, so the selection is narrower by half of their resolution: each
-    point is within ε of d_b when measured again. The border is empty if P_i has no such points.
+    Stored distances are rounded. Therefore the selection is narrower by half of the resolution, so
+    that the exact distance of each point is also within ε. The border is empty if P_i has no such
+    points.
     """
     slack = eps - DISTANCE_UNIT / 2
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))

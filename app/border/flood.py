@@ -1,4 +1,4 @@
-"""Flood refinement: from each known pose, step to the empty voxels beside its closest point."""
+"""Flood refinement: steps from each known pose to the empty voxels next to its closest point."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from app.robot.link_pairs import Pair, PairDistances
 from app.robot.model import RobotModel
 from app.strict import Array
 
-_BATCH = 2048
-_DAMPING = 0.03  # [m] of the pseudo-inverse; an arm's Jacobian is around 0.5 m
-_FREE_STEP = 0.10  # [rad] self-motion or perturbation of the first retry; grows with each
-_MAX_STEP = 0.25  # [rad] longest step of a joint for which the Jacobian is valid
+_BATCH = 2048  # [-] smallest number of poses in a batch, if there are enough poses
+_DAMPING = 0.03  # [m] damping of the pseudo-inverse; entries of an arm's Jacobian are around 0.5 m
+_FREE_STEP = 0.10  # [rad] self-motion or perturbation of the first retry; it grows with each retry
+_MAX_STEP = 0.25  # [rad] largest step of a joint for which the Jacobian is valid
 
 
 class Witnesses(NamedTuple):
@@ -27,11 +27,11 @@ class Witnesses(NamedTuple):
     p_b: Array
     """(N, 3) [m] closest point on the arm's body, in the base's frame."""
     normal: Array
-    """(N, 3) unit vector from l_m to the body."""
+    """(N, 3) unit vectors from l_m to the body."""
 
 
 class PairReader:
-    """Closest points of one pair, for many poses of the arm with the base at the origin."""
+    """Computes closest points of one pair for many poses of the arm; the base is at the origin."""
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         self._model = model
@@ -52,9 +52,10 @@ class PairReader:
         return Witnesses(d, p_b, normal)
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
-        """(N, 3, n_m) Jacobians of the material points at p_b (N, 3) [m] in poses q_m.
+        """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in poses q_m (N, n_m).
 
-        The body slides under its closest point, so a step along them is only an estimate.
+        The points are fixed to the body, but the closest point also moves on the body. A step that
+        uses these Jacobians is therefore only an estimate.
         """
         model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
         J = np.empty((len(q_m), 6, model.nv))
@@ -70,7 +71,7 @@ class PairReader:
 
 
 class Flood:
-    """Fills the open voxels of one pair with one point each."""
+    """Finds one point for each open voxel of one pair."""
 
     def __init__(
         self,
@@ -80,13 +81,21 @@ class Flood:
         shell: tuple[float, float],
         rng: np.random.Generator,
     ) -> None:
-        """Prepare; `shell` [m] has the smallest and the largest distance of a valid point."""
+        """Prepare the flood.
+
+        Args:
+            model: The robot.
+            reader: Computes the pair's closest points.
+            voxels: The grid.
+            shell: [m] smallest and largest distance of a valid point.
+            rng: Source of random numbers.
+        """
         self._model, self._reader, self._voxels, self._rng = model, reader, voxels, rng
         self._low, self._high = shell
-        # The size of a joint's free step: full for a rotation, small for a short slide.
+        # Scale of a joint's random step: 1 for a full turn, small for a short travel.
         self._scale = np.minimum(model.q_upper - model.q_lower, 2 * np.pi) / (2 * np.pi)
         self.open = np.zeros(voxels.count, dtype=bool)
-        """(voxels.count,) whether a voxel is still open."""
+        """(voxels.count,) whether each voxel is still open."""
         self._q = np.empty((0, model.n_m))
         self._seen = Witnesses(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
@@ -94,14 +103,14 @@ class Flood:
         """Flood the open voxels.
 
         Args:
-            open_voxels: (voxels.count,) bool, the open voxels; changed in place.
-            sources: (N, n_m) [rad or m] starting poses, anywhere.
-            retries: Number of retries of a batch for its open neighbouring voxels;
-                each time the first pose of the batch beside a voxel tries.
+            open_voxels: (voxels.count,) whether each voxel is open; changed in place.
+            sources: (N, n_m) [rad or m] starting poses.
+            retries: Number of times that a batch is tried again for open neighbouring voxels. Each
+                time, the batch's first pose next to a voxel makes a step.
 
         Returns:
-            (N, n_m) float32 [rad or m] the accepted poses, including sources in open voxels,
-            and (N, 3) int16 their points as in `Cloud`.
+            The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and
+            their points (N, 3) int16 as in `Cloud`.
         """
         self.open = open_voxels
         seen = self._reader.witnesses(sources)
@@ -123,7 +132,7 @@ class Flood:
         return q_m, points
 
     def _accept(self, seen: Witnesses) -> Array:
-        """Indices of the closest points in open voxels, one for each; closes those voxels."""
+        """Select one closest point for each open voxel, close these voxels, return the indices."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
         fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
         candidates = np.flatnonzero(fits & self.open[keys])
@@ -133,16 +142,16 @@ class Flood:
         return fresh
 
     def _expand(self, q: Array, seen: Witnesses, round_: int) -> tuple[Array, Witnesses]:
-        """One try towards each neighbouring open voxel, from the first pose beside it."""
+        """Make one step towards each open neighbouring voxel, from the first pose next to it."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - seen.p_b[:, None]
         ahead = seen.d[:, None] + (step * seen.normal[:, None]).sum(axis=2)
-        wanted = (keys >= 0) & self.open[keys] & (ahead > self._low) & (ahead < self._high)
-        source, side = np.nonzero(wanted)
+        useful = (keys >= 0) & self.open[keys] & (ahead > self._low) & (ahead < self._high)
+        source, side = np.nonzero(useful)
         if not len(source):
             return q[:0], _pick(seen, source)
-        # Without this, nearly half of the tries would be duplicates of another pose's.
+        # Without this selection, two poses would try the same voxel in nearly half of all tries.
         _, first = np.unique(keys[source, side], return_index=True)
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
@@ -151,10 +160,15 @@ class Flood:
         return tried, self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
-        """(N, n_m) poses whose closest points should have moved by `step` (N, 3) [m].
+        """Compute poses (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
 
-        The first round uses the plain damped step; later ones add self-motion, and the last a
-        random perturbation. Joints that would leave their limits do not move.
+        Args:
+            q: (N, n_m) [rad or m] present poses.
+            J: (N, 3, n_m) Jacobians of the closest points.
+            step: (N, 3) [m] desired motion of the closest points.
+            round_: Number of the retry; from 1 on, random self-motion is added that grows with it.
+
+        Joints that would leave their limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -165,7 +179,10 @@ class Flood:
 
 
 def _damped(J: Array, step: Array, free: Array) -> Array:
-    """ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ): the damped step s with the self-motion part of ξ."""
+    """ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ): the damped joint step for s with the self-motion of ξ.
+
+    J is (N, 3, n_m), s is `step` (N, 3), and ξ is `free` (N, n_m).
+    """
     J_T = J.transpose(0, 2, 1)
     missing = step[:, :, None] - J @ free[:, :, None]
     weight = np.linalg.solve(J @ J_T + _DAMPING**2 * np.eye(3), missing)
@@ -173,7 +190,7 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
 
 
 def _take(queue: list[tuple[Array, Witnesses]]) -> tuple[Array, Witnesses]:
-    """Poses from the end of a queue, at least a batch if there are enough."""
+    """Remove poses from the end of a queue: at least a batch, or all poses if there are fewer."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())
@@ -190,25 +207,25 @@ _STEPS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 
 
 
 class Voxels:
-    """A grid over the box of all points up to `reach` from l_m and above the floor.
+    """A voxel grid that covers all points above the floor within a distance of l_m's box.
 
-    Points are int16 in units of 0.1 mm, so that a point's voxel is exact on all machines.
+    Points are int16 in units of 0.1 mm, so that a point has the same voxel on all machines.
     """
 
     def __init__(
         self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
     ) -> None:
-        """Lay the grid.
+        """Create the grid.
 
         Args:
             lower: (3,) [m] lower corner of a box around l_m in the base's frame.
-            upper: (3,) [m] its upper corner.
-            reach: [m] largest distance from l_m.
+            upper: (3,) [m] upper corner of that box.
+            reach: [m] largest distance of a point from the box.
             size: (3,) [m] sides of a voxel, multiples of the points' resolution.
-            sectors: Number of sectors of plan angle about the base's centre.
+            sectors: Number of sectors, which are angles around the base's centre.
 
         Raises:
-            DescriptionError: The base is too large for the points' range.
+            DescriptionError: The base is too large for int16 points.
         """
         low, high = lower - reach, upper + reach
         if max(np.abs(low).max(), np.abs(high).max()) > POINT_RANGE:
@@ -226,7 +243,10 @@ class Voxels:
         self._sectors = sectors
 
     def cells(self, points: Array) -> Array:
-        """(N, 3) cell along x, y and z of points (N, 3) int16; may lie outside of the grid."""
+        """(N, 3) indices along x, y and z of the cells of points (N, 3) int16.
+
+        A cell may be outside of the grid.
+        """
         return (points - self._origin) // self._size
 
     def keys(self, cells: Array) -> Array:
@@ -248,11 +268,14 @@ class Voxels:
         return np.tile(self._plan_sectors().ravel() == sector, int(self.shape[2]))
 
     def sectors(self, keys: Array) -> Array:
-        """(…) sector of each voxel by its index (…)."""
+        """(…) sector of each voxel, for voxels with the indices `keys` (…)."""
         return self._plan_sectors().ravel()[keys % (self.shape[0] * self.shape[1])]
 
     def leads_to(self, points: Array, free: Array) -> Array:
-        """(N, 7) sectors of the free voxels at and beside each point (N, 3) int16, otherwise −1."""
+        """(N, 7) sector of each free voxel at or next to points (N, 3) int16, −1 if not free.
+
+        `free` (count,) states whether each voxel is free.
+        """
         cells = self.cells(points)
         around = np.concatenate([cells[:, None], self.neighbours(cells)], axis=1)
         keys = self.keys(around)
@@ -261,7 +284,7 @@ class Voxels:
     def _plan_sectors(self) -> Array:
         """(ny, nx) sector of each column of voxels.
 
-        The sectors are turned by half of one, so that no seam is on the wheels' axis.
+        The sectors are turned by half a sector, so that no border is on the wheels' axis.
         """
         x = (np.arange(self.shape[0]) + 0.5) * self._size[0] + self._origin[0]
         y = (np.arange(self.shape[1]) + 0.5) * self._size[1] + self._origin[1]

@@ -1,8 +1,8 @@
 """Exact distance of points to a convex shape, and to the mobile robot (DistanceToMobile).
 
-A kernel computes them with the results of the collision library, for boxes and round shapes fifty
-times faster, so a border for another d_b is immediately available. A hull takes time for each
-triangle.
+A kernel computes the same distances as the collision library. For boxes and round shapes it is
+fifty times faster, so a border for another d_b is immediately available. For a hull the time grows
+with the number of triangles.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from app.structs import put
 _BOX, _CAPSULE, _CYLINDER, _HULL = range(4)
 _MAX_NEWTON = 30
 _AT_END = 1e-9  # [m] tolerance of the distance at a ray's end
-_FLAT = 1e-9  # [m] tolerance of rounding for points in a plane
+_FLAT = 1e-9  # [m] tolerance for points in a plane
 
 
 class ConvexPart:
@@ -31,12 +31,12 @@ class ConvexPart:
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
-        """(3,) [m] corners of a box around it, along the base's axes."""
+        """(3,) [m] corners of a box around the shape, along the base's axes."""
         self.shapes = Shapes.of(geometry, placement)
         """The shape in the kernels' format."""
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
-        """[m] signed distance of a point (3,) [m], and the unit vector (3,) to it."""
+        """Signed distance [m] of a point (3,) [m], and the unit vector (3,) towards the point."""
         found = distances_and_normals(*self.shapes, point[None])[0]
         return found.item(0), found[1:]
 
@@ -50,20 +50,20 @@ class ConvexPart:
         return distances_and_normals(*self.shapes, points)[:, 0]
 
     def ray_ends(self, origin: Array, rays: Array, start: Array, d_b: float) -> Array:
-        """Distance along each ray to the end of the shape's offset.
+        """Compute the distance along each ray to the outer boundary of the shape's offset.
 
-        The distance to a convex shape is a convex function along a ray: from any start on the
-        rising side Newton's first step ends at the outer root or beyond it, and the next ones
-        approach it from outside.
+        The distance to a convex shape is a convex function along a ray. From a start at which the
+        distance increases, the first Newton step ends at the outer root or beyond, and the next
+        steps approach the root from outside.
 
         Args:
             origin: (3,) [m] start of all rays.
-            rays: (K, 3) unit vectors.
-            start: (K,) [m] initial estimates, beyond the shape.
-            d_b: [m] the offset.
+            rays: (K, 3) unit vectors of the rays.
+            start: (K,) [m] initial estimates along the rays, beyond the shape.
+            d_b: [m] distance of the offset from the shape.
 
         Returns:
-            (K,) [m], minus infinity where a ray misses the offset.
+            (K,) [m] distances along the rays; minus infinity if a ray misses the offset.
         """
         s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
         for _ in range(_MAX_NEWTON):
@@ -87,11 +87,11 @@ class MobileBody:
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
         objects = [model.geometry.geometryObjects[i] for i in model.shape_ids[name]]
-        # The planar joint of l_m has its frame on the floor: the base's frame.
+        # The frame of the planar joint of l_m, on the floor, is the base's frame.
         self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
-        """(3,) [m] corners of a box around it, along the base's axes."""
+        """(3,) [m] corners of a box around l_m, along the base's axes."""
 
     def distance(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m] in the base's frame."""
@@ -99,7 +99,7 @@ class MobileBody:
 
 
 def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
-    """(3,) [m] corners of a box around a placed shape: the placed box around the shape."""
+    """The corners (3,) [m] of a box along the axes around a shape with a placement."""
     geometry.computeLocalAABB()
     centre = placement.act(geometry.aabb_center)
     box = geometry.aabb_local
@@ -111,14 +111,16 @@ class Shapes(NamedTuple):
     """Convex shapes in the kernels' format."""
 
     rows: Array
-    """(P, 16) kind; half sides [m], or radius and half length [m], or the first and the end of its
-    triangles; axes as R (3, 3); and origin [m]. A sphere is a capsule without length."""
+    """(P, 16) kind (1); size (3): half sides [m], or radius and half length [m], or the first index
+    of a hull's triangles and the index after the last; R (9); origin [m] (3). A sphere is a capsule
+    without length."""
     triangles: Array
-    """(T, 4, 3) of the hulls: three corners [m], and the unit vector outwards, in their frames."""
+    """(T, 4, 3) triangles of the hulls: three corners [m] and the outward unit normal, in the
+    hull's frame."""
 
     @classmethod
     def of(cls, geometry: coal.CollisionGeometry, placement: pin.SE3) -> Shapes:
-        """One of coal's shapes in its pose."""
+        """Convert a shape of coal with a placement."""
         triangles = np.empty((0, 4, 3))
         if isinstance(geometry, coal.Box):
             kind, size = _BOX, geometry.halfSide
@@ -135,7 +137,7 @@ class Shapes(NamedTuple):
 
     @classmethod
     def together(cls, shapes: Sequence[Shapes]) -> Shapes:
-        """All of them, in their order."""
+        """Combine several records into one, in their order."""
         rows, triangles = [np.empty((0, 16))], [np.empty((0, 4, 3))]
         for each in shapes:
             before = sum(map(len, triangles))
@@ -147,12 +149,15 @@ class Shapes(NamedTuple):
 
 
 def _triangles(geometry: coal.CollisionGeometry) -> Array:
-    """(T, 4, 3) of `Shapes`, without slivers whose normals rounding has turned inwards."""
+    """The triangles (T, 4, 3) of a hull for `Shapes`.
+
+    Very thin triangles, whose normals are wrong because of rounding, are left out.
+    """
     points = geometry.points()
     found = (geometry.polygons(i) for i in range(geometry.num_polygons))
     corners = points[[[each[k] for k in range(3)] for each in found]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    with np.errstate(invalid="ignore"):  # triangles without an area give NaN, and are left out
+    with np.errstate(invalid="ignore"):  # triangles without an area get NaN, and are left out
         normals /= np.linalg.norm(normals, axis=1)[:, None]
     offsets = (normals * corners[:, 0]).sum(axis=1)
     outermost = np.array([(points @ n).max() for n in normals])
@@ -163,8 +168,8 @@ def _triangles(geometry: coal.CollisionGeometry) -> Array:
 def _on_triangle(
     triangle: Array, x: float, y: float, z: float, over: float
 ) -> tuple[float, float, float]:
-    """The point of a triangle that is nearest to a point at a height over its plane."""
-    n, foot, least = triangle[3], (0.0, 0.0, 0.0), np.inf
+    """The point of a triangle nearest to (x, y, z), which is `over` [m] above the plane."""
+    n, foot, square = triangle[3], (0.0, 0.0, 0.0), np.inf
     f_x, f_y, f_z = x - over * n[0], y - over * n[1], z - over * n[2]
     for i in range(3):
         a, b = triangle[i], triangle[(i + 1) % 3]
@@ -174,10 +179,10 @@ def _on_triangle(
             continue  # on the inner side of this edge
         share = min(max((u * p + v * q + w * r) / (u * u + v * v + w * w), 0.0), 1.0)
         p, q, r = p - share * u, q - share * v, r - share * w
-        if p * p + q * q + r * r < least:
-            least = p * p + q * q + r * r
+        if p * p + q * q + r * r < square:
+            square = p * p + q * q + r * r
             foot = (f_x - p, f_y - q, f_z - r)
-    return foot if least < np.inf else (f_x, f_y, f_z)
+    return foot if square < np.inf else (f_x, f_y, f_z)
 
 
 @compiled()
@@ -201,10 +206,11 @@ def _reach(triangle: Array, p: float, q: float, r: float) -> float:
 def _hull_distance(
     triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance [m] of a point to a hull, and its gradient there.
+    """Signed distance [m] of a point to a hull, and the gradient of the distance.
 
-    Inside, the nearest plane counts. Outside, the nearest triangle is in front of the plane through
-    a known point of the hull, perpendicular to the line to that point: only few triangles are.
+    Inside the hull, this is the distance to the nearest plane. Outside, some point of the hull is
+    already known. A nearer triangle must intersect the half-space beyond the plane through this
+    point that is perpendicular to the line to the query point; only few triangles do.
     """
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):
@@ -216,16 +222,16 @@ def _hull_distance(
         return deepest, n[0], n[1], n[2]
     u, v, w = _on_triangle(triangles[face], x, y, z, deepest)
     p, q, r = x - u, y - v, z - w
-    level, least = p * u + q * v + r * w, p * p + q * q + r * r
+    level, square = p * u + q * v + r * w, p * p + q * q + r * r
     for k in range(len(triangles)):
         if _reach(triangles[k], p, q, r) <= level:
             continue
         a, b, c = _on_triangle(triangles[k], x, y, z, _over(triangles[k], x, y, z))
         far = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
-        if far < least:
+        if far < square:
             p, q, r = x - a, y - b, z - c
-            level, least = p * a + q * b + r * c, far
-    far = math.sqrt(least)
+            level, square = p * a + q * b + r * c, far
+    far = math.sqrt(square)
     if far < _FLAT:
         return far, n[0], n[1], n[2]
     return far, p / far, q / far, r / far
@@ -235,7 +241,7 @@ def _hull_distance(
 def _signed_distance(
     kind: int, size: Array, triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance [m] of a point in the shape's frame, and its gradient there."""
+    """Signed distance [m] of a point in the shape's frame, and the gradient of the distance."""
     if kind == _CAPSULE:
         z_out = z - min(max(z, -size[1]), size[1])
         far = math.sqrt(x * x + y * y + z_out * z_out)
@@ -268,7 +274,10 @@ def _signed_distance(
 def nearest_of(
     shapes: Array, triangles: Array, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance [m] of a point to the nearest of some shapes, and its gradient there."""
+    """Signed distance [m] of a point to the nearest shape, and the gradient of the distance.
+
+    `shapes` (P, 16) and `triangles` (T, 4, 3) are as in `Shapes`; the point is x, y, z [m].
+    """
     best = (np.inf, 0.0, 0.0, 0.0)
     for k in range(len(shapes)):
         R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]
@@ -292,7 +301,7 @@ def nearest_of(
 
 @compiled()
 def is_round(row: Array) -> bool:
-    """Whether the nodes of a shape's core include its nearest point to any flat object."""
+    """Whether the nodes of a shape's core include the nearest point to any flat object."""
     return bool(row[0] == _CAPSULE)
 
 

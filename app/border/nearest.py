@@ -1,8 +1,9 @@
 """The border for the search of the acting point: as a surface, or as points as in the paper.
 
-The surface is the exact offset of l_m, which the points sample: a point and its nearest point on it
-move together, at a cost that does not depend on the number of points. It is closed: no point is
-searched where the arm never is, and near there the reachability in the score leads away.
+The surface is the exact offset of l_m, of which the points are samples. The nearest point of the
+surface moves continuously with the query point, and its cost does not depend on a number of points.
+The surface is closed, so it also covers regions that the arm never reaches. The arm is never there,
+and near such regions the reachability in the score leads away from them.
 """
 
 import math
@@ -43,41 +44,41 @@ BORDER = struct_type("_Values", _BORDER)
 def nearest_sample(
     points: Array, first: int, end: int, p: Array, eps: float
 ) -> tuple[Array, Array, bool]:
-    """FindSameHeight and FindMinDistancePoint among sampled border points.
+    """FindSameHeight and FindMinDistancePoint for sampled border points.
 
-    The tangent is perpendicular to the line from p to the point. If p is on the border, within ε,
-    that line has no direction.
+    The tangent is perpendicular to the line from p to the nearest point. If p is on the border,
+    within ε, this line has no direction.
 
     Paper: Algorithm 3, lines 1 to 4.
 
     Args:
         points: (N, 3) [m] border points of all pairs, for each pair by ascending height.
-        first: Index of the first point of the pair.
-        end: Index after its last point.
-        p: (3,) [m]
+        first: Index of the pair's first point.
+        end: Index after the pair's last point.
+        p: (3,) [m] the query point.
         eps: [m] ε of (3).
 
     Returns:
-        (3,) [m] the point at the height of p, (3,) the tangent there, NaN without a
-        direction, and whether the height has points.
+        The nearest point (3,) [m], moved to the height of p; the tangent (3,), NaN if the line has
+        no direction; and whether there are points at this height.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
     heights = points[first:end, 2]
     i, j = np.searchsorted(heights, low, side="left"), np.searchsorted(heights, high, side="right")
-    least, p_n, t = np.inf, np.array([0.0, 0.0, p[2]]), np.full(3, np.nan)
+    square, p_n, t = np.inf, np.array([0.0, 0.0, p[2]]), np.full(3, np.nan)
     for k in range(first + i, first + j):
         far = (points[k, 0] - p[0]) ** 2 + (points[k, 1] - p[1]) ** 2
-        if far < least:
-            least, p_n[0], p_n[1] = far, points[k, 0], points[k, 1]
-    length = math.sqrt(least)
+        if far < square:
+            square, p_n[0], p_n[1] = far, points[k, 0], points[k, 1]
+    length = math.sqrt(square)
     if eps < length < np.inf:
         t[0], t[1], t[2] = (p[1] - p_n[1]) / length, (p_n[0] - p[0]) / length, 0.0
-    return p_n, t, least < np.inf
+    return p_n, t, square < np.inf
 
 
 @compiled()
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
-    """The border's point nearest to p (3,) [m] at its height, and the unit tangent there.
+    """The border's point nearest to p (3,) [m] at the height of p, and the unit tangent there.
 
     It is one of the pair's sampled points if the border consists of points and has some at this
     height. Otherwise it belongs to the surface, the exact offset of l_m, which is the same for all
@@ -112,10 +113,16 @@ def _nearest_offset(border: Any, p: Array) -> Array:
 
 
 class BorderSearch:
-    """A border, as points if there are any, in the form of compiled functions."""
+    """A border in the form that compiled functions use."""
 
     def __init__(self, offset: OffsetContours, borders: Sequence[Border] = ()) -> None:
-        """The exact offset of l_m, and the sampled border of each pair for the same d_b."""
+        """Prepare the search.
+
+        Args:
+            offset: The exact offset of l_m.
+            borders: The sampled border of each pair, for the same d_b; empty means that the search
+                uses only the offset.
+        """
         table = Table(*map(np.ascontiguousarray, offset.table))
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
         sampled = np.cumsum([0, *map(len, borders)])
@@ -125,14 +132,14 @@ class BorderSearch:
         """`BORDER` of it."""
 
     def nearest(self, p: Array) -> Foot | None:
-        """The point nearest to p, (3,) [m], at its height, of the first pair; None without any."""
+        """The nearest border point of the first pair at the height of p (3,) [m], or None."""
         foot = Foot(*nearest_border(self.struct, 0, np.ascontiguousarray(p, dtype=float)))
         return None if math.isnan(foot.p[0]) else foot
 
 
 @kept_per_model(8)
 def border_of(model: RobotModel, clouds: tuple[Cloud, ...], config: BorderConfig) -> BorderSearch:
-    """The border of the clouds' pairs, of the configured kind; cached per model."""
+    """The border of the clouds' pairs, as the configured kind; cached for each model."""
     offset = offset_contours(model, config.d_b)
     if config.kind == "surface":
         return BorderSearch(offset)

@@ -1,7 +1,7 @@
 """The exact offset of the mobile robot, {p : distance to l_m = d_b}, as horizontal contours.
 
-It is the border as a continuous surface, and replaces sampled points at heights without any:
-a slice is never empty, a force never zero.
+The offset is the border as a continuous surface. It also replaces sampled points at heights without
+points, so that no slice is empty and no force is zero.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from app.border.mobile import ConvexPart, MobileBody
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 
-RAYS = 360
-_STEP = 0.01  # [m] between heights, and along the arc above the top
-_HIGH_BOTTOM = 0.8  # [-] of d_b: bottoms above it need heights for the arc below
+RAYS = 360  # number of rays from the centre of a slice
+_STEP = 0.01  # [m] distance between heights, and along the arc above the top
+_HIGH_BOTTOM = 0.8  # [-] ratio of a shape's bottom to d_b above which the arc below is traced too
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
-_ALONE = 1.0  # [m] distance that replaces the one to other shapes if there are none
+_ALONE = 1.0  # [m] distance to the other shapes' offsets if there are no other shapes
 
-_Level = tuple[float, Array, Array | None]  # height, centre, length of each ray
+_Level = tuple[float, Array, Array | None]  # height [m], centre (2,) [m], lengths of the rays [m]
 
 
 class OffsetContours(Contours):
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
-    Each shape has a stack of rings around it. The contours are the parts of the rings outside of
-    the other shapes' offsets: one closed curve for a single shape, otherwise possibly islands and
-    holes.
+    Each shape has a ring at each height. The contours are the parts of the rings that are outside
+    of the other shapes' offsets: one closed curve for a single shape, and possibly islands and
+    holes for several shapes.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
@@ -41,21 +41,21 @@ class OffsetContours(Contours):
         traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
-        """Rings of each visible shape, the largest in plan first; empty if l_m has no offset above
-        the floor."""
+        """Rings of each visible shape, in the order of decreasing horizontal size; empty if l_m has
+        no offset above the floor."""
         super().__init__(_table(self.rings, [shown for *_, shown in traced]))
 
 
 @kept_per_model(4)
 def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
-    """The contours for a buffer distance d_b [m], cached because each controller needs them."""
+    """The contours for a buffer distance d_b [m], cached for all controllers."""
     return OffsetContours(model, d_b)
 
 
 def _outermost(
     traced: list[tuple[ConvexPart, Rings]], d_b: float
 ) -> list[tuple[ConvexPart, Rings, Array]]:
-    """The visible shapes, the largest in plan first, with the distances of their vertices."""
+    """The visible shapes by decreasing horizontal size, with the result of `_shown` for each."""
     traced = sorted(traced, key=lambda each: -float(np.prod((each[0].upper - each[0].lower)[:2])))
     kept = list(range(len(traced)))
     for k in reversed(range(len(traced))):  # a hidden shape hides no other shape
@@ -69,15 +69,15 @@ def _outermost(
 
 
 def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
-    """(H, RAYS + 1) [m] distance of the vertices to the other shapes' offsets, positive outside."""
+    """(H, RAYS + 1) [m] distance of vertices to the other shapes' offsets, positive outside."""
     H, V, _ = rings.vertices.shape
     points = np.concatenate(
         [rings.vertices, np.broadcast_to(rings.heights[:, None, None], (H, V, 1))], axis=2
     ).reshape(-1, 3)
-    least = np.full(len(points), d_b + _ALONE)
+    distances = np.full(len(points), d_b + _ALONE)
     for other in others:
-        np.minimum(least, other.distances(points), out=least)
-    return least.reshape(H, V) - d_b + _TOUCHING
+        np.minimum(distances, other.distances(points), out=distances)
+    return distances.reshape(H, V) - d_b + _TOUCHING
 
 
 def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
@@ -97,21 +97,23 @@ def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
 
 
 class Rings(NamedTuple):
-    """Closed polygons around one convex shape, one per height; all vertices have d_m = d_b."""
+    """Closed polygons around one convex shape, one at each height, with vertices at d_m = d_b."""
 
     heights: Array
-    """(H,) [m], ascending."""
+    """(H,) [m] heights, ascending."""
     vertices: Array
-    """(H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first repeated."""
+    """(H, RAYS + 1, 2) [m] vertices in the base's frame, counter-clockwise; the last vertex is the
+    first."""
     tangents: Array
     """(H, RAYS + 1) unit tangents at the vertices, as x + iy."""
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
-    """The offset d_b [m] of a convex shape above the floor; without heights if it has none there.
+    """Trace the offset of a convex shape above the floor, at the distance d_b [m].
 
-    Rays start from the centre of the shape. If a slice of the offset does not contain it, as for
-    a slanted shape, each height has the centre of its own slice.
+    Rays start at the centre of the shape. If a slice of the offset does not contain this centre,
+    for example for a slanted shape, the rays at each height start at the centre of the slice. The
+    result has no heights if the offset is below the floor.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
@@ -126,14 +128,14 @@ def trace_rings(part: ConvexPart, d_b: float) -> Rings:
 
 
 class _Tracer:
-    """Follows rays to the end of one shape's offset, height by height."""
+    """Follows rays to the boundary of one shape's offset, height by height."""
 
     def __init__(self, part: ConvexPart, d_b: float) -> None:
         self._part, self._d_b = part, d_b
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: Array) -> list[_Level] | None:
-        """All heights from the shape's centre; None if a slice does not contain it."""
+        """Trace all heights from the shape's centre; None if it is outside of a slice."""
         found: list[_Level] = []
         ends: Array | None = None
         for z in heights:
@@ -145,7 +147,7 @@ class _Tracer:
         return found if any(ends is not None for _, _, ends in found) else None
 
     def from_slices(self, heights: Array) -> list[_Level]:
-        """Each height from the centre of its own slice."""
+        """Trace each height from the centre of the slice at this height."""
         found: list[_Level] = []
         centre = self._middle
         for z in heights:
@@ -160,9 +162,9 @@ class _Tracer:
         return found
 
     def _inside(self, centre: Array, z: float) -> Array | None:
-        """(2,) [m] a point inside of the slice at a height, or None if the slice is empty.
+        """A point (2,) [m] inside the slice at height z [m], or None if the slice is empty.
 
-        The mean of the far ends of rays from outside is inside, because the slice is convex.
+        For a start outside, the mean of the rays' far ends is inside, because the slice is convex.
         """
         nearest = self._part.nearest(np.array([*centre, z]))[:2]
         for start in (centre, nearest, self._middle):
@@ -177,7 +179,10 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] length of each ray; −inf if it misses the offset."""
+        """(RAYS,) [m] length of each ray; −inf if a ray misses the offset.
+
+        `start` (RAYS,) [m] has initial estimates, or is None.
+        """
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
@@ -188,10 +193,10 @@ class _Tracer:
 
 
 def _vertex_tangents(edges: Array) -> Array:
-    """Unit tangents at the vertices, as x + iy: means of the two adjacent edges (H, RAYS).
+    """Unit tangents (H, RAYS + 1) at the vertices of rings, from their edges (H, RAYS).
 
-    Returns:
-        (H, RAYS + 1), the first one repeated.
+    Both are numbers x + iy. A tangent is the mean direction of the two adjacent edges; the last
+    tangent is the first.
     """
     directions = edges / np.abs(edges)
     tangents = directions + np.roll(directions, 1, axis=1)
@@ -200,13 +205,14 @@ def _vertex_tangents(edges: Array) -> Array:
 
 
 def _levels(bottom: float, top: float, d_b: float) -> Array:
-    """(H,) [m] heights: every 10 mm beside a shape, then every 10 mm of arc over its upper edge.
+    """(H,) [m] the heights at which a shape's offset is traced.
 
-    They start at the floor; a shape high above it has such an arc under its lower edge too.
+    They start at the floor. They are 10 mm apart up to the shape's top, and 10 mm of arc apart
+    above the top. A shape high above the floor has such an arc below its bottom too.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]
-    # At the end the contour is on the flat part of the offset, where rays graze: stop just before.
+    # At the end of the arc the offset is flat, and rays are tangent to it: stop just before.
     arc[-1] -= 1e-3
     beside = np.linspace(low, top, max(2, int(np.ceil((top - low) / _STEP)) + 1))
     under = (low - d_b * np.sin(arc))[::-1] if low > 0.0 else np.empty(0)

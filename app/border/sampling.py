@@ -1,6 +1,6 @@
-"""Sampling of P_i for all pairs of L_m: random joints first, then a flood, sector by sector.
+"""Sampling of P_i for all pairs of L_m: random joint positions, then a flood of each sector.
 
-Both stages consist of jobs for worker processes.
+Worker processes execute both stages.
 """
 
 from __future__ import annotations
@@ -34,15 +34,22 @@ def sample_clouds(
     processes: int | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Cloud]:
-    """P_i of Algorithm 1 for each pair: closest points on the arm's body, one per voxel.
+    """Sample P_i of Algorithm 1 for each pair: closest points on the arm's body, one per voxel.
 
-    Random sampling alone leaves the base's sides almost empty. From every known pose, the flood
-    steps to the voxels beside its point. Only the joint limits and the pair's own distance restrict
-    the poses. The same seed gives the same points on any number of processes; default: all cores.
-    `progress` draws a bar on stderr; `on_progress` takes the share that is done.
+    Random sampling alone finds almost no points at the base's sides. Therefore a flood steps from
+    each known pose to the voxels next to its point. Only the joint limits and the pair's distance
+    restrict the poses. The result does not depend on the number of processes.
+
+    Args:
+        model: The robot.
+        pairs: The pairs of L_m.
+        config: Parameters of the sampling.
+        progress: Whether to draw a progress bar on standard error.
+        processes: Number of processes; default: one for each usable core.
+        on_progress: Called with the share of the work that is done, 0 to 1.
 
     Returns:
-        By the name of the pair.
+        P_i by the name of the pair.
     """
     make_context = partial(Context, model.description, config)
     seeds = np.random.SeedSequence(config.seed).spawn(len(pairs))
@@ -58,18 +65,18 @@ def sample_clouds(
 
 
 class _Sampler:
-    """The stages of the sampling, over all pairs at once so that no core waits."""
+    """The stages of the sampling, each for all pairs at once so that no core waits."""
 
     def __init__(self, context: Context, workers: Workers, on_progress: OnProgress) -> None:
         self._voxels, self._config = context.voxels, context.config
         self._workers, self._on_progress = workers, on_progress
         self._flood = _SEED_JOBS / (_SEED_JOBS + context.config.sectors)
-        """[-] share of the work after which the flood starts."""
+        """[-] share of the work that is done when the flood starts."""
 
     def run(
         self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
     ) -> dict[str, Cloud]:
-        """All stages; the short rounds after the first start at the seams of sectors."""
+        """Execute all stages; rounds after the first flood start at the borders of the sectors."""
         found = self._starts(pairs, seeds)
         kept = {pair: start.none() for pair, start in found.items()}
         tell = part_of(self._on_progress, self._flood, 1.0)
@@ -105,7 +112,10 @@ class _Sampler:
     def _sector_jobs(
         self, pair: Pair, seed: np.random.SeedSequence, given: Kept, kept: Kept
     ) -> list[SectorJob]:
-        """One job for each sector with a pose; later rounds use only poses of other sectors."""
+        """One job for each sector with a starting pose.
+
+        In rounds after the first, the starting poses of a sector come from other sectors.
+        """
         taken = self._voxels.keys(self._voxels.cells(kept.points))
         free = np.ones(self._voxels.count, dtype=bool)
         free[taken] = False
@@ -124,18 +134,21 @@ class _Sampler:
 
 
 class Kept(NamedTuple):
-    """Known poses (N, n_m) of one pair, their points (N, 3) and distances (N,)."""
+    """Known poses of one pair."""
 
     q_m: Array
+    """(N, n_m) float32 [rad or m] joint positions."""
     points: Array
+    """(N, 3) int16 points of the poses, as in `Cloud`."""
     distances: Array
+    """(N,) uint16 distances of the points, as in `Cloud`."""
 
     def none(self) -> Kept:
-        """An empty one of the same shapes."""
+        """A record without poses."""
         return Kept(*(column[:0] for column in self))
 
     def plus(self, more: Kept) -> Kept:
-        """Both, one after the other."""
+        """A record with the poses of both."""
         return Kept(*map(np.concatenate, zip(self, more, strict=True)))
 
 
@@ -156,28 +169,33 @@ class Context:
 
 
 class SeedJob(NamedTuple):
-    """Random sampling of the joints for poses in the shell."""
+    """A job: random sampling of joint positions for poses in the shell."""
 
     pair: Pair
+    """The pair."""
     seed: np.random.SeedSequence
+    """Seed of the job."""
     count: int
+    """Number of random joint positions."""
 
 
 class SectorJob(NamedTuple):
-    """The flood of one sector."""
+    """A job: the flood of one sector."""
 
     pair: Pair
+    """The pair."""
     seed: np.random.SeedSequence
     """Seed of the sector."""
     sector: int
+    """Number of the sector."""
     sources: Array
-    """(N, n_m) float32, starting poses."""
+    """(N, n_m) float32 [rad or m] starting poses."""
     taken: Array
-    """(M,) indices of its filled voxels."""
+    """(M,) indices of the sector's filled voxels."""
 
 
 def sample_shell(context: Context, job: SeedJob) -> Kept:
-    """Random poses whose points are in the shell around l_m."""
+    """Draw random poses, and return those whose points are in the shell around l_m."""
     rng = np.random.default_rng(job.seed)
     q_m = sample_joints(context.model, job.count, rng)
     seen = PairReader(context.model, job.pair).witnesses(q_m)
@@ -190,10 +208,10 @@ def sample_shell(context: Context, job: SeedJob) -> Kept:
 
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
-    """Poses that fill the voxels of a sector; d_m is measured again at the rounded points."""
+    """Find poses for the open voxels of a sector; d_m is computed at the rounded points."""
     model, config = context.model, context.config
-    wanted = context.voxels.sector_mask(job.sector)
-    wanted[job.taken] = False
+    open_voxels = context.voxels.sector_mask(job.sector)
+    open_voxels[job.taken] = False
     flood = Flood(
         model,
         PairReader(model, job.pair),
@@ -202,6 +220,6 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
         np.random.default_rng(job.seed),
     )
     q_m = np.clip(job.sources.astype(float), model.q_lower, model.q_upper)
-    found, points = flood.run(wanted, q_m, config.retries)
+    found, points = flood.run(open_voxels, q_m, config.retries)
     distances = context.body.distance(points * POINT_UNIT)
     return Kept(found, points, quantise_distances(distances))

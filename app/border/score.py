@@ -1,7 +1,7 @@
 """§2.3, (9) to (11): the score of a point near the base, from base and arm.
 
-Points are in the base's frame: origin on the floor under the base's centre, x forward. The
-coefficients of (9) are a least-squares fit to a reachability map (§2.3.2), to its means in shells.
+Points are in the base's frame: the origin is on the floor under the base's centre, x is forward.
+The coefficients of (9) are a least-squares fit to a reachability map (§2.3.2).
 """
 
 from __future__ import annotations
@@ -20,59 +20,58 @@ from app.strict import Array
 from app.structs import put
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is modified to stay positive
-SHELL = 0.05  # [m] thickness of a shell
+SHELL = 0.05  # [m] thickness of a shell around the mount
 ROUNDING = 1e-6
-"""[-] tolerance of a shell's inner border, relative to its thickness."""
-_FEWEST = 20  # [-] values that a shell needs before its mean can be the peak
+"""[-] tolerance of a shell's inner border, relative to the shell's thickness."""
+_FEWEST = 20  # [-] smallest number of values in a shell whose mean can be the peak
 
 
 @dataclass(frozen=True)
 class ScoreField:
-    """The score for one robot and one of its bodies; points are (…, 3) [m]."""
+    """The score for one robot and one body of its arm; points are (…, 3) [m]."""
 
     base: BaseKind
-    """The base's measure in place of the determinant of (7), with its sign."""
+    """The kind of base, which defines the signed measure that replaces the determinant of (7)."""
     p_base: Array
-    """(3,) [m] of (9), the arm's mount."""
+    """(3,) [m] p_base of (9), the arm's mount."""
     A: float
-    """[1/m²] of (9), the curvature."""
+    """[1/m²] A of (9), the curvature."""
     B: float
-    """[m] of (9), the distance of the best reach."""
+    """[m] B of (9), the distance of the best reachability."""
     C: float
-    """[-] of (9), the best reach."""
+    """[-] C of (9), the best reachability."""
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
-        """The field for a body of the arm.
+        """The score for a body of the arm.
 
         Raises:
-            DescriptionError: The description has no A, B, C of (9) for that body.
+            DescriptionError: The description has no A, B and C of (9) for the body.
         """
         base, reach = model.description.base, model.description.reachability.get(body)
         if reach is None:
             raise DescriptionError(
-                f"{model.description.name}/robot.toml: reachability.{body}: missing; "
-                "the body can meet the mobile robot"
+                f"{model.description.name}/robot.toml: reachability.{body}: missing; it is "
+                "required because the body can meet the mobile robot"
             )
         return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7), or the base's measure in its place; without a sign."""
+        """(…) det(J_c J_cᵀ) of (7), or the absolute measure of another kind of base."""
         return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
-        """(…) [-] R, the density of joint positions that reach a point, by its distance from the
-        mount.
+        """(…) [-] R, the reachability of a point, which depends on the distance from the mount.
 
         Paper: Eq. (9).
         Departs from the print: (9) is negative far from B and would change the score's sign. Below
-        R_1 = 0.05 C it continues as R_1² / (2 R_1 − R), with the same value and slope at R_1:
-        positive everywhere, with a gradient that never vanishes.
+        R_1 = 0.05 C the function continues as R_1² / (2 R_1 − R), with the same value and slope at
+        R_1. It is positive everywhere, and its gradient does not vanish far from B.
         """
         return self._fields(p)[..., 0]
 
     def score(self, p: Array) -> Array:
-        """(…) [unit of the base's measure; m⁴/rad⁴ of a differential one] S, with its sign.
+        """(…) S, with its sign, in the unit of the base's measure.
 
         It is positive where the base moves the point well; for the paper's base in front of the
         axis. A control step computes it with `score_at`.
@@ -83,11 +82,11 @@ class ScoreField:
         return self._fields(p)[..., 1]
 
     def gradient(self, p: Array) -> Array:
-        """(…, 3) ∇S by the point; zero on the axis of a differential base's wheels."""
+        """(…, 3) ∇S, the gradient with respect to the point."""
         return self._fields(p)[..., 2:]
 
     def coefficients(self) -> Array:
-        """(9,) the argument of `score_at`: the base's measure and its unit, p_base, A, B and C."""
+        """(9,) the argument of `score_at`: the base's measure and unit, p_base, A, B and C."""
         constant, per_square_metre = self.base.measure
         unit = self.base.score_unit
         return np.array(
@@ -106,14 +105,14 @@ class ScoreField:
 
 
 Measure = tuple[float, float, float]
-"""The base's measure of (7) at a point, with its sign, and its derivatives by x and y."""
+"""The base's signed measure of (7) at a point, and the derivatives of the measure by x and y."""
 
 
 @compiled()
 def _score_and_gradient(
     p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, float, float, float, float]:
-    """R, S and ∇S at a point; at the mount the gradient of R is undefined and counts as 0."""
+    """R, S and ∇S at a point; the gradient of R, which is undefined at the mount, counts as 0."""
     x, y, z = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
     rho, R_1 = math.sqrt(x * x + y * y + z * z), FLOOR * C
     R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)
@@ -149,7 +148,7 @@ def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Reachability over the distance from the mount, shell by shell from the mount outwards."""
+    """Reachability as a function of the distance from the mount, for shells around the mount."""
 
     rho_m: Array
     """(K,) [m] middle of each shell."""
@@ -161,10 +160,10 @@ class RadialProfile:
     """(K,) number of values in each shell."""
 
     def peak(self) -> int:
-        """The shell with the largest mean, among those with enough values.
+        """Index of the shell with the largest mean among the shells with enough values.
 
         Raises:
-            ValueError: No shell has enough values.
+            ValueError: There are no values.
         """
         enough = self.count >= min(_FEWEST, self.count.max(initial=0))
         if not self.count.any():
@@ -172,7 +171,10 @@ class RadialProfile:
         return int(np.argmax(np.where(enough & (self.count > 0), self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
-        """[m] the uninterrupted run of shells around the peak above a share of its mean."""
+        """The range [m] of distances around the peak in which each shell's mean is high enough.
+
+        Each mean is at least `share` [-] of the peak's mean.
+        """
         first = last = self.peak()
         good = self.mean >= share * self.mean[first]
         while first > 0 and good[first - 1]:
@@ -184,8 +186,14 @@ class RadialProfile:
 
 
 def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProfile:
-    """Means of values (N,) at distances rho (N,) [m] from the mount, over shells [m] thick."""
-    # Positions of a lattice may be on the border of two shells: rounding must not decide.
+    """Compute the means of values in shells around the mount.
+
+    Args:
+        rho: (N,) [m] distances from the mount.
+        reach: (N,) values at these distances.
+        shell: [m] thickness of a shell.
+    """
+    # A lattice has positions on the border of two shells; their shell must not depend on rounding.
     index = np.floor(np.asarray(rho) / shell + ROUNDING).astype(int)
     size = int(index.max(initial=-1)) + 1
     count = np.bincount(index, minlength=size)
@@ -199,41 +207,45 @@ class ReachFit(NamedTuple):
     """A, B, C of (9) and the quality of the fit."""
 
     A_per_m2: float
-    """[1/m²] of (9), the curvature."""
+    """[1/m²] A of (9), the curvature."""
     B_m: float
-    """[m] of (9), the distance of the best reach."""
+    """[m] B of (9), the distance of the best reachability."""
     C: float
-    """[-] of (9), the best reach."""
+    """[-] C of (9), the best reachability."""
     r_squared: float
-    """Share of the variance of the means over shells of ρ that (9) explains, each mean weighted by
-    its number of positions."""
+    """[-] share of the variance of the shells' means that (9) explains; each mean is weighted by
+    the number of positions in the shell."""
     rms: float
-    """Root mean square of the residuals of those means, in units of the reachability."""
+    """[-] root mean square of the residuals of the shells' means, weighted likewise."""
     r_squared_positions: float
-    """The same share for single positions, which scatter by the counting and by direction, which
-    (9) does not include."""
+    """[-] share of the variance of single positions that (9) explains. Their scatter comes from
+    sampling and from the direction, on which (9) does not depend."""
     rho_min_m: float
     """[m] the smallest fitted distance."""
     rho_max_m: float
     """[m] the largest fitted distance."""
     points: int
-    """Positions fitted."""
+    """Number of fitted positions."""
 
     def at(self, rho: Array) -> Array:
-        """(9) at distances rho [m], as printed: it may be negative."""
+        """(9) as printed, at distances rho [m]; the value may be negative."""
         return self.C - self.A_per_m2 * (np.asarray(rho) - self.B_m) ** 2
 
 
 def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
-    """Ordinary least squares of (9) with equal weights.
+    """Fit (9) by least squares with equal weights.
 
     Paper: Eq. (9).
-    The fit covers the uninterrupted range of distances around the peak with means of at least a
-    share [-] of the peak. The default is 0.05, where `ScoreField.reachability` starts to modify
-    (9). The values (N,) [-] at distances rho (N,) [m] from the arm's mount include those of zero.
+    The fit covers the range of distances around the peak in which the shells' means are at least a
+    share of the peak. The default share is that below which `ScoreField.reachability` modifies (9).
+
+    Args:
+        rho: (N,) [m] distances from the arm's mount.
+        reach: (N,) [-] values at these distances, including zeros.
+        share: [-] share of the peak.
 
     Raises:
-        ValueError: There are too few values, or they are not concave.
+        ValueError: There are too few values, or the fitted parabola is not concave.
     """
     rho, reach = np.asarray(rho, dtype=float), np.asarray(reach, dtype=float)
     low, high = radial_profile(rho, reach).band(share)
@@ -241,11 +253,11 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     chosen = (rho >= low - slack) & (rho < high - slack)
     x, y = rho[chosen], reach[chosen]
     if len(np.unique(x)) < 4:
-        raise ValueError("it is above zero at too few distances")
+        raise ValueError("the reachability is above zero at too few distances")
     polynomial = np.polynomial.Polynomial.fit(x, y, 2)
     c, b, a = polynomial.convert().coef
     if not a < 0 < b:
-        raise ValueError("it does not fall off on both sides of a best distance")
+        raise ValueError("the reachability does not decrease on both sides of a best distance")
     B = -b / (2 * a)
     left = y - polynomial(x)
     r_squared, rms = _radial_quality(x, y, left)
@@ -268,7 +280,7 @@ def _explained(y: Array, left: Array, weight: Array | None = None) -> float:
 
 
 def _radial_quality(x: Array, y: Array, left: Array) -> tuple[float, float]:
-    """R² and RMS residual of the means over shells."""
+    """R² and root mean square residual of the means in shells."""
     values, rest = radial_profile(x, y), radial_profile(x, left)
     there = values.count > 0
     mean, missed, weight = values.mean[there], rest.mean[there], values.count[there]

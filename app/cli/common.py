@@ -1,4 +1,4 @@
-"""Loading and printing that the subcommands share."""
+"""Functions for loading and printing that the subcommands share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def load_model(robot: str) -> RobotModel:
-    """The compiled model of a robot by its name."""
+    """Load the model of a robot by its name."""
     # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
@@ -26,7 +26,7 @@ def load_model(robot: str) -> RobotModel:
 
 
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """A robot's model with its pairs and clouds, sampled if they are not in the cache."""
+    """Load a robot's model, pairs and clouds; missing pairs and clouds are sampled."""
     from app.border.cache import load_border_data
 
     model = load_model(robot)
@@ -34,7 +34,7 @@ def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
 
 
 def say(text: str) -> None:
-    """Print a line on standard error, because standard output is for the results."""
+    """Print a line on standard error; standard output is for results."""
     print(printable(f"… {text}"), file=sys.stderr, flush=True)
 
 
@@ -49,7 +49,7 @@ def print_json(result: object) -> None:
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
-    """Print a command's figures: as one JSON object, or for people, one figure per line."""
+    """Print a command's figures, as one JSON object or with one figure on each line."""
     print_json(result) if json else _print_lines(result)
 
 
@@ -71,7 +71,7 @@ def as_json(result: object) -> str:
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
     """Print a table of plain texts on standard output, independent of the terminal's width."""
     from rich.console import Console
-    from rich.markup import escape  # otherwise a unit such as [m] is read as a style
+    from rich.markup import escape  # otherwise rich reads a unit such as [m] as a style
     from rich.table import Table
 
     table = Table(*map(escape, head), title=escape(title) or None)

@@ -1,4 +1,4 @@
-"""Entry point: subcommands, and errors as one line with a nonzero status."""
+"""Entry point of the command line: it selects the subcommand, and prints errors as one line."""
 
 import ast
 import atexit
@@ -40,9 +40,10 @@ _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
 def console() -> NoReturn:
-    """Run the command line as a process that ends as soon as its work has ended.
+    """Run the command line, and end the process immediately after the work.
 
-    The interpreter would first free all objects, for up to a second without response to signals.
+    A normal exit of the interpreter would free all objects first, which takes up to a second in
+    which the process ignores signals.
     """
     status = 0
     try:
@@ -60,7 +61,7 @@ def console() -> NoReturn:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command line; the status of the process is 0 only if the command succeeded."""
+    """Run the command line; the exit status is 0 only if the command succeeds."""
     open_standard_files()
     find_folders()
     logging.basicConfig(level=logging.INFO, stream=sys.stderr)
@@ -77,13 +78,13 @@ def main(args: list[str] | None = None) -> None:
         print(f"dbb: error: too little memory: {error}", file=sys.stderr)
         sys.exit(2)
     except ImportError as error:
-        if not str(error.path).endswith(".so"):  # an error of this program
+        if not str(error.path).endswith(".so"):  # a defect of this program
             raise
         print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for buffered output
-        if error.errno == errno.EPIPE:  # the reader has ended, such as `head`
+        if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
         where = "" if error.filename is None else f"{error.filename}: "
         print(f"dbb: error: {where}{error.strerror or error}", file=sys.stderr)
@@ -97,7 +98,7 @@ class _Plain(logging.Formatter):
     """Formats log records whose text may come from an untrusted source."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The text of a record, safe for a terminal."""
+        """Format a record as a text that is safe for a terminal."""
         return printable(super().format(record))
 
 
@@ -114,7 +115,7 @@ def _run(words: list[str]) -> None:
 
 
 def _run_command(name: str, *words: str) -> None:
-    """Import the named command and its dependencies, but no other command."""
+    """Import and run a command; no other command is imported."""
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
@@ -132,7 +133,7 @@ def _run_command(name: str, *words: str) -> None:
 
 
 def overview() -> str:
-    """All commands, one line each, read from their source because importing all takes long."""
+    """All commands, one on each line, read from the source files because imports take long."""
     lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version", _ABOUT]
     for title, commands in COMMANDS.items():
         lines.append(f"{title}:")

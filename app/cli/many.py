@@ -1,4 +1,4 @@
-"""`dbb reproduce`, `sweep` and `study`: the paper's runs, runs from all sides, random runs."""
+"""`dbb reproduce`, `sweep` and `study`: the paper's runs, paths from all sides, random pulls."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -29,13 +29,13 @@ def reproduce(
     processes: options.Processes = None,
     json: options.Json = False,
 ) -> None:
-    """Run the paper's experiments, draw its figures, check its claims.
+    """Run the paper's experiments, draw its figures, and check its claims.
 
     Args:
-        figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity for §4.3, or
-            departures;
+        figures: Names of figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity (for
+            §4.3), departures;
             default: all.
-        out: Folder for one PNG and CSVs per figure, `metrics.json` and `index.html`.
+        out: Folder for a PNG and CSV files of each figure, `metrics.json` and `index.html`.
         seed: Seed of all random numbers of the runs.
     """
     # Imported here: matplotlib and scipy would delay the start of every other command.
@@ -75,15 +75,15 @@ def sweep(
     out: Path = Path("out/sweep"),
     json: options.Json = False,
 ) -> None:
-    """Guide the end-effector to the base from all sides; draw a map.
+    """Guide the end-effector to the base from all sides, and draw maps of the results.
 
-    Each path starts in a clear posture with the same distance between arm and base, and leads
-    straight towards the base's centre. Directions without such a posture are listed as unreachable.
-    Paths along the wheel axis start with the arm's closest point
-    at x = 0, ±1, ±10 and ±50 mm.
+    Each path starts at a posture outside all buffers, with the same distance between arm and base,
+    and leads straight towards the base's centre. Directions without such a posture are listed as
+    unreachable. Paths along the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and
+    ±50 mm.
 
     Args:
-        out: Folder for `sweep.json`, `sweep.csv` and a PNG for each height and speed.
+        out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed.
     """
     if "controllers" in plan:
         plan["controllers"] = [
@@ -139,7 +139,7 @@ def study(
     ranges: Annotated[Given, from_record(StudyRange)],
     setup: options.SetupOptions,
     inside: Annotated[
-        options.Flag, tyro.conf.arg(help="Draw only cases inside of the stated envelope.")
+        options.Flag, tyro.conf.arg(help="Draw only cases inside the stated envelope of safety.")
     ] = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
@@ -148,14 +148,14 @@ def study(
 ) -> None:
     """Pull the end-effector towards the base in many random cases.
 
-    The pulls come from all sides, with noise, delay, slip and a wrong model. Hands are weak or
-    strong, soft or stiff, light or heavy; some release the end-effector on the way, and some of
-    those take hold again. Each finished case is stored. After an interruption the same command
-    continues the study, and a larger number of cases extends it.
+    The pulls come from all sides, with noise, delay, slip and model errors. The force, stiffness
+    and mass of the hand vary. In some cases the person releases the end-effector early, and in some
+    of these grasps it again. Each finished case is stored. After an interruption, the same
+    command continues the study; a larger number of cases extends it.
 
     Args:
         cases: Number of cases.
-        scheduler: Address of a running dask scheduler, whose workers have this project
+        scheduler: Address of a running dask scheduler, whose workers must have this project
             installed;
             default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
@@ -171,7 +171,7 @@ def study(
     options.make_folder(out)
     from app.studies.pulls.study import study as run_study
 
-    with _kept(cases, out) as on_progress:
+    with _resumable(cases, out) as on_progress:
         result = run_study(
             parameters,
             cases,
@@ -192,8 +192,8 @@ def study(
 
 
 @contextmanager
-def _kept(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
-    """A progress bar; after an interruption it reports the stored cases and how to continue."""
+def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
+    """Show a progress bar; after Ctrl-C, print the number of stored cases and how to continue."""
     kept = 0.0
 
     def count(done: float) -> None:

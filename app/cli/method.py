@@ -1,4 +1,4 @@
-"""`dbb pairs`, `border`, `reach`, `config` and `bench`: parts of the method by themselves."""
+"""`dbb pairs`, `border`, `reach`, `config` and `bench`: single parts of the method."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
-_MAX_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
+_MAX_SAMPLES = 10_000_000  # [-] samples that take about a minute and a gigabyte
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
-_PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
+_PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, for the end-effector
 
 
 def pairs(
@@ -33,7 +33,7 @@ def pairs(
     """Find the link pairs that can collide, by sampling (§2.1).
 
     Args:
-        robot: Name of the robot; `dbb robots` lists them.
+        robot: Name of the robot; `dbb robots` lists all names.
         samples: Number of joint positions.
         seed: Seed of the sampling.
     """
@@ -66,12 +66,12 @@ def border(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Build or load the distance buffer border of each pair (§2.2).
+    """Load or sample the distance buffer border of each pair (§2.2).
 
     Args:
-        robot: Name of the robot; `dbb robots` lists them.
-        out: Folder for one CSV of the border's points per pair (base frame, metres).
-        seed: Seed of the sampling; another seed gives another cloud.
+        robot: Name of the robot; `dbb robots` lists all names.
+        out: Folder for a CSV file of each pair with the border's points in the base's frame [m].
+        seed: Seed of the sampling; another seed gives other points.
     """
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
@@ -140,22 +140,22 @@ def reach(
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
     json: options.Json = False,
 ) -> None:
-    """Count the arm's reachability and fit (9) to it (§2.3.2).
+    """Compute the arm's reachability R, and fit (9) to R (§2.3.2).
 
-    Positions form a lattice around the arm's mount. For the body lEE, p is the end-effector's
-    origin and the pose is its full pose. For another body, p is the centre of its first shape and
-    the pose is that point with the direction of its axis. The density of a pose's solutions within
-    the joint limits and without self-collision follows from random joint positions: by the area
-    formula it is the sum of |det J| over the joint positions that lead there. R is scaled so that
-    its mean over the best shell of ρ = ‖p − p_base‖ is 100; (9) is fitted where that mean is at
-    least 5. The paper leaves the end-effector's frame, the scale and the range of the fit open; A
-    depends on them.
+    Positions p form a lattice around the arm's mount. For the body lEE, p is the end-effector's
+    origin and the pose is the end-effector's pose. For another body, p is the centre of the body's
+    first shape, and the pose is this point with the direction of the shape's axis. R is the density
+    of inverse kinematics solutions within the joint limits and without self-collision. It follows
+    from random joint positions by the area formula: R is the sum of |det J| of the joint positions
+    that lead to a cell of the lattice. R is scaled to a mean of 100 in the best shell of
+    ρ = ‖p − p_base‖, and (9) is fitted where the shells' means are at least 5. The paper does not
+    state the end-effector's frame, the scale and the range of the fit, on which A depends.
 
     Args:
-        robot: Name of the robot; `dbb robots` lists them.
-        body: lEE, l3 or another body that at least three joints move; `all` for each of those.
+        robot: Name of the robot; `dbb robots` lists all names.
+        body: lEE, l3 or another body that at least three joints move; `all` means all such bodies.
         seed: Seed of the joint positions; another seed gives another map.
-        out: Folder for two CSV per body: the map, and its means over shells with the fit.
+        out: Folder for two CSV files of each body: the map, and the means of shells with the fit.
     """
     from app.border.reach import (
         FINE_SAMPLES,
@@ -173,7 +173,7 @@ def reach(
     begin = perf_counter()
     bodies: dict[str, Any] = {}
     for name in names if body == "all" else [body]:
-        say(f"counting the solutions of {name}")
+        say(f"computing the reachability of {name}")
         reach_map = sample_reach_map(
             model, name, samples=FINE_SAMPLES, spacing=FINE_SPACING, seed=seed
         )
@@ -227,16 +227,16 @@ def config(
 ) -> None:
     """Print all parameters, as a file for --config.
 
-    Each has its unit, range and meaning.
+    Each parameter has its unit, range and meaning.
 
     Args:
-        out: File to write instead of printing; an existing file is not overwritten.
-        robot: Robot whose defaults apply without a file; `dbb robots` lists them.
+        out: File to write instead of standard output; an existing file is not overwritten.
+        robot: Robot whose defaults apply without a file; `dbb robots` lists all names.
     """
     tuned = options.configured(robot, config)
     if out is not None:
         if out.exists():
-            raise OutputError(f"--out: {out} exists; name another file or remove it")
+            raise OutputError(f"--out: {out} exists; choose another file or remove this one")
         write_whole(out, save_config(tuned, out.stem))
     if json:
         hidden = {"path", "label", "advanced", "log"}
@@ -257,13 +257,13 @@ def bench(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Time the control step along recorded end-effector paths.
+    """Measure the duration of the control step along recorded end-effector paths.
 
     Durations depend on the machine and its other work; compare only ratios within one run.
 
     Args:
-        robot: Name of the robot; `dbb robots` lists them.
-        no_border: Leave out the sampling of a new border, which takes half a minute.
+        robot: Name of the robot; `dbb robots` lists all names.
+        no_border: Do not measure the sampling of a new border, which takes half a minute.
         seed: Seed of the plant and of the synthetic borders.
     """
     options.check_seed(seed)
@@ -271,7 +271,7 @@ def bench(
         from benchmarks.step.bench import bench as measure
     except ModuleNotFoundError:
         raise ConfigError(
-            "dbb bench measures in a checkout of the project, which this is not: "
+            "dbb bench needs a checkout of the project, and this is an installation: "
             "clone the project, and call .venv/bin/dbb bench there after make run"
         ) from None
     model, data = load_robot_and_border(robot)

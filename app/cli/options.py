@@ -1,4 +1,4 @@
-"""Options that several commands have, and checks that name the option."""
+"""Options that several commands share, and checks whose messages name the option."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,16 +18,16 @@ from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range
 from app.system import begun_folder, is_no_file, own_path, usable_cores
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # present or absent
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # an option without a value
 Json = Annotated[
     Flag,
-    tyro.conf.arg(name="json", help="Print one JSON object, nothing else.", help_behavior_hint=""),
+    tyro.conf.arg(name="json", help="Print only one JSON object.", help_behavior_hint=""),
 ]
 ConfigOption = Annotated[
     Path | None,
     tyro.conf.arg(
-        help="TOML file of parameters, as written by `dbb config` or the dashboard; parameters "
-        "that are not in it have the robot's defaults, and other options override it.",
+        help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
+        "are not in the file have the robot's defaults. Other options override the file.",
         help_behavior_hint="",
     ),
 ]
@@ -40,7 +40,7 @@ Processes = Annotated[
 ]
 
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
-"""Option whose default is None and whose help states the effective default."""
+"""Mark of an option with the default None, whose help text states the effective default."""
 
 FORMERLY = {
     "--delay": "--base-delay",
@@ -49,40 +49,43 @@ FORMERLY = {
     "--strength": "--hand-f-max",
     "--replay-case": "--case",
 }
-"""Former names of options, which still work."""
+"""Former names of options, which are still valid, and the present names."""
 _REPEATED = {"--allow-host"}
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
-"""Options that set one parameter each, by its path."""
+"""Options that set a parameter, and the parameter's path."""
 
 _MAX_PROCESSES = 64
-_USUAL_PROCESSES = 2  # each more needs 0.5 GB
+_USUAL_PROCESSES = 2  # each further process needs 0.5 GB
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What runs."""
+    """Robot, controller, plant and seed of a run."""
 
     robot: str = "husky_panda"
-    """Name of the robot; `dbb robots` lists them."""
+    """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb, hqp (the paper's controller as printed; slower), a compared method
-    (repulsive, barrier), or none: the same controller without avoidance."""
+    """dbb; hqp (the paper's controller as printed, slower); repulsive or barrier (methods for
+    comparison); or none (the same controller without avoidance)."""
     physics: str = field(default_factory=default_plant)
-    """planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo), mujoco-contact
-    (MuJoCo, base on its own wheels) or kinematic (a stand-in without physics)."""
+    """planar (pybullet, base on velocity-controlled joints), mujoco (the same model in MuJoCo),
+    mujoco-contact (MuJoCo, base on wheels in contact) or kinematic (no physics engine)."""
     seed: int = 0
     """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
-        """Refuse names that do not exist before anything is loaded."""
+        """Check all names before anything is loaded."""
         check_name("controller", self.controller, CONTROLLERS)
         object.__setattr__(self, "physics", chosen_plant(self.physics))
         check_seed(self.seed)
 
 
 def parameter_options(paths: Mapping[str, str]) -> Any:
-    """The content of `Annotated[Given, …]` for options that set one parameter each, by name."""
+    """The annotation in `Annotated[Given, …]` for options that set one parameter each.
+
+    `paths` has the parameter's path for each option.
+    """
     found = {}
     for name, path in paths.items():
         about = tunable(path)
@@ -105,18 +108,24 @@ def configured(
     given: Given | None = None,
     paths: Mapping[str, str] = PARAMETERS,
 ) -> Config:
-    """The robot's defaults, overridden by the file of `--config`, then by the options.
+    """The robot's defaults, overridden by the file of `--config`, and then by the options.
+
+    Args:
+        robot: Name of the robot.
+        file: File of `--config`, or None.
+        given: Values of the options that the user set.
+        paths: The parameter's path for each option.
 
     Raises:
-        ConfigError: The file cannot be read, has an unknown parameter, or a value out of range.
+        ConfigError: The file cannot be read, or a parameter is unknown or out of range.
         DbbError: The robot does not exist, or its description is invalid.
     """
-    asked = partial(_configured, file, given or {}, paths)
-    asked(Config())
+    override = partial(_configured, file, given or {}, paths)
+    override(Config())
     # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
 
-    return asked(load_robot(robot).config)
+    return override(load_robot(robot).config)
 
 
 def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual: Config) -> Config:
@@ -128,7 +137,7 @@ def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:
-    """Names under which browsers may reach a server, from the file of `--config`.
+    """The names in the file of `--config` under which browsers may reach the server.
 
     Raises:
         ConfigError: The file cannot be read.
@@ -140,11 +149,11 @@ def hosts_of(file: Path | None) -> tuple[str, ...]:
 
 
 def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:
-    """A configuration with the parameters of the options that were set.
+    """A configuration with some parameters changed by options; arguments as in `configured`.
 
     Raises:
-        ConfigError: A value is out of range; names the option and the range.
-        UnknownNameError: A word is not one of the choices.
+        ConfigError: A value is out of range; the message names the option and the range.
+        UnknownNameError: A value is not one of the choices.
     """
     for name, value in given.items():
         about = tunable(paths[name])
@@ -157,10 +166,10 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a seed that not every generator accepts.
+    """Check that all random number generators accept a seed.
 
     Raises:
-        ConfigError: Names the valid range.
+        ConfigError: The seed is out of range; the message names the range.
     """
     check_range("--seed", seed, 0, MAX_SEEDS)
 
@@ -169,7 +178,7 @@ def check_processes(processes: int | None) -> int:
     """The requested number of processes, or the default: two, or one on a single core.
 
     Raises:
-        ConfigError: Names the valid range.
+        ConfigError: The number is out of range; the message names the range.
     """
     if processes is not None:
         check_range("--processes", processes, 1, _MAX_PROCESSES)
@@ -177,10 +186,10 @@ def check_processes(processes: int | None) -> int:
 
 
 def check_once(words: list[str]) -> None:
-    """Refuse an option that appears twice, because only the last would count.
+    """Check that no option appears twice, because only the last one would count.
 
     Raises:
-        ConfigError: Shows the correct form.
+        ConfigError: An option appears twice; the message shows the correct form.
     """
     given: dict[str, list[list[str]]] = {}
     values: list[str] = []
@@ -195,13 +204,13 @@ def check_once(words: list[str]) -> None:
         if len(each) > 1:
             together = " ".join([name, *(value for values in each for value in values)])
             raise ConfigError(
-                f"{name} is given {len(each)} times; give it once, with several values if it "
-                f"takes them: {together}"
+                f"{name} appears {len(each)} times; write it once, with several values if it "
+                f"accepts them: {together}"
             )
 
 
 def together(words: Iterable[str]) -> list[str]:
-    """The words, with all values of each option of `_REPEATED` behind one occurrence of it."""
+    """The words of a command line, with repeated options of `_REPEATED` merged into one option."""
     rest: list[str] = []
     found: dict[str, list[str]] = {}
     into = rest
@@ -217,25 +226,31 @@ def together(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Refuse, before the work, a file with a wrong ending or in a folder that is not writable.
+    """Check, before the work, that a file has a valid ending and can be written.
+
+    Args:
+        option: Name of the option.
+        path: The file, or None.
+        suffixes: The valid endings.
 
     Raises:
-        OutputError: Names the option, and the valid endings or the problem of the folder.
+        OutputError: The file has another ending or cannot be written; the message names the option
+            and the reason.
     """
     if path is None:
         return
     if path.suffix.lower() not in suffixes:
-        raise OutputError(f"{option}: {path} should end in {' or '.join(suffixes)}")
+        raise OutputError(f"{option}: {path} must end in {' or '.join(suffixes)}")
     if is_no_file(path):
         raise OutputError(f"{option}: {path} is a folder or a device")
     make_folder(own_path(path).parent, option)
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:
-    """Make the folder of an option and test that it is writable, before the work.
+    """Make the folder of an option, and check that it is writable, before the work.
 
     Raises:
-        OutputError: The folder cannot be made or written to.
+        OutputError: The folder cannot be made, or is not writable.
     """
     if out is None:
         return
@@ -251,6 +266,6 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
 
 
 def in_present_words(words: Iterable[str]) -> list[str]:
-    """Options with former names replaced by present ones."""
+    """The words of a command line, with former names of options replaced by the present names."""
     parted = (word.partition("=") for word in words)
     return ["".join((FORMERLY.get(name, name), sign, value)) for name, sign, value in parted]

@@ -1,4 +1,4 @@
-"""`dbb screenshot`, `film`, `replay` and `report`: a scenario as pictures, a log as a page."""
+"""`dbb screenshot`, `film`, `replay` and `report`: pictures of a scenario, pages of a log."""
 
 from __future__ import annotations
 
@@ -48,8 +48,9 @@ def screenshot(
 
     Args:
         scenario: A scenario of `dbb run`, or the JSON file of a case.
-        at: [s] into the scenario; several (--at 0 3 6) make a strip of pictures with their times.
-        out: The picture, PNG.
+        at: [s] time since the start of the scenario; several times (--at 0 3 6) make a strip of
+            pictures.
+        out: The PNG file.
     """
     is_case(scenario)
     look = Look(**picture)
@@ -60,7 +61,7 @@ def screenshot(
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
     write_whole(out, drawn.getvalue())
-    told = {
+    result = {
         "picture": str(out),
         "scenario": asked.scenario.name,
         "controller": asked.controller,
@@ -73,7 +74,7 @@ def screenshot(
         "view": look.view,
         "page": look.page,
     }
-    print_json(told) if json else print(out)
+    print_json(result) if json else print(out)
 
 
 def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
@@ -83,7 +84,7 @@ def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
 
     for t in at:
         check_range("--at", t, 0.0, asked.scenario.duration, "s")
-    with chromium() as browser:  # first, because everything else needs one
+    with chromium() as browser:  # first, because a missing browser must be reported at once
         model, data = load_robot_and_border(asked.robot)
         snapshots = filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
@@ -95,17 +96,18 @@ class Filming:
     """Options of a film."""
 
     rate: float = 25.0
-    """[1/s] pictures."""
+    """[1/s] number of pictures in a second of the film."""
     speed: float = 1.0
     """[-] playback speed; 1 is real time."""
     orbit: float = 0.0
     """[deg/s] rotation of the camera around the robot."""
     span: tuple[float, float] | None = None
-    """[s] part of the scenario; default: all of it."""
+    """[s] part of the scenario; default: the whole scenario."""
     side_by_side: bool = False
-    """Draw each controller of --beside in its own picture at the left, not as a ghost."""
+    """Draw the robot of each controller of --beside in a separate picture at the left instead of as
+    a ghost."""
     codec: str = ""
-    """h264 or h265 for .mp4, vp9 or vp8 for .webm; default: the first of them."""
+    """h264 or h265 for .mp4, vp9 or vp8 for .webm; default: h264 and vp9."""
 
     def __post_init__(self) -> None:
         check_range("--rate", self.rate, 1.0, 60.0, "1/s")
@@ -130,7 +132,7 @@ def film(
 
     Args:
         scenario: A scenario of `dbb run`, or the JSON file of a case.
-        out: The film: .mp4, .webm, .webp (animated) or .gif.
+        out: The file, which ends in .mp4, .webm, .webp (animated) or .gif.
         beside: Other controllers, whose robots appear as ghosts.
         start: [m] start of the end-effector, in the world, as in `dbb run`.
         move: [m] displacement of the end-effector, in the world, as in `dbb run`.
@@ -172,7 +174,7 @@ def _film(
     check_range("--span: the start", begin, 0.0, end, "s")
     step = how.speed / how.rate
     times = [begin + k * step for k in range(1 + int((end - begin) / step + 1e-9))]
-    with chromium() as browser:  # first, because everything else needs one
+    with chromium() as browser:  # first, because a missing browser must be reported at once
         model, data = load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
         found = [filmed(run, model, data, times) for run in runs]
@@ -211,7 +213,7 @@ def replay(
     looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
-    """Make one HTML file of a log that replays the run in any browser.
+    """Make one HTML file from a log, in which any browser replays the run.
 
     The file needs no network.
 
@@ -246,7 +248,7 @@ def report(
     out: Path = Path("out/report.html"),
     json: options.Json = False,
 ) -> None:
-    """Make one HTML file of a log, with figures and key numbers.
+    """Make one HTML file from a log, with figures and key numbers.
 
     Args:
         log: File of `dbb run --log` or `--out`, or the JSON file of a case.

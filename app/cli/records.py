@@ -1,4 +1,4 @@
-"""Options made from records: a field is an option, its docstring the help, with its default."""
+"""Options made from records: each field becomes an option, and its docstring the help text."""
 
 import ast
 import inspect
@@ -13,7 +13,7 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-Given = dict[str, Any]  # values of a record's fields that the user set, by name
+Given = dict[str, Any]  # values of the options that the user set, by the name of the field
 
 _METAVARS = {
     "allow_host": "NAME",
@@ -31,11 +31,14 @@ _METAVARS = {
 
 
 class Field(NamedTuple):
-    """An option: its type, its default or `MISSING`, and its help."""
+    """The description of an option."""
 
     kind: Any
+    """Type of the value."""
     default: Any
+    """Default value, or `MISSING` for a required option."""
     help: str
+    """Help text."""
 
 
 def from_record(
@@ -46,14 +49,14 @@ def from_record(
     names: Mapping[str, str] | None = None,
     positional: str = "",
 ) -> Any:
-    """The content of `Annotated[Given, …]` that makes a record's fields the options of a command.
+    """The annotation in `Annotated[Given, …]` by which a command gets an option for each field.
 
     Args:
         record: A dataclass or pydantic record, or an instance whose values are the defaults.
-        only: Fields to include; None for all.
-        leave: Fields to leave out.
-        names: Names of options that differ from the name of their field.
-        positional: The field whose value has no option name.
+        only: Names of the included fields; None means all fields.
+        leave: Names of the excluded fields.
+        names: Names of options that differ from the name of the field.
+        positional: Name of the field whose value has no option name.
     """
     found = {
         name: each
@@ -66,7 +69,10 @@ def from_record(
 def from_fields(
     found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
 ) -> Any:
-    """As `from_record`, for some fields; the dictionary has only the options that were set."""
+    """The annotation of `from_record` for some fields.
+
+    The command gets a dictionary that has only the options that the user set.
+    """
     kinds = {
         name: _option(name, each, (names or {}).get(name, name), positional == name)
         for name, each in found.items()
@@ -91,7 +97,7 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
 
 
 def _text(default: Any) -> str:
-    """A default as a user would type it."""
+    """A default value as a user would type the value."""
     if isinstance(default, tuple):
         return " ".join(map(_text, default))
     if isinstance(default, bool):
@@ -106,9 +112,9 @@ def _metavar(name: str, kind: Any, positional: bool) -> str | None:
 
 
 def fields_of(record: object) -> Iterator[tuple[str, Field]]:
-    """The fields of a record, in their order."""
+    """The fields of a record, in order, with their names."""
     cls = record if isinstance(record, type) else type(record)
-    kinds = {name: _given(kind) for name, kind in get_type_hints(cls).items()}
+    kinds = {name: _not_none(kind) for name, kind in get_type_hints(cls).items()}
     if issubclass(cls, BaseModel):
         for name, each in cls.model_fields.items():
             default = each.get_default(call_default_factory=True)  # type: ignore[call-arg]
@@ -123,7 +129,7 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
 
 
 def _docs(cls: type) -> Iterator[tuple[str, str]]:
-    """The docstrings of the fields of a dataclass."""
+    """The names and docstrings of the fields of a dataclass."""
     if "__dataclass_fields__" not in vars(cls):
         return
     body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
@@ -133,7 +139,7 @@ def _docs(cls: type) -> Iterator[tuple[str, str]]:
             yield ast.unparse(before.target), " ".join(text.split())
 
 
-def _given(kind: Any) -> Any:
-    """The type of a set option if the record's field may also be None."""
+def _not_none(kind: Any) -> Any:
+    """The type of a field without None, because an option that is set has a value."""
     rest = [each for each in get_args(kind) if each is not NoneType]
     return rest[0] if len(rest) == 1 and NoneType in get_args(kind) else kind

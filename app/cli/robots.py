@@ -1,4 +1,4 @@
-"""`dbb robots`, `new-robot`, `check-robot`: list the robots, make a new one, check one."""
+"""`dbb robots`, `new-robot`, `check-robot`: list all robots, make a new robot, check a robot."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 
 
 def robots(json: Json = False) -> None:
-    """List the described robots and the errors of invalid ones."""
+    """List all robots, with the errors of invalid descriptions."""
     # Imported here, because it needs the readers of descriptions.
     from app.robot.assets import absent_folders, robot_names
     from app.robot.description import load_robot
@@ -79,12 +79,12 @@ def check_robot(
 ) -> None:
     """Check that a robot's description agrees with the robot.
 
-    Compares the libraries, and checks limits, bodies over meshes, pairs, border and a guiding run;
-    prints warnings. The status is 0 only if no check fails.
+    The command compares pinocchio and the engines; checks limits, bodies against meshes, pairs,
+    border and a guiding run; and prints warnings. The status is 0 only if no check fails.
 
     Args:
-        name: Name of the robot; `dbb robots` lists them.
-        runs: Guide the end-effector towards the base too, which takes longest.
+        name: Name of the robot; `dbb robots` lists all names.
+        runs: Also guide the end-effector towards the base, which takes the most time.
         quick: Use the coarse border of `dbb new-robot --quick`.
     """
     from app.border.config import QUICK
@@ -99,11 +99,11 @@ def check_robot(
     rows = list(check.check_robot(description, runs=runs, tell=say, **coarse))
     failed = any(row.outcome == "failed" for row in rows)
     if json:
-        told = [row._asdict() for row in rows]
-        print_json({"robot": name, "passed": not failed, "checks": told})
+        checks = [row._asdict() for row in rows]
+        print_json({"robot": name, "passed": not failed, "checks": checks})
     else:
-        told = [(_MARKS[row.outcome], row.name, f"{row.outcome}: {row.text}") for row in rows]
-        print_table(("", "check", "result"), told, description.title)
+        table = [(_MARKS[row.outcome], row.name, f"{row.outcome}: {row.text}") for row in rows]
+        print_table(("", "check", "result"), table, description.title)
     if failed:
         sys.exit(1)
 
@@ -117,12 +117,12 @@ def new_robot(
 ) -> None:
     """Make a robot's description and border from its URDF or xacro.
 
-    Finds the wheels, groups the arm's links into bodies, fits convex shapes to them, samples the
-    pairs, chooses a ready pose, counts the reachability, and writes each number with its source.
-    Writes either all files or none.
+    The command finds the wheels, groups the arm's links into bodies, fits convex shapes to them,
+    samples the pairs, chooses a ready pose, computes the reachability, and writes each number with
+    its source. It writes all files or none.
 
     Args:
-        quick: Sample a coarse border in seconds. The first `serve` refines it in the
+        quick: Sample a coarse border in seconds. The first `dbb serve` refines the border in the
             background; every other command first samples the full border, which takes minutes.
     """
     asked = Request(**request)
@@ -178,7 +178,7 @@ def _print_made(made: dict[str, Any]) -> None:
     for title, text in (
         ("base", base),
         ("arm", f"{made['arm_joints']} joints; {', '.join(bodies)}"),
-        ("can collide", pairs or "nothing"),
+        ("can collide", pairs or "no pair"),
         ("reachability", "; ".join(reach)),
     ):
         show(f"  {title:13} {text}")

@@ -1,4 +1,4 @@
-"""`dbb run`: a scenario, headless and faster than real time."""
+"""`dbb run`: a scenario without a display, faster than real time."""
 
 import sys
 from collections.abc import Callable
@@ -43,7 +43,7 @@ class Files:
         options.make_folder(self.out)
         options.check_file("--log", self.log, (".csv", ".parquet", ".mcap"))
         if self.ros and (self.log is None or self.log.suffix.lower() != ".mcap"):
-            raise ConfigError("--ros: needs --log FILE that ends in .mcap")
+            raise ConfigError("--ros: needs --log with a file that ends in .mcap")
 
 
 FilesOptions = Annotated[Given, from_record(Files)]
@@ -53,7 +53,14 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """The scenario of a command line, the command that runs it, and the remaining words."""
+    """Select the command for a command line.
+
+    Args:
+        words: The words after `dbb run`.
+
+    Returns:
+        Name of the scenario or empty, the command, and the remaining words.
+    """
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
@@ -73,7 +80,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
 
 
 def _field(word: str) -> str:
-    """The field that an option sets; empty for other words."""
+    """Name of the field that an option sets; empty for a word that is not an option."""
     option = word.partition("=")[0]
     return option[2:].replace("-", "_") if option.startswith("--") else ""
 
@@ -86,7 +93,7 @@ def run(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Run a scenario, or repeat a case of a study; print its figures."""
+    """Run a scenario, or repeat a case, and print the figures."""
     del setup, parameters, files, config, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
@@ -96,14 +103,14 @@ _LIST = "\n".join(
     [
         "Scenarios, each with its own options (dbb run SCENARIO --help):",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
-        f"  {'--case':16} repeat a case of the page or of a study (dbb run --case FILE)",
+        f"  {'--case':16} repeat a case from the page or from a study (dbb run --case FILE)",
     ]
 )
 run.__doc__ = f"{run.__doc__}\n\n{_LIST}\n\nThe options of all scenarios:"
 
 
 def command_of(scenario: Scenario) -> Callable[..., None]:
-    """The command that runs a scenario, with its own options."""
+    """The command that runs a scenario, with the options of this scenario."""
 
     def command(
         scenario_options: Annotated[Given, from_record(scenario, only=scenario.options)],
@@ -135,10 +142,12 @@ def run_case(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Repeat a case with its start, pulls, robot, disturbances and seed, and thus its figures.
+    """Repeat a case with the same start, pulls, robot, disturbances and seed.
+
+    The figures are the same too, unless another option changes the run.
 
     Args:
-        case: File of a case: one of the page, or one of `failures` of a study.
+        case: File of a case, from the page or from `failures` of a study.
     """
     played = read(case)
     again = spec_of_case(played, setup)

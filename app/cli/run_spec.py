@@ -1,4 +1,4 @@
-"""The run of a scenario's name or of a case's file: whole, or up to some times."""
+"""A run from the name of a scenario or the file of a case, and the execution of this run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,12 @@ _CASE = ".json"
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run of a scenario by its name, or of a case by its file.
+    """The run of a scenario or a case.
+
+    Args:
+        word: Name of the scenario, or file of the case.
+        setup: Options of `Setup` that the user set.
+        config: File of parameters, or None.
 
     Raises:
         DbbError: The scenario or case does not exist, or the case already sets an option.
@@ -51,13 +56,13 @@ def spec_with(setup: Setup, scenario: Scenario, config: Config) -> RunSpec:
 
 
 def spec_of_case(case: RunCase, setup: Given) -> RunSpec:
-    """The run of a case, with another controller or plant if the user set one."""
+    """The run of a case, with another controller or plant if `setup` has one."""
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
     return spec_with(Setup(**(own | setup)), case.scenario(), case.config())
 
 
 def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-    """A complete run with a progress bar; see `run_from_spec`."""
+    """Execute a run with a progress bar; see `run_from_spec`."""
     # Imported here: the options are checked before anything is loaded.
     from app.simulation.run import run_from_spec
 
@@ -69,7 +74,7 @@ def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool)
 def filmed(
     run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
 ) -> list[Snapshot]:
-    """Snapshots of a run up to the last of the given times [s]."""
+    """Execute a run up to the last of some times [s] with a progress bar; return its snapshots."""
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
@@ -77,10 +82,10 @@ def filmed(
 
 
 def is_case(word: str) -> bool:
-    """Whether a word is the file of a case rather than the name of a scenario.
+    """Whether a word is the file of a case, and not the name of a scenario.
 
     Raises:
-        UnknownNameError: The word is neither.
+        UnknownNameError: The word is neither a file of a case nor the name of a scenario.
     """
     if not word.lower().endswith(_CASE):
         check_name("scenario", word, SCENARIOS)
@@ -89,7 +94,7 @@ def is_case(word: str) -> bool:
 
 
 def read(path: Path) -> RunCase:
-    """The case of a file; prints all differences since it was written.
+    """Read a case from a file, and print all differences since the case was written.
 
     Raises:
         DbbError: The file is not a case.
@@ -101,22 +106,26 @@ def read(path: Path) -> RunCase:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Refuse options that a repeated case already sets; None means not set.
+    """Check that no option is set that a case already sets.
+
+    Args:
+        options: Values of options by name; None means that an option is not set.
+        case: Name of the case, for the message.
 
     Raises:
-        ConfigError: Names the first such option.
+        ConfigError: An option is set; the message names the first such option.
     """
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):
             option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option}: {case} takes it from its file; leave out one of them")
+            raise ConfigError(f"{option}: {case} already sets this option; leave out one of them")
 
 
 def trace_of(path: Path) -> Trace:
-    """The trace of a log, or of a case after a new run.
+    """Read the trace of a log, or execute the run of a case and return its trace.
 
     Raises:
-        DbbError: The file is neither.
+        DbbError: The file is neither a log nor a case.
     """
     from app.simulation.trace.log_file import read_trace
 

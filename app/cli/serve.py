@@ -35,18 +35,19 @@ class Serving:
     host: str = "127.0.0.1"
     """Address to listen on; the default accepts only this machine."""
     port: int = 8080
-    """Port to listen on; 0 selects a free one."""
+    """Port to listen on; 0 selects a free port."""
     allow_host: tuple[str, ...] = ()
-    """Further names under which browsers reach the server, for example through a proxy; may be
-    repeated, or be in the file of --config: [server] allow_host = ["NAME"]."""
+    """Further names under which browsers reach the server, for example through a proxy. The option
+    may be repeated. The file of --config may also have these names:
+    [server] allow_host = ["NAME"]."""
     start: Point | None = None
     """[m] start of the end-effector, in the world; default: in front of the base."""
     case: Path | None = None
-    """File of a case, of the page or of `failures` of a study: the robot, its start and its
+    """File of a case, from the page or from `failures` of a study. The robot, its start and its
     disturbances are those of the case, and a button plays the pull."""
 
     def __post_init__(self) -> None:
-        """Refuse invalid options before anything is loaded."""
+        """Check the options before anything is loaded."""
         object.__setattr__(self, "allow_host", tuple(map(checked_host, self.allow_host)))
         if self.start is not None:
             check_point("--start", self.start)
@@ -58,7 +59,7 @@ def serve(
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
 ) -> None:
-    """Serve the dashboard: drag the end-effector, the base gives way."""
+    """Serve the dashboard, in which you pull the robot and the base moves out of the way."""
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
     case = None
@@ -94,7 +95,7 @@ class _First(NamedTuple):
     child: Child
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
-        """(n_m,) arm configuration."""
+        """(n_m,) [rad or m] joint positions of the arm at the start."""
         if self.case is not None:
             return self.case.scenario().setting(model, data, self.config, self.setup.seed).q_m
         return free_start(model, data, self.config, self.asked.start, self.setup.seed)
@@ -108,7 +109,7 @@ class _First(NamedTuple):
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
     ) -> ProcessLoop:
-        """Start the simulation of a robot; the default start of the arm is that of a new robot."""
+        """Start the simulation of a robot; without `q_start` the arm starts at the free start."""
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -159,8 +160,8 @@ def _serve(first: _First) -> None:
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         if not is_loopback(asked.host):
             say(
-                f"{asked.host} can be reached from other machines: everyone there "
-                "can watch and command the simulation; there is no password"
+                f"other machines can reach {asked.host}: everyone there can watch and command "
+                "the simulation; there is no password"
             )
         server.run_forever()
     finally:
@@ -168,7 +169,7 @@ def _serve(first: _First) -> None:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border; another process refines a coarse one for the next start."""
+    """The robot's border; if it is coarse, another process samples the full border meanwhile."""
     from app.border.cache import kept_border_data, load_border_data
     from app.border.config import QUICK
     from app.dashboard.job import Job, sample_border
@@ -179,6 +180,6 @@ def _border(model: RobotModel) -> BorderData:
     if coarse is None:
         return kept or load_border_data(model)
     name, job = model.description.name, Job()
-    say(f"the border of {name} is coarse; it is refined in the background, for the next start")
+    say(f"the border of {name} is coarse; a background process refines it for the next start")
     job.start(name, "refining its border", lambda: job.run(sample_border, name))
     return coarse

@@ -1,7 +1,7 @@
 """Reading of untrusted data within a budget of time and memory.
 
-Small data is read in this process. Larger data is read in a child process, which the system ends
-if it exceeds its budget. Thus no file can exhaust the memory of a server or block its threads.
+This process reads small data. A child process reads larger data, and the system ends this child if
+it exceeds its budget. Thus no file can exhaust the memory of a server or block its threads.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from app.system import limited
 Read = TypeVar("Read")
 
 SMALL = 16 * 2**10
-"""[bytes] largest data that is read in this process: more than most configurations."""
-_AT_ONCE = threading.BoundedSemaphore(2)  # [-] child processes that read
+"""[bytes] size of the largest data that this process reads; most configurations are smaller."""
+_AT_ONCE = threading.BoundedSemaphore(2)  # largest number of reading child processes
 _never = threading.Event()
-_limited = threading.Event()  # set in a reading child, which starts no other
+_limited = threading.Event()  # set in a reading child, which starts no further child
 
 
 class BudgetError(ValueError):
@@ -29,16 +29,16 @@ class BudgetError(ValueError):
 
 
 class Budget(NamedTuple):
-    """Time and memory for reading some data, in addition to those of the reader itself."""
+    """Time and memory for reading data, in addition to the needs of the process itself."""
 
     seconds: float
-    """[s] of processor time."""
+    """[s] processor time."""
     memory: int
-    """[bytes]"""
+    """[bytes] memory."""
 
     @classmethod
     def of(cls, size: int) -> Budget:
-        """The budget for data of a size [bytes]: no valid file needs more."""
+        """The budget for data of a size [bytes], which is sufficient for every valid file."""
         return cls(2.0 + size / 1e6, 300 * 10**6 + 50 * size)
 
     def __str__(self) -> str:
@@ -46,9 +46,12 @@ class Budget(NamedTuple):
 
 
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
-    """The result of `read(*args)`, which reads data of a size [bytes].
+    """Call `read(*args)` within a budget, and return the result.
 
-    `read` is a function of a module; it, its arguments and its result must be picklable.
+    Args:
+        read: A function of a module, which reads some data; its result must be picklable.
+        args: Arguments of `read`, which must be picklable.
+        size: [bytes] size of the data.
 
     Raises:
         BudgetError: Reading exceeds the budget.
@@ -62,13 +65,13 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
             _limited_read, budget, read, args, report=_ignore, cancelled=_never, niceness=0
         )
         return pickle.loads(packed)
-    raise BudgetError(f"it takes more than {budget} to read, which no such file needs")
+    raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 
 
 def _limited_read(
     _: object, budget: Budget, read: Callable[..., object], args: tuple[object, ...]
 ) -> bytes:
-    """The result, pickled within the budget because pickling costs time and memory too."""
+    """Call `read` and pickle the result, both within the budget."""
     _limited.set()
     with limited(*budget):
         result = read(*args)

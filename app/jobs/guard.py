@@ -1,10 +1,10 @@
-"""A guard process that kills another process if it does not end in time.
+"""A guard: a process that kills another process if the other process does not end in time.
 
-A library that hangs and holds Python's lock cannot stop the guard, because the guard is a separate
-process: `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file that announces
-the end of the process, by its end or by a byte; the guard copies the byte to standard output.
-LIVES is a pipe that is open as long as the process lives. A negative PID is
-the number of a process group. PATIENCE is in seconds.
+The guard is separate, so a library that hangs and holds Python's lock cannot stop the guard. Its
+command is `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file. The end of
+this file, or a byte with the number of a signal, announces the end of the process; the guard copies
+the bytes to standard output. LIVES is the number of a pipe that is open while the process lives. A
+negative PID is the number of a process group. PATIENCE is a time in seconds.
 """
 
 import os
@@ -18,13 +18,18 @@ from contextlib import contextmanager, suppress
 
 @contextmanager
 def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int]:
-    """Run a guard of this process, or of its group, during the `with`.
+    """Run a guard for this process during the `with`.
+
+    Args:
+        heard: Number of the file that announces the end of the process.
+        patience: [s] time between the announcement and the kill.
+        group: Whether the guard kills the whole group of this process.
 
     Yields:
-        The number of a file with the bytes that the guard copies; `heard` if no process can
+        The number of a file with the bytes that the guard copies; `heard` if the guard cannot
         start.
     """
-    passed = os.dup(heard)  # its own standard input takes the number 0
+    passed = os.dup(heard)  # not the number 0, which is the guard's standard input
     lives, alive = os.pipe()
     pid = -os.getpgid(0) if group else os.getpid()
     words = map(str, (__file__, passed, lives, pid, patience))
@@ -52,12 +57,12 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
 def main(heard: int, lives: int, pid: int, patience: float) -> None:
     """Wait for the announcement or the end, and then for the end of the process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # it ends with the process
+        signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     while True:
         ready, _, _ = select.select([heard, lives], [], [])
         said = os.read(heard, 1) if heard in ready else b""
         if lives in ready and not said:
-            return  # it has ended
+            return  # the process has ended
         if said:
             with suppress(OSError):
                 os.write(1, said)

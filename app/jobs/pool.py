@@ -1,4 +1,4 @@
-"""Process pool: the same function for many jobs on all cores, in the order of the jobs."""
+"""Process pool: executes the same function for many jobs on all cores."""
 
 from __future__ import annotations
 
@@ -27,15 +27,18 @@ _log = logging.getLogger(__name__)
 class Workers(AbstractContextManager["Workers"]):
     """Runs `function(context, job)` for many jobs; each process makes its context once.
 
-    The processes start and make their contexts when the `with` begins, in parallel with the work
-    before the first job. Results come in the order of the jobs, so they do not depend on the number
+    The processes start when the `with` begins, and make their contexts in parallel with the work
+    before the first job. Results are in the order of the jobs, so they do not depend on the number
     of processes.
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
-        """Prepare the processes; default: one for each usable core; 1 means within this process.
+        """Prepare the processes.
 
-        `make_context` makes the data that all jobs share; it must be picklable.
+        Args:
+            make_context: Makes the data that all jobs share; must be picklable.
+            processes: Number of processes; default: one for each usable core. With 1, this process
+                executes the jobs.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -43,7 +46,7 @@ class Workers(AbstractContextManager["Workers"]):
         self._children: list[Child] = []
         self._idle: SimpleQueue[Child] = SimpleQueue()
         self._lock = Lock()  # protects the list of processes
-        self._own: Any = None  # the context within this process, made on first use
+        self._own: Any = None  # the context of this process, made at the first use
 
     def __enter__(self) -> Self:
         try:
@@ -71,41 +74,44 @@ class Workers(AbstractContextManager["Workers"]):
         tells: bool = False,
         lost: Callable[[Any], Result] | None = None,
     ) -> Iterator[Result]:
-        """The results of all jobs, in order, each as soon as it is available.
+        """Execute the jobs, and yield each result as soon as it is available, in order.
 
-        If a process ends, another one replaces it and repeats the job, up to `_TRIES` attempts;
-        then `lost` makes the result of the job.
+        The processes begin at once. If there is only this process, a job runs when its result is
+        read.
 
-        Processes start at once, so other work can run before the results are read; within this
-        process a job runs when its result is read. The reader's thread calls `on_progress` with the
-        mean share of all jobs that is done, 0 to 1, which never decreases. A function that `tells`
-        takes a third argument and calls it with the share of its own job; for other functions only
-        the end of a job counts.
+        Args:
+            function: Executes a job.
+            jobs: The jobs.
+            on_progress: Called in the reader's thread with the share of all work that is done, 0 to
+                1, which never decreases.
+            tells: Whether `function` takes a third argument, to which it reports the share of the
+                job that is done; otherwise only the end of a job counts.
+            lost: Makes the result of a job whose process has ended in each of three attempts.
 
         Raises:
             LoopError: Each attempt at a job has ended its process, and there is no `lost`.
         """
         shares = _Shares(len(jobs), on_progress)
         tasks = [_Task(function, job, tells, lost) for job in jobs]
-        asked: list[Future[Result]] = []
+        futures: list[Future[Result]] = []
         if self._processes > 1:
             for number, task in enumerate(tasks):
                 tell = partial(shares.send, number)
-                asked.append(self._threads.submit(self._ask, task, tell))
-                asked[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
-        return self._results(tasks, asked, shares)
+                futures.append(self._threads.submit(self._ask, task, tell))
+                futures[-1].add_done_callback(lambda _, tell=tell: tell(1.0))
+        return self._results(tasks, futures, shares)
 
     def _results(
-        self, tasks: Sequence[_Task], asked: Sequence[Future[Result]], shares: _Shares
+        self, tasks: Sequence[_Task], futures: Sequence[Future[Result]], shares: _Shares
     ) -> Iterator[Result]:
         done = 0
         try:
-            for future in asked:
+            for future in futures:
                 shares.wait_for(done)
                 yield future.result()
                 done += 1
         finally:
-            for future in asked:
+            for future in futures:
                 future.cancel()
         if done < len(tasks) and self._own is None:
             self._own = self._make_context()
@@ -115,7 +121,7 @@ class Workers(AbstractContextManager["Workers"]):
             yield result
 
     def _ask(self, task: _Task, tell: OnProgress) -> Any:
-        """Run a job in an idle process; there is one for each thread that waits here."""
+        """Run a job in an idle process; there is a process for each thread that calls this."""
         child = self._idle.get()
         try:
             for _ in range(_TRIES):
@@ -123,12 +129,12 @@ class Workers(AbstractContextManager["Workers"]):
                 if outcome is not None:
                     return outcome.value()
                 child = self._replaced(child)
-            return task.given_up()
+            return task.result_if_lost()
         finally:
             self._idle.put(child)
 
     def _replaced(self, gone: Child) -> Child:
-        """Another process in place of one that has ended, unless all are to end."""
+        """Replace a process that has ended by a new one, unless the pool is ending."""
         with self._lock:
             if gone not in self._children:
                 return gone
@@ -145,7 +151,7 @@ class Workers(AbstractContextManager["Workers"]):
 
 
 ALONE = Workers(tuple, 1)
-"""Runs jobs within this process."""
+"""Runs jobs in this process."""
 
 
 class _Shares:
@@ -179,11 +185,11 @@ class _Task(NamedTuple):
     lost: Callable[[Any], Any] | None
 
     def do(self, context: Any, tell: OnProgress) -> Any:
-        """Its result."""
+        """Execute the job, and return its result."""
         return self.function(context, self.job, *([tell] if self.tells else []))
 
-    def given_up(self) -> Any:
-        """The result of a job after the last attempt."""
+    def result_if_lost(self) -> Any:
+        """The result of a job whose process has ended in each attempt."""
         if self.lost is None:
             raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
         return self.lost(self.job)

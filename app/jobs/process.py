@@ -1,7 +1,8 @@
 """Child processes: start, progress, cancellation, and the end with the parent.
 
-A child is a separate interpreter, not a fork, which would copy locks that another thread holds.
-It detects the end of its parent by a pipe without a writer: when it closes, the parent has ended.
+A child is a separate interpreter. It is not a fork, because a fork would copy locks that another
+thread holds. The child's standard input is a pipe that the parent holds open: when the pipe closes,
+the parent has ended.
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ from app.system import (
 )
 
 Report = Callable[[str, float], None]
-"""Takes the present activity and the share of the work done, 0 to 1, or negative if unknown."""
+"""A function that takes the present activity and the share of the work that is done, 0 to 1, or a
+negative number if the share is unknown."""
 
-_CANCEL_EVERY = 0.1  # [s] between two checks for cancellation
-_PATIENCE = 2.5  # [s] for the `finally`s of a process before it is killed
+_CANCEL_EVERY = 0.1  # [s] time between two checks for cancellation
+_PATIENCE = 2.5  # [s] time in which a process can clean up before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
-"""Code of a child's interpreter: it imports nothing before it has its parent's path."""
+"""Code of a child's interpreter, which sets the parent's path before it imports this module."""
 _running: set[Child] = set()
-"""Processes of `run_in_process`; this process does not wait for their threads when it exits."""
+"""Processes of `run_in_process`, which end when this process exits."""
 
 
 class Cancelled(DbbError):  # noqa: N818 - a person's choice, not an error
@@ -48,21 +50,27 @@ class Cancelled(DbbError):  # noqa: N818 - a person's choice, not an error
 
 
 class EndedError(LoopError):
-    """A process has ended by itself, without a result."""
+    """A process has ended without a result, although it was not cancelled."""
 
 
 class Child(AbstractContextManager["Child"]):
     """A process that runs `work(receiver, sender, *args)` and ends when its parent has ended.
 
-    `work` is a function of a module; it and its arguments must be picklable. The child imports
-    neither from the working directory nor the parent's main module. It ignores Ctrl-C, which
-    reaches a whole group of processes, and leaves it to the parent.
+    `work` must be a function of a module, and its arguments must be picklable. The child does not
+    import modules from the working directory, or the parent's main module. It ignores Ctrl-C, which
+    reaches the whole group of processes; the parent handles it.
     """
 
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Start the process; if it leads a group, all processes that it starts end with it."""
+        """Start the process.
+
+        Args:
+            work: The function.
+            args: Arguments of `work` after the two connections.
+            leads_group: Whether all processes that the child starts end with the child.
+        """
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
         """Connection to the process."""
@@ -86,14 +94,20 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """Its status, negative for a signal, if it ends within a patience [s]; otherwise None."""
+        """The exit status if the process ends within a patience [s], otherwise None.
+
+        A negative status is the number of a signal.
+        """
         try:
             return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             return None
 
     def end(self, *, at_once: bool = False) -> None:
-        """End it, and its group if it leads one: through every `finally`, or at once."""
+        """End the process, and its group if it leads one.
+
+        The process can clean up first, but not with `at_once`.
+        """
         for hard in (True,) if at_once else (False, True):
             if self.ended() is None:
                 if self._leads_group:
@@ -101,26 +115,29 @@ class Child(AbstractContextManager["Child"]):
                 self._process.kill() if hard else self._process.terminate()  # no group yet
                 self.ended(_PATIENCE)
         if self._leads_group:
-            end_group(self._process.pid, at_once=True)  # its remaining children
+            end_group(self._process.pid, at_once=True)  # the remaining children of the process
 
 
 class Outcome(NamedTuple):
     """Result or exception of work in another process."""
 
     result: Any
+    """The result; None after an exception."""
     error: BaseException | None = None
+    """The exception, or None."""
     traceback: str = ""
+    """The text of the exception's traceback."""
 
     @classmethod
     def of(cls, work: Callable[..., Any], *args: Any) -> Outcome:
-        """Run the work."""
+        """Call `work(*args)`, and return the outcome."""
         try:
             return cls(work(*args))
         except Exception as error:  # raised again in the process that waits
             return cls(None, portable(error), traceback.format_exc())
 
     def value(self) -> Any:
-        """The result; raises the exception of the work, with its traceback as the cause."""
+        """Return the result, or raise the exception of the work with its traceback as the cause."""
         if self.error is not None:
             raise self.error from RemoteTraceback(self.traceback)
         return self.result
@@ -136,15 +153,15 @@ def run_in_process(
     """Run `work(report, *args)` in a `Child` of low priority, and return its result.
 
     Args:
-        work: Function to run.
-        args: Its arguments after `report`.
+        work: The function.
+        args: Arguments of `work` after `report`.
         report: Called in this process with each report of `work`.
-        cancelled: Ends the process and all its children as soon as it is set.
-        niceness: [-] of the process, 0 to 19.
+        cancelled: An event that ends the process and all its children.
+        niceness: [-] niceness of the process, 0 to 19.
 
     Raises:
         Cancelled: `cancelled` was set.
-        EndedError: The process ended by itself.
+        EndedError: The process ended without a result.
         Exception: The exception of `work`, with its traceback as the cause.
     """
     child = Child(_run, niceness, work, args, leads_group=True)
@@ -153,7 +170,7 @@ def run_in_process(
         outcome = _receive(child.receiver, report, cancelled)
         status = child.ended(_PATIENCE)
         if outcome is None:
-            raise EndedError(f"the process for this ended with status {status}")
+            raise EndedError(f"the process of this work ended with status {status}")
         return outcome.value()
     finally:
         _running.discard(child)
@@ -161,7 +178,7 @@ def run_in_process(
 
 
 def portable(error: BaseException) -> BaseException:
-    """The error itself if it is picklable, otherwise a similar one with the same text."""
+    """The error itself if it is picklable, otherwise a `LoopError` with the same text."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # the constructor of an error may raise any exception
@@ -171,9 +188,9 @@ def portable(error: BaseException) -> BaseException:
 
 
 def begin(receiver: int, sender: int, leads_group: bool) -> None:
-    """Main function of a `Child`, with the numbers of its two connections.
+    """Main function of a `Child`; `receiver` and `sender` are the numbers of its connections.
 
-    It watches its parent before it imports the modules of its work, which may take seconds.
+    The child watches its parent before it imports the modules of the work, which may take seconds.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     wake_without_parent()
@@ -226,16 +243,16 @@ def _run(
 
 
 def _leave(*_: object) -> None:
-    """End through every `finally`, which a second signal does not interrupt."""
+    """End this process after its clean-up, which a second signal does not interrupt."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise SystemExit(128 + signal.SIGTERM)
 
 
 def _end_with_parent(leads_group: bool) -> None:
-    """Wait until the parent has closed its end of this process's standard input, then end."""
+    """Wait until the parent has closed this process's standard input, then end this process."""
     os.read(0, 1)
     if leads_group:
-        end_group(0, at_once=False)  # itself too, which removes temporary files
+        end_group(0, at_once=False)  # includes this process, which then removes temporary files
         time.sleep(_PATIENCE)
         end_group(0, at_once=True)
     os._exit(1)

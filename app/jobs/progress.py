@@ -1,4 +1,4 @@
-"""Long commands: progress on standard error, and signals that end them through `finally`."""
+"""Long commands: progress on standard error, and signals that end a command with a clean-up."""
 
 import atexit
 import os
@@ -15,12 +15,12 @@ from app.jobs.guard import guarded
 from app.system import ENDING, wake_children
 
 OnProgress = Callable[[float], None]
-"""Takes the share of the work that is done, 0 to 1."""
+"""A function that takes the share of the work that is done, 0 to 1."""
 
-_EVERY = 20.0  # [s] between two plain lines; shorter work prints none
-_LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
-_PATIENCE = 8.0  # [s] of the guard, if no thread of the process can act
-_TIDYING = 1.0  # [s] for the exit functions of a late process
+_EVERY = 20.0  # [s] time between two lines of plain text; shorter work prints no line
+_LONGEST = 2.0  # [s] time in which a command ends after a signal; its children take 2.5 s more
+_PATIENCE = 8.0  # [s] time after which the guard kills a process in which no thread can run
+_TIDYING = 1.0  # [s] timeout of the exit functions of a process that ends late
 _received: list[int] = []
 
 
@@ -28,11 +28,16 @@ _received: list[int] = []
 def progress_bar(
     text: str, total: float, *, shown: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Show the progress of some work, relative to a total in any unit.
+    """Show the progress of some work.
+
+    Args:
+        text: Name of the work.
+        total: The total amount of work, in any unit.
+        shown: Whether the progress is displayed.
 
     Yields:
-        The function that takes the amount done. Calling it, and the start of the work, raise Ctrl-C
-        again if it was lost.
+        A function that takes the amount of work that is done. If a library has swallowed Ctrl-C,
+        the start of the work, or the next call of this function, raises it again.
     """
     _raise_what_was_lost()
     show = _bar if sys.stderr.isatty() else _lines
@@ -46,15 +51,15 @@ def progress_bar(
 
 
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
-    """Convert the share of a part of some work, 0 to 1, to a share of the whole.
+    """A function that takes the share of a part of some work, and reports the share of the whole.
 
-    The part is the interval `begin` to `end` of the whole.
+    The part is the interval from `begin` to `end` [-] of the whole work.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
 
 def _raise_what_was_lost() -> None:
-    """Raise the effect of a signal if compiled code or the import of a library has swallowed it."""
+    """Raise the exception of a signal again if compiled code or an import has swallowed it."""
     if _received and threading.current_thread() is threading.main_thread():
         raise _exception()
 
@@ -93,28 +98,29 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def ending_signals_raised() -> Iterator[None]:
-    """SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` of 128 + the signal.
+    """Raise exceptions for ending signals during the `with`.
 
-    If compiled code converts that into another error, the same exception is raised again at the
-    end. The process ends within 2 s in any case.
+    SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` with 128 + the signal's
+    number. If compiled code converts the exception into another error, the exception is raised
+    again at the end. The process ends within 2 s in any case.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C was pressed, and ended the work.
-        SystemExit: Another of the signals came.
+        KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
+        SystemExit: SIGTERM or SIGHUP has ended the work.
     """
     _received.clear()
     before = {}
     if threading.current_thread() is threading.main_thread():
         for number in ENDING:
             handler = signal.getsignal(number)
-            # Ignored signals stay ignored; foreign handlers, such as a test's, stay installed.
+            # Ignored signals stay ignored, and handlers of other code stay installed.
             if handler in (signal.default_int_handler, signal.SIG_DFL):
                 before[number] = signal.signal(number, _raise)
     try:
         with _deadline(tuple(before)):
             yield
     except Exception as error:
-        # Ours names the signal; a browser's error only says that the browser has ended.
+        # This exception names the signal; a browser's error only says that the browser has ended.
         if _received and (isinstance(error, BrowserError) or not isinstance(error, DbbError)):
             raise _exception() from error
         raise
@@ -134,12 +140,12 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 s after one of these signals, independently of its main thread.
+    """End the process 2 s after one of some signals, independently of the main thread.
 
-    Python's own handlers wait until compiled code of the main thread has returned, and their
-    exceptions may be lost there. The numbers of signals are also written to a file, at once. If
-    compiled code holds Python's lock too, so that no thread of this process can act, the guard
-    kills it.
+    Python calls its signal handlers only after compiled code of the main thread has returned, and
+    their exceptions may be lost. Therefore Python also writes the numbers of the signals to a pipe,
+    which another thread reads. If compiled code holds Python's lock, so that no thread can run, the
+    guard kills the process.
     """
     if not numbers:
         yield
@@ -164,8 +170,8 @@ def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
             if number[0] in numbers:
                 wake_children()
                 sleep(longest)
-                # Temporary folders are removed, as at any end; a hanging removal does not delay the
-                # end.
+                # Temporary folders are removed, as at any end; a removal that hangs does not delay
+                # the end.
                 tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
                 tidying.start()
                 tidying.join(_TIDYING)

@@ -1,1 +1,1 @@
-"""Physics, scenarios, the two-rate loop and recording."""
+"""Simulation: plants, scenarios, the live loop and the record of a run."""

@@ -1,4 +1,4 @@
-"""A planned run, and a case: the file with all data that repeat a run exactly."""
+"""A planned run, and a case: a file with all data that are needed to repeat a run exactly."""
 
 import json
 from importlib.metadata import version
@@ -19,7 +19,7 @@ from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
-_MAX_ENTRIES = 1000  # [-] most options, parameters or figures of a case; about a hundred are usual
+_MAX_ENTRIES = 1000  # [-] options, parameters or figures of a case; about a hundred are usual
 FORMAT = "dbb_case"  # the key that identifies such a file
 
 
@@ -42,7 +42,7 @@ class RunCase(Strict):
     dbb_case: Literal[1] = 1
     """Version of the file format."""
     version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
-    """Version of the program that wrote it."""
+    """Version of the program that wrote the file."""
     robot: str
     played: str
     """Name of the scenario."""
@@ -54,7 +54,7 @@ class RunCase(Strict):
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
     """All parameters, by their paths."""
     figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
-    """The results, by the names of `dbb run`'s figures."""
+    """The results, by the names of the figures of `dbb run`."""
 
     @field_validator("parameters")
     @classmethod
@@ -75,7 +75,7 @@ class RunCase(Strict):
         )
 
     def spec(self) -> RunSpec:
-        """The run; raises the errors of `scenario` and `config`."""
+        """The planned run; raises the errors of `scenario` and `config`."""
         run = self.controller, self.physics, self.seed
         return RunSpec(self.robot, self.scenario(), self.config(), *run)
 
@@ -90,7 +90,7 @@ class RunCase(Strict):
         return _PLAYED[self.played].changed(**options)
 
     def config(self) -> Config:
-        """The parameters that still exist.
+        """The configuration with those parameters of the case that still exist.
 
         Raises:
             ConfigError: A value is out of its range.
@@ -99,18 +99,20 @@ class RunCase(Strict):
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """The differences since the case was written, one per line."""
+        """The differences of program and parameters since the case was written, one per line."""
         now, found = version("dbb-mobile-manipulator"), []
         if self.version != now:
-            found.append(f"the case was written by dbb {self.version}, this is {now}")
+            found.append(f"dbb {self.version} wrote the case; this is dbb {now}")
         for path in sorted(self.parameters.keys() - tunables().keys()):
-            found.append(f"the parameter {path} no longer exists; it was {self.parameters[path]}")
+            found.append(
+                f"the parameter {path} no longer exists; its value was {self.parameters[path]}"
+            )
         for path in sorted(tunables().keys() - self.parameters.keys()):
-            found.append(f"the case has no {path}; it is {Config().value(path)}")
+            found.append(f"the case has no {path}; the default {Config().value(path)} is used")
         return found
 
     def changes(self, figures: dict[str, Any]) -> list[str]:
-        """The figures that differ from those of the case, one per line."""
+        """The figures that differ from the figures of the case, one per line."""
         return [
             f"{name} was {value!r}, is now {figures.get(name)!r}"
             for name, value in self.figures.items()
@@ -118,48 +120,53 @@ class RunCase(Strict):
         ]
 
     def text(self) -> str:
-        """The file."""
+        """The text of the file."""
         return json.dumps(self.model_dump(mode="json"), indent=1) + "\n"
 
     @classmethod
     def read(cls, text: str, where: object) -> Self:
-        """The case of a file's text.
+        """Read a case from the text of a file.
+
+        Args:
+            text: The text.
+            where: Name of the file, for messages.
 
         Raises:
-            CaseError: The text is not a valid case; names the problem, also for names and options.
+            CaseError: The text is not a case, or a name, option or parameter in the text is
+                invalid; the message names the fault.
         """
         try:
             content = parsed(json.loads, text)
         except ValueError as error:
-            raise CaseError(f"{where} is no case: not JSON ({error})") from None
+            raise CaseError(f"{where} is not a case: it is not JSON ({error})") from None
         if not isinstance(content, dict) or FORMAT not in content:
-            raise CaseError(f"{where} is no case: it has no {FORMAT!r}")
+            raise CaseError(f"{where} is not a case: it has no {FORMAT!r}")
         try:
             case = cls.model_validate_json(json.dumps(content))
             check_name("controller", case.controller, CONTROLLERS)
             case.scenario()
             case.config()
         except ValidationError as error:
-            raise CaseError(f"{where} is no case: {explain(error, cls)}") from None
+            raise CaseError(f"{where} is not a case: {explain(error, cls)}") from None
         except DbbError as error:
-            raise CaseError(f"{where} is no valid case: {error}") from None
+            raise CaseError(f"{where} is not a valid case: {error}") from None
         return case
 
 
 def read_case(path: Path) -> RunCase:
-    """The case of a file.
+    """Read a case from a file.
 
     Raises:
-        CaseError: The file does not exist or has no valid case; names the problem.
+        CaseError: The file does not exist or is not a valid case; the message names the fault.
     """
     try:
         return RunCase.read(file_text(path), path)
     except OSError as error:
         raise CaseError(f"cannot read the case {path}: {error.strerror}") from None
     except ValueError as error:
-        raise CaseError(f"{path} is no case: not JSON ({error})") from None
+        raise CaseError(f"{path} is not a case: it is not JSON ({error})") from None
 
 
 def _tuples(value: Any) -> Any:
-    """Lists of a file as tuples, as in the records."""
+    """A value with its lists converted to tuples, as the records have them."""
     return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

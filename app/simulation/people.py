@@ -1,4 +1,4 @@
-"""People who hold the robot, each with one hand, at the end-effector or any point of the arm.
+"""People who hold the robot, each with one hand, at the end-effector or another point of the arm.
 
 A hand is a spring and a damper with a force limit, and optionally a mass.
 """
@@ -18,7 +18,7 @@ from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
 from app.strict import Array
 
-_ARM = 2  # pinocchio's first joint of the arm; 1 is the planar joint of the base
+_ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
 _QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
 _TOP_SPEED = 1.5  # [m/s] largest speed of the hand
 _FARTHEST = 1e4  # [m] farthest target from the world's origin
@@ -37,8 +37,8 @@ class Hold(NamedTuple):
     link: str | None = None
     """Name of a frame of the arm, one of `held_links`; None is the end-effector."""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """(3,) [m] the held point, in the link's frame; without a link it is the end-effector's
-    origin."""
+    """(3,) [m] the held point in the link's frame; without a link, the held point is the
+    end-effector's origin."""
 
 
 class PullReading(NamedTuple):
@@ -50,7 +50,7 @@ class PullReading(NamedTuple):
     point: Array
     """(3,) [m] the held point."""
     target: Array
-    """(3,) [m] its target."""
+    """(3,) [m] target of the held point."""
     force: Array
     """(3,) [N] the person's force on that point."""
 
@@ -68,7 +68,13 @@ class People:
     """One `PersonHand` for each person who holds the robot; forces on the same point add."""
 
     def __init__(self, model: RobotModel, config: PersonConfig, dt: float) -> None:
-        """Without people; `config` is the strength of each, `dt` [s] the period of `pull`."""
+        """Start without people.
+
+        Args:
+            model: The robot.
+            config: The strength of each person.
+            dt: [s] the period of `pull`.
+        """
         self.config = config
         self._model, self._dt = model, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
@@ -76,10 +82,14 @@ class People:
     def pull(
         self, state: RobotState, holds: Sequence[Hold]
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
-        """The pull of each person in one period, and all forces; people without a hold release.
+        """Compute the pull of each person in one period, and all forces.
 
-        A person who changes to another point releases the previous one and grips without a jerk.
-        Each `who` has at most one hold.
+        A person without a hold releases the robot. A person who changes to another point releases
+        the previous point, and the new force starts at zero.
+
+        Args:
+            state: The robot's state.
+            holds: At most one hold for each person.
 
         Raises:
             TargetError: A target is below the floor, or is not three finite numbers.
@@ -107,29 +117,31 @@ class People:
 class PersonHand:
     """F = K (p - p_ee) - D v_ee, limited to f_max, where p follows the target smoothly.
 
-    Targets arrive 20 times a second with jumps; p moves towards the latest as a critically damped
-    point of limited speed, from the point of the grip. Thus F has no steps at 1 kHz. The damper
-    acts against the world: with p at rest the person only absorbs energy.
+    Targets arrive 20 times a second with jumps. p starts at the end-effector and moves towards the
+    latest target as a critically damped point with limited speed. Thus F has no steps at 1 kHz.
+    The damper acts against the world: while p rests, the person only absorbs energy.
 
-    A hand with a mass is between the two: F moves the mass, and the robot receives the force that
-    the grip transmits. It exceeds f_max while the mass stops, is smaller while the mass
-    accelerates, and equals F at rest. Spring, damper, mass and grip are passive, so with p at rest
-    such a hand only absorbs energy as well.
+    If the hand has a mass, F moves the mass, and the robot receives the force that the grip
+    transmits. The grip's force exceeds f_max while the mass decelerates, is smaller than F while
+    the mass accelerates, and equals F at rest. Spring, damper, mass and grip are passive, so such
+    a hand also only absorbs energy while p rests.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
-        """A person who does not hold the robot; `dt` [s] is the period of `force`."""
+        """Start without a hold; `config` has the strength, `dt` [s] is the period of `force`."""
         self.config, self._dt = config, dt
-        """K, D, f_max and the mass; may be replaced at any time."""
+        """K, D, f_max and the mass; this record may be replaced at any time."""
         self.motion: Array | None = None
         """(2, 3) p [m] and its velocity [m/s]; None while the robot is not held."""
         self._mass: Array | None = None  # (2, 3) position and velocity of the hand's mass
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:
-        """(3,) [N] the person's force on the end-effector for one period, in the world.
+        """Compute the person's force (3,) [N] on the held point for one period, in the world.
 
-        The end-effector is at p_ee (3,) [m] with a velocity (3,) [m/s]; without a target (3,) [m]
-        the person releases.
+        Args:
+            p_ee: (3,) [m] position of the held point.
+            v_ee: (3,) [m/s] velocity of the held point.
+            target: (3,) [m] target of the held point; None means that the person releases.
 
         Raises:
             TargetError: The target is below the floor, or is not three finite numbers.
@@ -146,7 +158,7 @@ class PersonHand:
         if config.mass == 0.0:
             self._mass = None
             return force
-        if self._mass is None:  # starts with the robot's velocity
+        if self._mass is None:  # the mass starts with the robot's velocity
             self._mass = np.array([p_ee, v_ee], dtype=float)
         self._mass, force = _push_once(
             self._mass, self.motion[0], p_ee, v_ee, *spring, config.mass, self._dt
@@ -155,35 +167,35 @@ class PersonHand:
 
 
 def held_links(model: RobotModel) -> tuple[str, ...]:
-    """Names of the frames at which the arm can be held: its joints, links and the end-effector."""
+    """Names of the frames at which people can hold the arm: joints, links and end-effector."""
     names = [frame.name for frame in model.pin.frames if frame.parentJoint >= _ARM]
     return tuple(dict.fromkeys(names))
 
 
 def held_point(model: RobotModel, link: str, point: Sequence[float]) -> tuple[int, Array]:
-    """The joint that carries a point of a link's frame, and (3,) [m] the point in its frame."""
+    """The joint that carries a point of a link, and the point (3,) [m] in the joint's frame."""
     frame: pin.Frame = model.pin.frames[model.pin.getFrameId(link)]
     return frame.parentJoint, frame.placement.act(np.array(point, dtype=float))
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
-    """(3,) [m] a valid target of a person, in the world.
+    """Check a person's target in the world and return it as an array (3,) [m].
 
     Raises:
-        TargetError: The place is below the floor, farther away than 10 km, or not three finite
+        TargetError: The target is below the floor, farther away than 10 km, or not three finite
             numbers.
     """
     place = _finite_point(target, "the hand's target")
     x, y, z = place.tolist()
     if z < 0:
-        raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor, which is z = 0")
+        raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor at z = 0")
     if max(abs(x), abs(y), z) > _FARTHEST:
         raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
     return place
 
 
 def checked_hold(point: Sequence[float] | Array) -> Array:
-    """(3,) [m] a point of a link, in its frame, that a person may hold.
+    """Check a held point in the frame of a link and return the point as an array (3,) [m].
 
     Raises:
         TargetError: The point is too far from the link, or not three finite numbers.
@@ -196,13 +208,13 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
     return place
 
 
-def _finite_point(point: Sequence[float] | Array, what: str) -> Array:
+def _finite_point(point: Sequence[float] | Array, name: str) -> Array:
     try:
         place = np.array(point, dtype=float)
     except (TypeError, ValueError):
         place = np.empty(0)
     if place.shape != (3,) or not all(map(math.isfinite, place.tolist())):
-        raise TargetError(f"{what} must be three finite numbers, was {point!r}")
+        raise TargetError(f"{name} must be three finite numbers, not {point!r}")
     return place
 
 
@@ -226,17 +238,17 @@ def _pull(
     """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
 
     Args:
-        hand: (2, 3) p [m] and ṗ [m/s].
-        target: (3,) [m]
-        p_ee: (3,) [m]
-        v_ee: (3,) [m/s]
-        stiffness: [N/m]
-        damping: [N s/m]
-        f_max: [N]
-        dt: [s]
+        hand: (2, 3) position p [m] and velocity ṗ [m/s] of the hand.
+        target: (3,) [m] target of the hand.
+        p_ee: (3,) [m] position of the held point.
+        v_ee: (3,) [m/s] velocity of the held point.
+        stiffness: [N/m] stiffness of the spring.
+        damping: [N s/m] damping against the world.
+        f_max: [N] largest force.
+        dt: [s] period.
 
     Returns:
-        The hand a period later, and (3,) [N] its force in that period.
+        The hand (2, 3) after the period, and the force (3,) [N] in the period.
     """
     a = _QUICKNESS**2 * (target - hand[0]) - 2 * _QUICKNESS * hand[1]
     v = _shortened(hand[1] + a * dt, _TOP_SPEED)
@@ -258,24 +270,25 @@ def _push_mass(
 ) -> tuple[Array, Array]:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
-    F = K' (p - x) - D ẋ, limited to f_max, moves it, and the grip G = k (x - p_ee) +
-    c (ẋ - v_ee) moves the robot. Both hold at the period's end, with the end-effector
-    extrapolated by its velocity. K' and the grip in series are as stiff as K. The rule is stable
-    for every mass, spring and damper; if F exceeds f_max, its direction does not change.
+    F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
+    c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the period's end, for which the
+    held point is extrapolated with its velocity. K' in series with the grip has the stiffness K.
+    The rule is stable for every mass, spring and damper. The force limit does not change the
+    direction of F.
 
     Args:
-        held: (2, 3) x [m] and ẋ [m/s].
+        held: (2, 3) position x [m] and velocity ẋ [m/s] of the mass.
         p: (3,) [m] target of the spring.
-        p_ee: (3,) [m]
-        v_ee: (3,) [m/s]
-        stiffness: [N/m] K
-        damping: [N s/m] D
-        f_max: [N]
-        mass: [kg]
-        dt: [s]
+        p_ee: (3,) [m] position of the held point.
+        v_ee: (3,) [m/s] velocity of the held point.
+        stiffness: [N/m] K, stiffness of spring and grip together.
+        damping: [N s/m] D, damping against the world.
+        f_max: [N] limit of F.
+        mass: [kg] m, mass of the hand.
+        dt: [s] period.
 
     Returns:
-        The mass a period later, and (3,) [N] G.
+        The mass (2, 3) after the period, and the grip's force G (3,) [N].
     """
     K = stiffness * _GRIP / (_GRIP - stiffness)
     grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)

@@ -27,10 +27,17 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """A new session at the start of a setting; `robot` is without a door that it may hold.
+    """Make a session at the start of a setting.
+
+    Args:
+        setting: The start; its model may have a held door as an additional body.
+        robot: The robot without a door.
+        controller: Name of the controller.
+        physics: Name of the plant, or None for the default.
+        seed: Seed of all random numbers.
 
     Raises:
-        ConfigError: The plant has no doors, and the setting has one.
+        ConfigError: The setting has a door, and the plant has no doors.
         UnknownNameError: The controller or plant does not exist.
     """
     session = Session(
@@ -50,14 +57,14 @@ def begin(
 def steps_of(
     run: RunSpec, model: RobotModel, data: BorderData
 ) -> Generator[tuple[Session, Step], None, None]:
-    """The control steps of a run, one by one, with the session after each.
+    """Execute the control steps of a run; yield each step with the session after the step.
 
     The session is closed after the last step, or when the iterator is closed.
 
     Raises:
-        UnreachableError: The arm cannot reach the start of this scenario.
+        UnreachableError: The arm cannot reach the start of the scenario.
         TargetError: The end-effector's path goes below the floor.
-        ConfigError: The plant has no doors, and the scenario has one.
+        ConfigError: The scenario has a door, and the plant has no doors.
         UnknownNameError: The controller or plant does not exist.
     """
     scenario = run.scenario
@@ -80,10 +87,15 @@ def run_from_spec(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Do a run and compute its figures; it raises the errors of `steps_of`.
+    """Execute a run and compute its figures; raises the errors of `steps_of`.
 
-    `on_progress` takes the simulated time [s] from time to time; `on_step` is called after each
-    control step. A trace that is `drawn` has snapshots for writing and replaying.
+    Args:
+        run: The planned run.
+        model: The robot.
+        data: The robot's border data.
+        on_progress: Called every 100 steps with the simulated time [s].
+        on_step: Called after each control step.
+        drawn: Whether the trace has snapshots, which log files and the player need.
     """
     scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)
@@ -124,7 +136,7 @@ def run_scenario(
     seed: int = 0,
     **how: Any,
 ) -> RunResult:
-    """Run a scenario of a robot; see `run_from_spec` for the other arguments and the errors."""
+    """Run a scenario with a robot; `run_from_spec` documents further arguments and the errors."""
     spec = RunSpec(model.description.name, scenario, config, controller, physics, seed)
     return run_from_spec(spec, model, data, **how)
 
@@ -136,18 +148,23 @@ def filmed(
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
-    """Snapshots of a run up to the last of some times [s], including those at these times.
+    """Execute a run up to the last of some times, and return its snapshots.
 
-    `on_progress` takes the simulated time [s] from time to time.
+    Args:
+        run: The planned run.
+        model: The robot.
+        data: The robot's border data.
+        times: [s] times at which there must be a snapshot, in addition to those at 50 Hz.
+        on_progress: Called every 100 steps with the simulated time [s].
     """
     last = round(run.scenario.duration / DT) - 1
-    wanted = {min(round(t / DT), last) for t in times}
-    recorder = Recorder(run.scenario, quantities=(), drawn=True, also=wanted)
+    required = {min(round(t / DT), last) for t in times}
+    recorder = Recorder(run.scenario, quantities=(), drawn=True, also=required)
     with closing(steps_of(run, model, data)) as steps:
         for k, (session, step) in enumerate(steps):
             recorder.add(session, step)
             if k % 100 == 0:
                 on_progress(step.t)
-            if k == max(wanted):
+            if k == max(required):
                 break
     return recorder.snapshots

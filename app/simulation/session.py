@@ -1,4 +1,4 @@
-"""One run: plant, controller, base command and person, stepped together at the control rate."""
+"""A session: plant, controller, disturbances and people, stepped together at the control rate."""
 
 import math
 from collections import deque
@@ -27,7 +27,7 @@ from app.simulation.plants.interface import Contacts, Physics, Push
 from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
-_BANDWIDTH = 250.0  # [rad/s] of the loop that computes velocities from noisy positions; about 40 Hz
+_BANDWIDTH = 250.0  # [rad/s] bandwidth (40 Hz) of the computation of velocities from positions
 _ROUNDING = 1e-6  # [rad or m] tolerance of a joint at its limit
 SCENARIO_PERSON = -1  # number of a scenario's person
 
@@ -41,23 +41,23 @@ class Step(NamedTuple):
     control: ControlStep
     """All quantities of the control step; the next step overwrites them."""
     base_command: Array
-    """(n_b,) [m/s or rad/s] command in force; it may reach the drive later."""
+    """(n_b,) [m/s or rad/s] present base command; a delay may hold this command back."""
     hand_target: Array | None
     """(3,) [m] target of the (first) person at the end-effector, or None."""
     hand_force: Array
-    """(3,) [N] force on the end-effector in the world: the person's, or the end-effector's force on
-    a door that it holds."""
+    """(3,) [N] person's force on the end-effector, or the end-effector's force on a held door, in
+    the world."""
     ee_error: float
-    """[m] true distance of the end-effector from its reference, or from the person's target; 0
-    without both."""
+    """[m] true distance of the end-effector from its reference or the person's target; 0 if there
+    is neither."""
     contacts: Contacts
     """Contacts of the step."""
     duration: float
-    """[s] real time of the control."""
+    """[s] real time of the controller's computation."""
     truth: Measurement
     """The true state of the robot; equal to `measurement` without noise."""
     distances: tuple[float, ...]
-    """[m] true signed distances, in the order of the control step's pairs."""
+    """[m] true signed distances of the pairs, in the order of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorReading | None = None
@@ -87,33 +87,39 @@ class Session:
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
     ) -> None:
-        """Set up; call `reset` before the first step.
+        """Set up the session at rest in the robot's ready position.
 
-        `controller` is one of `app.control.CONTROLLERS`; `physics` is the name of a plant, None for
-        the default one. `plant` is the real robot if the controller's model has a held object as
-        one more body. The other arguments are the session's attributes.
+        Args:
+            model: The robot of the controller.
+            data: Its border data.
+            config: All parameters.
+            controller: Name of the controller, one of `app.control.CONTROLLERS`.
+            physics: Name of the plant, or None for the default.
+            seed: Seed of all random numbers.
+            plant: The robot of the plant, if the controller's model has a held object as an
+                additional body.
+            door: The door that the end-effector holds, with its initial angle, or None.
 
         Raises:
-            UnknownNameError: No controller or plant has that name.
             UnknownNameError: The controller or plant does not exist.
             DescriptionError: No part of the arm can meet the base.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
-                f"{model.description.name}: no part of the arm can meet the base: there is nothing "
-                "to avoid; check in its report that the bodies enclose the links"
+                f"{model.description.name}: no part of the arm can meet the base, so there is no "
+                "collision to avoid; check in the robot's report that the bodies enclose the links"
             )
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
-        """Name of the plant; seed of all random numbers; the door that the end-effector holds with
-        its initial angle, or None."""
+        """Name of the plant; seed of all random numbers; the held door with its initial angle, or
+        None."""
         period = config.disturbance.stated_period
         self.loop = ControlLoop(model, data, config, name=controller, dt=period)
-        """The whole control, with the interface of a robot's own loop."""
+        """The control loop, with the same interface as in a robot's own loop."""
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._own_state = RobotState(model)  # if sensors differ from it
+        self._own_state = RobotState(model)  # the true state, if the sensors have errors
         pairs = [*data.pairs.mobile, *data.pairs.manipulator]
         self._distances = DistanceMonitor(self._own_state, pairs)
         self._watch = BufferWatch(config)
@@ -122,9 +128,11 @@ class Session:
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest with the arm at `q_m` (n_m,) [rad or m], without people.
+        """Put the robot at rest, without people, and set the time to zero.
 
-        The base is at x, y [m] and heading [rad], (3,), or at the origin.
+        Args:
+            q_m: (n_m,) [rad or m] joint positions of the arm.
+            base_pose: (3,) x, y [m] and heading [rad] of the base; None means the origin.
 
         Raises:
             TargetError: A joint is beyond its limits.
@@ -137,7 +145,7 @@ class Session:
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(len(self._base.wheels))
-        """(n_w,) [rad] angles of the base's `wheels`, for drawing."""
+        """(n_w,) [rad] angles of the base's wheels, for drawing."""
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
         """The state of the robot at the last step."""
@@ -159,7 +167,7 @@ class Session:
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector at the last step, by the sensors."""
+        """Pose of the end-effector at the last step, computed from the sensors' readings."""
         return self.controller.state.T_world_ee
 
     def step(
@@ -177,9 +185,9 @@ class Session:
             reference: The end-effector's reference, or None while a person guides the arm.
             pull: (3,) [m] target of a person at the end-effector, or None.
             door: State of the opening door, for the record only.
-            holds: Other people who hold the robot, at the end-effector or elsewhere.
-            forces: Forces on the robot that replace those of the people's springs; the error
-                still refers to their targets.
+            holds: Other people who hold the robot, at the end-effector or another point.
+            forces: Forces on the robot that replace the forces of the people's springs. The error
+                of the end-effector still refers to the people's targets.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -224,7 +232,7 @@ class Session:
         return step
 
     def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
-        """The weight of the payload, and this weight together with that of the unknown load."""
+        """The weight of the payload, and the weights of payload and unknown load together."""
         payload, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
@@ -239,9 +247,10 @@ class Session:
     def _observe(
         self, truth: Measurement, sensed: Measurement, control: ControlStep
     ) -> tuple[RobotState, tuple[float, ...]]:
-        """The true state, and [m] distances of all pairs; without noise both are the estimate.
+        """The robot's true state, and the distances [m] of all pairs.
 
-        The estimate is within hundredths of a millimetre of the truth, without extra cost.
+        Without sensor errors both come from the controller's estimate at no extra cost; the
+        estimate deviates by hundredths of a millimetre from the truth.
         """
         if sensed is truth:
             self.state = self.controller.state
@@ -266,12 +275,18 @@ class Session:
 class Disturbances:
     """The disturbances between the controller and the robot: noise, delay, slip.
 
-    They change true sensor values and base commands to those that arrive. The error of the arm's
-    masses is not among them: it is in the controller's model (`RobotState`).
+    They convert true sensor values to readings, and base commands to the commands that reach the
+    drive. The error of the arm's masses is elsewhere: in the controller's model (`RobotState`).
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """The state after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
+        """Start with a history as after `reset`.
+
+        Args:
+            config: The disturbances.
+            dt: [s] control step.
+            seed: Seed of the noise.
+        """
         self._dt = dt
         self._seed = seed
         self.configure(config)
@@ -282,7 +297,7 @@ class Disturbances:
         self.reset()
 
     def configure(self, config: DisturbanceConfig) -> None:
-        """Disturb by these amounts from the next step on."""
+        """Use these disturbances from the next step on."""
         self._encoder_noise, self._dropped = config.encoder_noise, config.dropped
         self._slip = config.slip
         self._command_late = round(config.base_delay / self._dt)  # [-] steps
@@ -300,11 +315,11 @@ class Disturbances:
         self._steps = 0
 
     def sensed(self, truth: Measurement) -> Measurement:
-        """Readings of the sensors in a control step; the true values without disturbances.
+        """The sensors' readings in a control step; without disturbances, the true values.
 
-        Each joint's position has white noise. Its velocity is then no separate reading: as
-        on a robot with encoders only, `VelocityTracking` computes it from the noisy positions.
-        The base's sensors have no noise. Finally all readings are late, repeated or lost.
+        White noise is added to each joint position. The joint velocities are then computed from
+        the noisy positions by `VelocityTracking`, as on a robot that has only encoders. The base's
+        sensors have no noise. All readings can be late, repeated or lost.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -316,7 +331,7 @@ class Disturbances:
         return self._arrived(truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m)))
 
     def _arrived(self, sent: Measurement) -> Measurement:
-        """The readings that reach the controller: late, repeated, or replaced by the last ones."""
+        """The readings that reach the controller: new, late, or a repetition of the last ones."""
         self._sent.append(sent)
         if self._steps < self._begins:
             due, lost, late = True, False, 0
@@ -329,9 +344,11 @@ class Disturbances:
         return self._seen
 
     def arriving(self, command: Array) -> Array:
-        """(n_b,) [m/s or rad/s] the command that takes effect, without the part lost to slip.
+        """The base command (n_b,) [m/s or rad/s] that takes effect after delay and slip.
 
-        `command` is in force at this control step; before the first one the base was at rest.
+        Args:
+            command: (n_b,) [m/s or rad/s] the controller's command in this control step. Before
+                the first command the base is at rest.
         """
         self._commands.append(command)
         steps = self._command_late
@@ -342,19 +359,25 @@ class Disturbances:
 class VelocityTracking:
     """Velocities from positions: a tracking loop, as in the electronics of encoders.
 
-    v̂ follows q by ω² s / (s + ω)², exactly discretised: constant velocities are exact, a
-    change is late by 2/ω = 8 ms. White noise of deviation σ on the positions becomes a deviation
-    of about σ √(ω³ dt) / 2 of the velocities, 62 σ/s at 1 kHz.
+    The transfer function from q to v̂ is ω² s / (s + ω)², exactly discretised: constant velocities
+    are exact, and changes have a delay of 2/ω = 8 ms. Position noise with the standard deviation σ
+    causes velocity noise with the standard deviation σ √(ω³ dt) / 2, 62 σ/s at 1 kHz.
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """A settled loop at positions q (n,) [rad or m] and velocities; `dt` [s]: its period."""
-        pole = math.exp(-_BANDWIDTH * dt)  # twice: critically damped
+        """Start in the steady state.
+
+        Args:
+            q: (n,) [rad or m] positions.
+            qd: (n,) [rad/s or m/s] velocities.
+            dt: [s] period of `update`.
+        """
+        pole = math.exp(-_BANDWIDTH * dt)  # a double pole: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt
         self._q, self._qd, self._dt = q - qd * dt, qd.copy(), dt
 
     def update(self, q: Array) -> Array:
-        """(n,) [rad/s or m/s] velocities after one more position, (n,) [rad or m]."""
+        """Take the next positions (n,) [rad or m], and return velocities (n,) [rad/s or m/s]."""
         ahead = self._q + self._qd * self._dt
         error = q - ahead
         self._q = ahead + self._gain_q * error
@@ -363,10 +386,10 @@ class VelocityTracking:
 
 
 def _check_within_limits(model: RobotModel, q_m: Array) -> None:
-    """Refuse a start at which a plant's joint limits would accelerate the arm.
+    """Check that joint positions (n_m,) are within their limits, beyond which a plant would push.
 
     Raises:
-        TargetError: Names the joint and its limits.
+        TargetError: A joint is beyond its limits; the message names the joint and the limits.
     """
     for name, at, low, high in zip(
         model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True

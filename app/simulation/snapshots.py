@@ -1,7 +1,7 @@
-"""Pictures of the robot without display, browser or graphics card: pybullet's software renderer.
+"""Pictures of the robot by pybullet's software renderer, without display, browser or graphics card.
 
-The renderer draws the bodies alone. A figure that draws over them, such as lines on the floor,
-uses `Picture.pixels`.
+The renderer draws only bodies. A figure with other elements, such as lines on the floor, draws
+these at the coordinates from `Picture.pixels`.
 """
 
 import math
@@ -20,9 +20,9 @@ from app.strict import Array
 
 Rgba = tuple[float, float, float, float]
 
-_FINER = 2  # [-] rendered pixels per pixel and direction
-_NEAR, _FAR = 0.1, 30.0  # [m] drawn range of depth
-_LIGHT = (2.0, -2.5, 5.0)  # [m] turned with the camera
+_FINER = 2  # [-] rendered pixels per pixel of the picture, along width and height
+_NEAR, _FAR = 0.1, 30.0  # [m] smallest and largest drawn distance from the camera
+_LIGHT = (2.0, -2.5, 5.0)  # [m] direction to the light, which turns with the camera
 
 
 class Camera(NamedTuple):
@@ -33,7 +33,7 @@ class Camera(NamedTuple):
     distance: float
     """[m] distance from the target."""
     yaw: float
-    """[rad] direction in plan from the target to the camera, from the world's x axis."""
+    """[rad] horizontal angle from the world's x axis to the direction from target to camera."""
     pitch: float
     """[rad] elevation of the camera, seen from the target."""
     width: int = 480
@@ -45,15 +45,17 @@ class Camera(NamedTuple):
 
     @property
     def eye(self) -> Array:
-        """(3,) [m] the camera's place in the world."""
+        """(3,) [m] position of the camera in the world."""
         flat = math.cos(self.pitch)
         towards = [flat * math.cos(self.yaw), flat * math.sin(self.yaw), math.sin(self.pitch)]
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Self:
-        """The same camera, moved so that points (N, 3) [m] of the world fill the picture.
+        """The same camera, moved so that some points fill the picture.
 
-        A margin [-] of the picture stays free on each side.
+        Args:
+            points: (N, 3) [m] points in the world.
+            margin: [-] empty part of the picture on each side.
         """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
@@ -71,7 +73,7 @@ class Camera(NamedTuple):
         return camera
 
     def matrices(self) -> tuple[Array, Array]:
-        """(4, 4) view and (4, 4) projection, for column vectors."""
+        """The matrices (4, 4) of view and projection, for column vectors."""
         view = pybullet.computeViewMatrix(self.eye.tolist(), list(self.target), [0, 0, 1])
         projection = pybullet.computeProjectionMatrixFOV(
             math.degrees(self.fov), self.width / self.height, _NEAR, _FAR
@@ -80,20 +82,20 @@ class Camera(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """A body beside the robot."""
+    """An additional body in the picture."""
 
     mesh: trimesh.Trimesh
-    """Its surface, in the world."""
+    """Surface of the body, in the world."""
     rgba: Rgba
 
 
 class Picture(NamedTuple):
-    """A picture with the data for drawing over it."""
+    """A picture with the data for drawing further elements on top."""
 
     rgb: Array
-    """(height, width, 3) uint8."""
+    """(height, width, 3) colours, uint8."""
     floor: Array
-    """(height, width) bool, true where no body is."""
+    """(height, width) whether no body covers a pixel."""
     view: Array
     """(4, 4) transform from the world to the camera."""
     projection: Array
@@ -106,7 +108,7 @@ class Picture(NamedTuple):
         return (at * [1, -1] + 1) / 2 * [width, height] - 0.5
 
     def unhidden(self, points: Array) -> Array:
-        """(N,) bool, whether points (N, 3) [m] on the floor are visible in the picture."""
+        """(N,) whether points (N, 3) [m] on the floor are visible in the picture."""
         height, width = self.floor.shape
         column, row = np.rint(self.pixels(points)).astype(int).T
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
@@ -114,7 +116,7 @@ class Picture(NamedTuple):
 
 
 class Photographer:
-    """Takes pictures of one robot, in its own pybullet client, until it is closed."""
+    """Takes pictures of one robot in a separate pybullet client."""
 
     def __init__(self, model: RobotModel) -> None:
         """Load the robot's visual meshes.
@@ -129,7 +131,7 @@ class Photographer:
         self._joints = [self._world.joints[name] for name in names]
 
     def close(self) -> None:
-        """End the client; may be called twice."""
+        """End the client; a second call has no effect."""
         self._world.close()
 
     def take(
@@ -141,10 +143,14 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """A picture of the robot at a base pose (3,) [m, rad] and joint positions (n_m,) [rad or
-        m].
+        """Take a picture.
 
-        It includes solids; without `robot` it shows them alone.
+        Args:
+            base_pose: (3,) x, y [m] and heading [rad] of the base.
+            q_m: (n_m,) [rad or m] joint positions of the arm.
+            camera: The viewpoint.
+            solids: Additional bodies.
+            robot: Whether the picture shows the robot.
         """
         away = 0.0 if robot else 1000.0  # [m] far outside of every picture
         pose = [base_pose[0] + away, *base_pose[1:], *q_m]
@@ -182,7 +188,7 @@ class Photographer:
         return Picture(_smaller(rgb).round().astype(np.uint8), floor, view, projection)
 
     def _add(self, solid: Solid) -> int:
-        # Separate corners for each face, because pybullet would round the edges of a box.
+        # Each face has its own vertices; otherwise pybullet would draw a box with rounded edges.
         flat = solid.mesh.copy()
         flat.unmerge_vertices()
         shape = self._client.createVisualShape(
@@ -196,13 +202,16 @@ class Photographer:
 
 
 def _smaller(image: Array) -> Array:
-    """(h, w, c) mean of blocks of a finer image (h f, w f, c)."""
+    """An image (h, w, c) of the means of blocks of f by f pixels of a finer image (h f, w f, c)."""
     h, w, c = image.shape
     return image.reshape(h // _FINER, _FINER, w // _FINER, _FINER, c).mean(axis=(1, 3))
 
 
 def _project(points: Array, view: Array, projection: Array) -> Array:
-    """(N, 2) right and up from the picture's centre, relative to half of its size."""
+    """(N, 2) offsets right and up from the picture's centre, relative to half its width and height.
+
+    The points are (N, 3) [m] in the world; `view` and `projection` are (4, 4).
+    """
     clip = np.column_stack([points, np.ones(len(points))]) @ (projection @ view).T
     return clip[:, :2] / clip[:, 3:]
 

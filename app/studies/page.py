@@ -1,4 +1,4 @@
-"""The kit of all reports: a self-contained page of parts with text, pictures and tables."""
+"""The page of a report: a self-contained HTML file of parts with text, pictures and tables."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ _UNITS = {
     "_radps": "rad/s",
     "_mps": "m/s",
 }
-"""Endings of keys; longer ones first where one ends in another."""
+"""Units by the ending of a key; if an ending is part of a longer one, the longer one is first."""
 
 
 class Cell(NamedTuple):
-    """A cell of a table with more than plain text."""
+    """A cell of a table with notes or a colour."""
 
     text: str
+    """The text."""
     notes: Sequence[str] = ()
     """Lines in small print below the text."""
     mark: str = ""
-    """`yes`, `no` or empty, which selects its colour."""
+    """`yes`, `no` or empty, which selects the colour."""
 
 
 class Grid(NamedTuple):
@@ -48,20 +49,22 @@ class Grid(NamedTuple):
     rows: Sequence[Sequence[str | Cell]]
     """Rows of cells, plain text or `Cell`."""
     numbers: bool = False
-    """Whether the columns after the first have numbers, which must not break over lines."""
+    """Whether the columns after the first have numbers, which must not be broken into lines."""
 
 
 class Part(NamedTuple):
     """A part of a page, with its fields in the order of display."""
 
     title: str = ""
-    """Its heading, which also describes its picture."""
+    """Heading, which also describes the picture."""
     name: str = ""
-    """Target name of the page's link to it, or empty without a link."""
+    """Name of the anchor to which the page links; empty without a link."""
     text: Sequence[str] = ()
+    """Paragraphs."""
     png: bytes | None = None
-    """A picture, embedded in the page."""
+    """A picture, which is embedded in the page."""
     tables: Sequence[Grid] = ()
+    """Tables."""
     points: Sequence[str] = ()
     """A list of sentences."""
     note: str = ""
@@ -71,9 +74,12 @@ class Part(NamedTuple):
 
 
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
-    """The page; all arguments are text without markup.
+    """The HTML of a page; all texts are without markup.
 
-    The lead, one or two sentences, is below the title, with links to the parts that have a name.
+    Args:
+        title: Title of the page.
+        lead: One or two sentences below the title, before the links to the named parts.
+        parts: The parts.
     """
     return _template().render(title=title, lead=lead, parts=parts)
 
@@ -88,7 +94,7 @@ def _template() -> Template:
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """Tables of figures; cases with separate figures are columns side by side."""
+    """Tables of figures: one of the plain figures, one with a column for each nested mapping."""
     plain = _flat({k: v for k, v in measured.items() if not isinstance(v, Mapping)})
     cases = {k: _flat(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)

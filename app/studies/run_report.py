@@ -1,4 +1,4 @@
-"""The report of one run, on a self-contained page."""
+"""The report of a run, as a self-contained page."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -22,14 +22,14 @@ from app.studies.runs import flattened
 
 _BETWEEN = "; values between two rows are not recorded"
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
-"""Colours of curves without their own, such as joints and further pairs."""
+"""Colours of the pairs without a colour in `PAIR_COLOURS`."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """The page of a run: key numbers, figures, and parameters that differ from the defaults.
+    """Make the page of a run: key numbers, figures, and parameters that differ from the defaults.
 
-    `on_progress` takes the share of the figures that are drawn.
+    `on_progress` is called with the share of the figures that are drawn.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
@@ -57,7 +57,7 @@ def _about(run: Trace) -> str:
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
-    """The bodies of the run's robot, the base first; empty if its description is missing here."""
+    """Names of the bodies of the run's robot, the base first; empty without a description."""
     try:
         return tuple(body.name for body in load_robot(meta.robot).bodies)
     except DbbError:
@@ -65,9 +65,9 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The figures of a run, as in `dbb run --json`, and its extremes; with the same keys.
+    """The figures of a run, with the keys of `dbb run --json`, and the extremes of the run.
 
-    None in place of values that are not finite, which an edited log may have.
+    Values that are not finite, which an edited log may have, are replaced by None.
     """
     return _finite({**extremes(run), **metrics(run)})
 
@@ -96,10 +96,11 @@ def _unit(path: str) -> str:
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """Parameters that differ from the defaults in any of the configurations.
+    """Find the parameters that differ from the defaults in any of some configurations.
 
     Returns:
-        Path as in `border.d_b`, default, and its values in order, joined if there are several.
+        For each parameter its path, such as `border.d_b`, its default, and its value, or a list of
+        its values in order.
     """
     changes = []
     for path, about in tunables().items():
@@ -117,7 +118,7 @@ def _value(value: Any) -> str:
 
 @style.picture("distances", "Distances and activations")
 def distances_figure(run: Trace) -> Figure:
-    """Distances of all pairs over their activations."""
+    """Above: distances of all pairs. Below: activations of all pairs."""
     figure = style.new_figure(6.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     chain = _chain(run.meta)
@@ -242,7 +243,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Time from the start of the log to its end; contact is shaded."""
+    """Let the x axes be the time of the log, and shade the intervals with contact."""
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:
         if run.t[-1] > run.t[0]:

@@ -1,4 +1,4 @@
-"""Results that all studies of runs share: rows of rounded figures, and their files."""
+"""Functions for the results of all studies: rows of rounded figures, and files."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
 
-Row = dict[str, Any]  # numbers, texts, booleans and None, by columns that end in their unit; no NaN
+Row = dict[str, Any]  # finite numbers, texts, booleans and None, by the name of the column
 
-DIGITS = 9  # [-] decimals of metres, radians, newtons and seconds
+DIGITS = 9  # [-] decimals of stored numbers
 _LOG_EVERY = 10  # control steps between two rows of a thinned trace
 
 
 def thinned(result: RunResult) -> RunResult:
-    """A run with a row every hundredth of a second, for other processes and for figures."""
+    """A run with a row for each hundredth of a second, which is smaller."""
     return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
 
 
 def flattened(figures: Mapping[str, Any]) -> Row:
-    """Figures by pair, axis or joint as separate figures, each with its unit at the end of its key.
+    """Figures of several pairs, axes or joints as separate figures, whose keys end in the unit.
 
-    `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
+    For example, `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
     """
     row: Row = {}
     for key, value in figures.items():
@@ -41,8 +41,8 @@ def flattened(figures: Mapping[str, Any]) -> Row:
 def rounded(value: object) -> object:
     """A number rounded to `DIGITS`; other values do not change.
 
-    The last digit of the QP solver's solutions depends on the addresses of its memory, and a result
-    must be the same on any number of processes.
+    The last digit of the QP solver's solutions depends on memory addresses, and a result must not
+    depend on the number of processes.
     """
     return round(value, DIGITS) if isinstance(value, float) else value
 
@@ -60,12 +60,12 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 
 
 def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> None:
-    """Write rows as `write_table` does, with a column for each name; `first` names come first."""
+    """Write rows as `write_table` does, with a column for each key; the keys in `first` lead."""
     names = dict.fromkeys([*first, *(name for row in rows for name in row)])
     write_table(path, {name: [row.get(name) for row in rows] for name in names})
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write a file completely or not at all."""
+    """Write JSON completely or not at all."""
     text = json.dumps(content, indent=2, allow_nan=False) + "\n"
     write_whole(path, text)

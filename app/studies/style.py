@@ -1,4 +1,4 @@
-"""The visual language of all figures: colours, line widths, sizes, and the type of a picture."""
+"""The style of all figures: colours, line widths and sizes; and the type of a picture."""
 
 import io
 import logging
@@ -47,7 +47,7 @@ HAND = "#009E73"
 """The path of the end-effector."""
 SCORE_MAP = "viridis"  # low blue, high yellow, as in the paper
 
-WIDTH = 11.0  # [in] of every figure; with DPI, pixels of a slide
+WIDTH = 11.0  # [in] width of every figure; with DPI, the pixels of a slide
 DPI = 150
 
 _RULES: dict[Any, Any] = {
@@ -80,21 +80,22 @@ _RULES: dict[Any, Any] = {
 }
 
 
-# At the level INFO it reports each letter from another font.
+# At the level INFO matplotlib reports each letter from another font.
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """The rules of all figures, during a `with`."""
+    """Apply the style of all figures during the `with`."""
     with matplotlib.rc_context(_RULES):
         yield
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """An empty figure of a height and a width [in], with a layout without overlaps.
+    """Make an empty figure with a height and a width [in], and a layout without overlaps.
 
-    It belongs to no window and no global list, so it needs no display and is freed after use.
+    The figure belongs to no window and no global list, so it needs no display and is freed after
+    use.
     """
     return Figure(figsize=(width, height), layout="constrained")
 
@@ -107,14 +108,16 @@ def png_of(figure: Figure) -> bytes:
 
 
 class Picture(NamedTuple):
-    """A picture for a page: a function that draws it; its docstring is the caption."""
+    """A picture for a page."""
 
     name: str
-    """Its name in commands, files and links."""
+    """Name in commands, files and links."""
     title: str
+    """Title."""
     needs: tuple[Any, ...]
-    """The runs that it needs, if any."""
+    """The runs that the picture needs, if any."""
     draw: Callable[..., Any]
+    """Function that draws the picture; its docstring is the caption."""
 
     @property
     def words(self) -> str:
@@ -123,7 +126,7 @@ class Picture(NamedTuple):
 
 
 def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
-    """Make a picture of the function that draws it; as in `Picture`."""
+    """Decorate a function that draws a picture; the result is the `Picture`."""
     return lambda draw: Picture(name, title, needs, draw)
 
 
@@ -138,20 +141,20 @@ def words_of(function: Callable[..., Any]) -> str:
 
 
 def panel_title(axes: Axes, letter: str, text: str) -> None:
-    """The panel's letter in the paper and its title, above its upper left corner."""
+    """Write a panel's letter in the paper and its title above the panel's upper left corner."""
     title = f"({letter}) {text}" if letter else text
-    # A title over three-dimensional axes is inside of them: the layout does not see it.
+    # The title of three-dimensional axes is inside the axes, so the layout ignores it.
     axes.set_title(title, y=0.97 if axes.name == "3d" else None)
 
 
 def time_axis(axes: Axes, duration: float) -> None:
-    """Time from 0 to the run's end [s]."""
+    """Let the x axis be the time from 0 to a duration [s]."""
     axes.set_xlim(0.0, duration)
     axes.set_xlabel("time [s]")
 
 
 def level(axes: Axes, value: float, text: str) -> None:
-    """A dashed horizontal line with its name above its right end."""
+    """Draw a dashed horizontal line with a text above the right end."""
     axes.axhline(value, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
     axes.annotate(
         text,
@@ -168,7 +171,7 @@ def level(axes: Axes, value: float, text: str) -> None:
 
 
 def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
-    """Keywords of `plot` for one point that is visible on any background."""
+    """Keyword arguments of `plot` for a point that is visible on any background."""
     return {
         "color": colour,
         "marker": marker,

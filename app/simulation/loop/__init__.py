@@ -1,1 +1,1 @@
-"""The live loop: it keeps real time, takes commands and publishes snapshots."""
+"""The live loop, which runs in real time, executes commands and publishes snapshots."""

@@ -1,8 +1,8 @@
-"""Commands to the live loop: immutable records, valid by construction, and their mailbox.
+"""Commands to the live loop: immutable records that check their values, and their mailbox.
 
-An invalid record cannot be made: its constructor raises a ConfigError, an UnknownNameError for a
-name, or a TargetError for a place; the type checker checks its types. The session refuses other
-commands later, by a snapshot's `refusal`.
+The constructor of a command with an invalid value raises a ConfigError, an UnknownNameError for a
+name, or a TargetError for a position. The type checker checks the types. If the loop cannot execute
+a command later, a snapshot's `refusal` reports the reason.
 """
 
 import math
@@ -23,10 +23,10 @@ SPEEDS = 0.1, 4.0  # [-] smallest and largest multiple of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")
 """The common input of compared robots: the path of the pulls, or their force."""
-MAX_GHOSTS = 2  # robots that run beside the main one
+MAX_GHOSTS = 2  # largest number of compared robots in addition to the main robot
 MAX_WAITING = 64
-"""Most waiting commands: far more than there are kinds, because commands of a kind replace one
-another."""
+"""Largest number of waiting commands. It exceeds the number of kinds of commands by far, and
+commands of the same kind replace one another."""
 
 
 class Command:
@@ -34,11 +34,11 @@ class Command:
 
 
 class Adjustment(Command):
-    """Sets a value; of several only the newest counts, at the place of the first."""
+    """A command that sets a value; it replaces a waiting command of its kind in the queue."""
 
 
 class Beginning(Command):
-    """Places the robot anew; of several kinds only the newest command counts."""
+    """A command that starts a run; it replaces all other waiting commands of this class."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,11 @@ class Pull(Command):
     """
 
     target: Point
-    """[m] target, in the world."""
+    """(3,) [m] target of the held point, in the world."""
     link: str | None = None
-    """One of the loop's `links`; None is the end-effector."""
+    """Name of one of the loop's `links`; None is the end-effector."""
     point: Point | None = None
-    """[m] the held point, in the link's frame; None is its origin."""
+    """(3,) [m] the held point in the link's frame; None is the frame's origin."""
     who: int = 0
     """Number of the person; each has one hand, and their forces add."""
 
@@ -61,15 +61,16 @@ class Pull(Command):
         checked_target(self.target)
         if self.point is not None:
             if self.link is None:
-                raise TargetError("a point is held in the frame of a link; name the link")
+                raise TargetError("a held point needs the name of its link")
             checked_hold(self.point)
 
 
 @dataclass(frozen=True)
 class Release(Command):
-    """A person releases the robot, if they hold it; a scenario continues."""
+    """A person releases the robot; a scenario continues."""
 
     who: int
+    """Number of the person."""
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,10 @@ class Configure(Adjustment):
 
 @dataclass(frozen=True)
 class Choose(Adjustment):
-    """Use the controller of that name from now on."""
+    """Use another controller from now on."""
 
     controller: str
+    """Name of the controller."""
 
     def __post_init__(self) -> None:
         check_name("controller", self.controller, CONTROLLERS)
@@ -98,16 +100,18 @@ class Pause(Adjustment):
 
 @dataclass(frozen=True)
 class Watch(Adjustment):
-    """Whether a viewer is connected; without one no step is taken, and nothing changes."""
+    """Report whether a viewer is connected; without a viewer the simulation pauses."""
 
     watched: bool
+    """Whether a viewer is connected."""
 
 
 @dataclass(frozen=True)
 class Speed(Adjustment):
-    """Run at `factor` times real time, within `SPEEDS` and the machine's ability."""
+    """Change the speed of the simulation."""
 
     factor: float
+    """[-] desired ratio of simulated to real time, within `SPEEDS`."""
 
     def __post_init__(self) -> None:
         check_range("the speed", self.factor, *SPEEDS, "times real time")
@@ -115,9 +119,10 @@ class Speed(Adjustment):
 
 @dataclass(frozen=True)
 class StepOnce(Command):
-    """Pause, and advance to the next snapshot, `seconds` [s] later, within `STEPS`."""
+    """Pause, and advance the simulation by some time."""
 
     seconds: float = 0.02
+    """[s] simulated time after which the next snapshot is published, within `STEPS`."""
 
     def __post_init__(self) -> None:
         check_range("a step", self.seconds, *STEPS, "s")
@@ -125,30 +130,31 @@ class StepOnce(Command):
 
 @dataclass(frozen=True)
 class Reset(Beginning):
-    """Start again at the free start, or at a posture, without a scenario."""
+    """Start again without a scenario, at the free start or at a posture."""
 
     q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] joint positions of the arm; empty for those of the free start."""
+    """(n_m,) [rad or m] joint positions of the arm; empty means the free start."""
     base_pose: Point = (0.0, 0.0, 0.0)
     """[m] [m] [rad] x, y and heading of the base."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.q_m, *self.base_pose))):
-            raise TargetError(f"a posture is of finite numbers, was {self!r}")
+            raise TargetError(f"a posture must be finite numbers, not {self!r}")
 
 
 @dataclass(frozen=True)
 class Restart(Beginning):
-    """Start again at the last start: the scenario's or the free one."""
+    """Start the last scenario again, or the free motion from its last start."""
 
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario; it moves the end-effector to its end, or until a person pulls it."""
+    """Start a scenario, which moves the end-effector until it ends or a person pulls there."""
 
     scenario: Scenario
     until: float = 0.0
-    """[s] time up to which it runs as fast as possible, then pauses; 0 means no fast run."""
+    """[s] time up to which the scenario runs as fast as possible; then the simulation pauses. 0
+    means real time without a pause."""
 
     def __post_init__(self) -> None:
         check_range("the time to stop at", self.until, 0.0, self.scenario.duration, "s")
@@ -156,38 +162,42 @@ class Play(Beginning):
 
 @dataclass(frozen=True)
 class Compare(Command):
-    """Start again, at the present state or the scenario's start, with compared robots."""
+    """Start a comparison, at the present posture or the scenario's start, or end a comparison."""
 
     controllers: tuple[str, ...] = ()
-    """Of the compared robots, at most two; empty ends the comparison, and the robot continues."""
+    """Controllers of the compared robots, at most two; if there are none, the comparison ends and
+    the main robot continues."""
     same: str = "path"
-    """The common input of all robots: "path" of the pulls or their "force"."""
+    """The common input of all robots: the "path" of the pulls or their "force"."""
 
     def __post_init__(self) -> None:
         if len(self.controllers) > MAX_GHOSTS:
-            raise ConfigError(f"at most {MAX_GHOSTS} controllers are compared")
+            raise ConfigError(f"a comparison has at most {MAX_GHOSTS} controllers")
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         check_name("comparison", self.same, SAMES)
 
 
 class Mailbox:
-    """Takes commands from any thread; one thread fetches them.
+    """A queue of commands from any thread to the thread that executes them.
 
-    The number of waiting commands is bounded, and so is the work of executing them: if commands
-    replace one another, only the newest waits. A setting takes the place of the command that it
-    replaces, so that a start that was sent in between uses the newest one. An event, such as a
-    pull, takes its place at the end.
+    The length of the queue is bounded. A new command replaces a waiting command with the same key.
+    An `Adjustment` takes the place of the replaced command in the queue, so that a run that was
+    started later uses the newest value. Other commands, such as a pull, go to the end of the queue.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[Hashable, Command] = {}
         self._lock = threading.Lock()
         self.filled = threading.Event()
-        """Set while commands wait."""
+        """Event that is set while commands wait."""
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Add a command; the arm can be held at `links`.
+        """Add a command.
+
+        Args:
+            command: The command.
+            links: Names of the frames at which people can hold the arm.
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
@@ -198,7 +208,7 @@ class Mailbox:
         key = _key(command)
         with self._lock:
             if len(self._waiting) >= MAX_WAITING and key not in self._waiting:
-                raise LoopError(f"more than {MAX_WAITING} commands wait; send fewer at once")
+                raise LoopError(f"{MAX_WAITING} commands already wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
                 return  # one restart is sufficient
             if not isinstance(command, Adjustment):
@@ -207,7 +217,7 @@ class Mailbox:
             self.filled.set()
 
     def take(self) -> list[Command]:
-        """All waiting commands, in order; the mailbox is then empty."""
+        """Remove all waiting commands, and return them in order."""
         if not self._waiting:  # without the lock, because it is called a thousand times a second
             return []
         with self._lock:
@@ -218,7 +228,7 @@ class Mailbox:
 
 
 def _key(command: Command) -> Hashable:
-    """Commands with equal keys replace one another."""
+    """The key of a command; commands with equal keys replace one another."""
     if isinstance(command, (Pull, Release)):
         return Pull, command.who
     return Beginning if isinstance(command, Beginning) else type(command)

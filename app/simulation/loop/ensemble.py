@@ -1,4 +1,4 @@
-"""Ensemble: the robot that a scenario or a person moves, and compared robots beside it."""
+"""Ensemble: the main robot, which a scenario or a person moves, and the compared robots."""
 
 from __future__ import annotations
 
@@ -22,36 +22,39 @@ from app.simulation.trace.snapshot import GhostReading, Score
 from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
-_SAID = 1.0  # [s] for which snapshots have a new case
-MAX_PULLS = 8  # people who can hold the robot at once
+_SAID = 1.0  # [s] time for which snapshots contain a new case
+MAX_PULLS = 8  # largest number of people who hold the robot at the same time
 _NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
-_TOGETHER = 100  # control steps that are evaluated together, which is far quicker
+_TOGETHER = 100  # number of control steps that are evaluated together, to save time
 
 
 class Ensemble:
-    """All robots of the loop; commands restart it at a scenario's start or at the free one."""
+    """All robots of the live loop, which start at a scenario's start or at the free start."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Start at the free start, with the arm at `q_start` (n_m,) [rad or m].
+        """Start at the free start.
 
-        The parameters, plant and seed of the free session apply to all scenarios.
+        Args:
+            free: The session for free motion; its parameters, plant and seed also apply to all
+                scenarios.
+            q_start: (n_m,) [rad or m] joint positions of the arm at the free start.
         """
         self._free = free
         self._led = Runner(free, None)
         self.scenario: Scenario | None = None
-        """The scenario of the last start, or None for the free one."""
+        """The scenario of the last start, or None for the free start."""
         self.ends: float | None = None
-        """[s] end of the scenario while it moves the robot, otherwise None."""
+        """[s] time at which the present scenario ends; None during free motion."""
         self._config = free.config
         self.ghosts: list[Runner] = []
-        """Robots with the same input and other controllers."""
+        """Compared robots: they have the main robot's input and other controllers."""
         self.comparison = Compare()
         """The last requested comparison."""
         self._holds: dict[int, Hold] = {}
         self._pulled: list[PullEvent] | None = None
         """Recorded pulls during free motion."""
         self._case: tuple[float, RunCase] | None = None
-        """The newest case, and [s] the time at which it appeared."""
+        """The time [s] of the newest case, and the case."""
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
@@ -60,50 +63,54 @@ class Ensemble:
     def main(self) -> Session:
         """The session of the main robot.
 
-        The free session serves all scenarios except those in which the end-effector holds an
-        object; these have their own session.
+        It is the free session, except in a scenario in which the end-effector holds an object;
+        such a scenario has a separate session.
         """
         return self._led.session
 
     @property
     def leading(self) -> str:
-        """Name of the scenario that moves the end-effector now, or empty."""
+        """Name of the scenario that moves the end-effector now; empty during free motion."""
         return "" if self.scenario is None or self.ends is None else self.scenario.name
 
     @property
     def changing(self) -> str:
-        """A sentence on a parameter that is changing to its configured value, or empty."""
-        now, wanted = self.main.controller.d_b, self.main.config.border.d_b
-        change = f"Buffer d_b: {now:.3f} m, changing to {wanted:.3f} m"
-        return "" if abs(now - wanted) < 1e-6 else change
+        """A text about d_b while it changes to its configured value, otherwise empty."""
+        now, final = self.main.controller.d_b, self.main.config.border.d_b
+        change = f"Buffer d_b: {now:.3f} m, changing to {final:.3f} m"
+        return "" if abs(now - final) < 1e-6 else change
 
     @property
     def case(self) -> RunCase | None:
-        """Repeatable case of a run that started, or free pulls that ended, in the last second."""
+        """Case of a scenario that started, or of free pulls that ended, in the last second."""
         since, case = self._case or (-math.inf, None)
         return case if self.main.t < since + _SAID else None
 
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> None:
-        """Start again at the free start, or at a posture of the arm (n_m,) and base (3,).
+        """Start again without a scenario.
+
+        Args:
+            q_m: (n_m,) [rad or m] joint positions of the arm; empty means the free start.
+            base_pose: (3,) x, y [m] and heading [rad] of the base.
 
         Raises:
-            TargetError: The posture does not belong to this arm; then nothing has changed.
+            TargetError: The arm has another number of joints; then nothing has changed.
         """
         begun = self._start
         if len(q_m) not in (0, len(begun.q_m)):
-            raise TargetError(f"a posture of {len(q_m)} joints; the arm has {len(begun.q_m)}")
+            raise TargetError(f"the posture has {len(q_m)} joints; the arm has {len(begun.q_m)}")
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
         self._enter(begun, None)
         self._begun = begun
 
     def restart(self) -> None:
-        """Start again at the last start.
+        """Start the last scenario again, or the free motion from its last start.
 
         Raises:
-            DbbError: The scenario cannot start there with the present configuration.
+            DbbError: The scenario cannot start with the present configuration.
         """
         if self.scenario is None:
             self._enter(self._begun, None)
@@ -111,35 +118,35 @@ class Ensemble:
             self.play(self.scenario)
 
     def play(self, scenario: Scenario) -> None:
-        """Start again at a scenario's start.
+        """Start a scenario.
 
         Raises:
-            DbbError: The scenario cannot start there; then nothing has changed.
+            DbbError: The scenario cannot start; then nothing has changed.
         """
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters, adapted by the scenario, from the next step on."""
+        """Use other parameters from the next step on; the scenario may adapt the parameters."""
         if self._pulled is not None and config != self._config:
-            self._let_go()  # a recording has one configuration
+            self._let_go()  # all pulls of a recording have the same configuration
         self._config = config
         for runner in (self._led, *self.ghosts):
             runner.session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
-        """Use the controller of that name from the next step on."""
+        """Use another controller, by its name, from the next step on."""
         if self._pulled is not None and controller != self.main.controller.name:
             self._let_go()
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
-        """Start again with these controllers beside the present one, or end a comparison.
+        """Start a comparison with the named controllers, or end the comparison if there are none.
 
-        The start is the scenario's while it moves the robot or its door is held; otherwise it is
-        the present state, at rest.
+        While a scenario moves the robot, or if the end-effector holds a door, the comparison starts
+        at the scenario's start; otherwise at the present posture, at rest.
 
         Raises:
-            DbbError: It cannot start there; then nothing has changed.
+            DbbError: The robots cannot start there; then nothing has changed.
         """
         before, self.comparison = self.comparison, comparison
         try:
@@ -156,13 +163,13 @@ class Ensemble:
             raise
 
     def pull(self, pull: Pull) -> None:
-        """A person holds the robot; holding the end-effector ends the scenario's motion.
+        """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
 
         Raises:
-            TargetError: The largest number of people already holds it.
+            TargetError: The largest number of people already holds the robot.
         """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
-            raise TargetError(f"{MAX_PULLS} people hold the robot already")
+            raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
         if pull.link is None and self._pulled is None:
             self._let_go()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
@@ -172,12 +179,12 @@ class Ensemble:
         self._record(pull.who)
 
     def release(self, who: int) -> None:
-        """A person releases the robot, if they hold it."""
+        """Let a person release the robot, if this person holds it."""
         if self._holds.pop(who, None) is not None:
             self._record(who)
 
     def step(self) -> Step:
-        """One control step, moved by the scenario until its end; people pull."""
+        """Execute one control step of all robots, with the scenario's input and people's pulls."""
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
         holds = tuple(self._holds.values())
@@ -188,10 +195,9 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Scores of the robot and its ghosts since the start of the comparison; empty without
-        ghosts.
+        """Scores of the main robot and the ghosts since the start of the comparison.
 
-        They are complete when the scenario ends: later pulls do not belong to it.
+        There are none without ghosts. Steps after the end of a scenario do not count.
         """
         if not self.ghosts:
             return ()
@@ -205,7 +211,7 @@ class Ensemble:
             self.main.close()
 
     def _record(self, who: int) -> None:
-        """Record the motion of a person's hand from the next control step on."""
+        """Record that a person holds, moves or releases the robot from the next control step on."""
         if self._pulled is not None:
             held = self._holds.get(who)
             step = round(self.main.t / DT)
@@ -233,7 +239,7 @@ class Ensemble:
         return self._config if scenario is None else scenario.adapted(self._config)
 
     def _setting_of(self, scenario: Scenario) -> Setting:
-        """The start of a scenario, cached until another one is played."""
+        """The start of a scenario, cached until another scenario starts."""
         if self._found is None or self._found[:2] != (scenario, self._config):
             free = self._free
             setting = scenario.setting(free.model, free.data, self._config, free.seed)
@@ -253,7 +259,7 @@ class Ensemble:
         ]
         if session is not self.main and self.main is not self._free:
             self.main.close()
-        # From here on nothing fails, so a name never appears with the end of another scenario.
+        # Nothing below can fail, so the name and the end always belong to the same scenario.
         self._led, self.scenario = led, scenario
         self.ends = scenario and scenario.duration
         self._holds.clear()
@@ -264,7 +270,7 @@ class Ensemble:
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
-        """Replace the ghosts; close sessions that none of them uses."""
+        """Replace the ghosts, and close the sessions that no new ghost uses."""
         kept = {id(ghost.session) for ghost in ghosts}
         for ghost in self.ghosts:
             if id(ghost.session) not in kept:
@@ -274,7 +280,7 @@ class Ensemble:
             runner.scored = bool(ghosts)
 
     def _other_sessions(self, setting: Setting) -> list[Session]:
-        """A session for each ghost, reusing existing ones if possible."""
+        """A session for each ghost; existing sessions are used again if possible."""
         usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
         sessions: list[Session] = []
         for name in self.comparison.controllers:
@@ -283,8 +289,10 @@ class Ensemble:
         return sessions
 
     def _session_for(self, setting: Setting) -> Session:
-        """The free session if it is suitable for the setting, otherwise a new one with the present
-        controller: pybullet's solver remembers more of a held door than a reset removes.
+        """The free session, or a new session with the present controller for a setting with a door.
+
+        A session with a door is not used again, because pybullet's reset does not remove the whole
+        state of the grasp.
         """
         name = self.main.controller.name
         if setting.door is None and setting.model is self._free.model:
@@ -298,26 +306,31 @@ class Ensemble:
 
 
 class Runner:
-    """A robot with its driver and score, in its own plant; its memory is bounded."""
+    """One robot of the ensemble: session, driver and score, in bounded memory."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
-        """Start at the beginning of a session, with a driver that reads its sensors or without."""
+        """Start at the beginning of a session; `driver` computes the input, or is None."""
         self.session, self._driver, self.scored = session, driver, False
-        """`scored` says whether its steps count for a comparison."""
+        """`scored` states whether the robot's steps count for a comparison."""
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._rows, self._complete = 0, False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
 
     def let_go(self) -> None:
-        """Remove its driver; its score is that of the driven motion."""
+        """Remove the driver; later steps do not change the score of the driven motion."""
         if self._driver is not None and self.scored:
             self._look()
             self._complete = True
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
-        """One control step, with the people who hold the robot, or with another robot's forces."""
+        """Execute one control step.
+
+        Args:
+            holds: People who hold the robot.
+            forces: Forces on another robot that replace these people's forces, or None.
+        """
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
@@ -327,7 +340,7 @@ class Runner:
         return step
 
     def reading(self) -> GhostReading:
-        """Its state after the last step, in separate, read-only memory."""
+        """The robot's state after the last step, in separate, read-only memory."""
         self._look()
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
@@ -345,7 +358,7 @@ class Runner:
         return self._score._replace(controller=self.session.controller.name)
 
     def _look(self) -> None:
-        """Evaluate the rows since the last call; changes count from its last row on."""
+        """Evaluate the rows since the last call; the first change is from that call's last row."""
         if not len(self._recorder):
             return
         block = self._recorder.taken()

@@ -1,7 +1,7 @@
-"""Live loop: a thread owns the session, keeps real time, executes commands, publishes snapshots.
+"""Live loop: a thread that runs a session in real time, executes commands and publishes snapshots.
 
-The dashboard sees only `LoopHandle`: commands in, immutable snapshots out, no shared data. Thus the
-thread may run in another process without a change of the dashboard.
+The dashboard uses only `LoopHandle`: it sends commands and reads immutable snapshots, and shares no
+other data with the loop. Thus the thread can run in another process.
 """
 
 import threading
@@ -22,7 +22,7 @@ from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapsho
 from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
 from app.strict import Array
 
-_IDLE = 0.25  # [s] between two heartbeats while no step is taken
+_IDLE = 0.25  # [s] time between two heartbeats during a pause
 
 
 class LoopHandle(Protocol):
@@ -31,17 +31,20 @@ class LoopHandle(Protocol):
     error: BaseException | None = None
     """The error that ended the loop, if any."""
     links: tuple[str, ...] = ()
-    """Names of the arm's frames that can be pulled, known after the start."""
+    """Names of the arm's frames that people can pull, known after the start."""
 
     @property
     def silence(self) -> float:
-        """[s] since its last heartbeat; a paused loop sends heartbeats, a hanging one does not."""
+        """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
+
+        The time is 0 during an announced long operation.
+        """
         ...
 
     def send(self, command: commands.Command) -> None:
-        """Send a command; it is executed before one of the next control steps.
+        """Send a command, which the loop executes before one of the next control steps.
 
-        If commands replace one another, such as two pulls, only the newest is executed.
+        If a new command replaces a waiting one, as with two pulls, only the new one is executed.
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
@@ -59,21 +62,21 @@ class LoopHandle(Protocol):
 
 
 class LiveLoop(LoopHandle):
-    """A loop that runs elsewhere: its mailbox, and its published snapshots."""
+    """The common part of all loops: the mailbox and the published snapshots."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """No command and no snapshot yet; `kept` is the number of stored snapshots."""
+        """Start without commands and snapshots; `kept` is the number of stored snapshots."""
         self._mailbox, self._history = commands.Mailbox(), History(kept)
         self._ready = threading.Event()
         self._begun = False
         self._alive = monotonic()  # [s] last heartbeat
 
     def begin(self) -> None:
-        """Start making the session; `start` waits for it."""
+        """Start to make the session; `start` waits for the session."""
         self._begun = True
 
     def start(self) -> None:
-        """Begin, if necessary, and wait for the first snapshot.
+        """Call `begin`, if necessary, and wait for the first snapshot.
 
         Raises:
             LoopError: The session could not be made.
@@ -117,7 +120,7 @@ class SimulationLoop(LiveLoop):
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
         self._paused, self._watched, self._speed = False, True, 1.0
         self._runs = 0
-        self._until = 0.0  # [s] up to which no step waits for real time
+        self._until = 0.0  # [s] time up to which steps do not wait for real time
         self._refusal: Refusal | None = None
 
     def begin(self) -> None:
@@ -133,7 +136,7 @@ class SimulationLoop(LiveLoop):
 
     @property
     def silence(self) -> float:
-        """No silence during an announced long operation."""
+        """[s] time since the last heartbeat, or 0 during an announced long operation."""
         return 0.0 if self.latest().busy else super().silence
 
     def _run(self) -> None:
@@ -175,13 +178,13 @@ class SimulationLoop(LiveLoop):
             self._pacer.wait()
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
-        course = self._course(ensemble)
-        course["ghosts"] = tuple(ghost.reading() for ghost in ensemble.ghosts)
-        course["scores"] = ensemble.scores()
-        self._history.add(make_snapshot(ensemble.main, step, self._pacer, **course))
+        fields = self._loop_fields(ensemble)
+        fields["ghosts"] = tuple(ghost.reading() for ghost in ensemble.ghosts)
+        fields["scores"] = ensemble.scores()
+        self._history.add(make_snapshot(ensemble.main, step, self._pacer, **fields))
 
-    def _course(self, ensemble: Ensemble) -> dict[str, Any]:
-        """The values of a snapshot that are not from the session."""
+    def _loop_fields(self, ensemble: Ensemble) -> dict[str, Any]:
+        """The fields of a snapshot that the session does not know."""
         return {
             "run": self._runs,
             "paused": self._paused,
@@ -225,10 +228,10 @@ class SimulationLoop(LiveLoop):
         elif isinstance(command, commands.StepOnce):
             self._step_once(command.seconds, ensemble)
         else:
-            self._begin_anew(command, ensemble)
+            self._start_again(command, ensemble)
 
     def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
-        """Pause, and publish the step at that time after the newest snapshot."""
+        """Pause, and publish the step that is `seconds` after the newest snapshot."""
         self._paused = True
         due = self._history.latest.t + seconds
         step = ensemble.step()
@@ -236,30 +239,30 @@ class SimulationLoop(LiveLoop):
             step = ensemble.step()
         self._publish(ensemble, step)
 
-    def _begin_anew(self, command: commands.Command, ensemble: Ensemble) -> None:
+    def _start_again(self, command: commands.Command, ensemble: Ensemble) -> None:
         if isinstance(command, commands.Play):
-            self._say_busy(f"preparing {command.scenario.name}")
+            self._announce(f"preparing {command.scenario.name}")
             ensemble.play(command.scenario)
             self._until = command.until
             self._paused = False
         elif isinstance(command, commands.Compare):
-            self._say_busy("preparing the comparison")
+            self._announce("preparing the comparison")
             ensemble.compare(command)
             if not ensemble.ghosts:
                 return
         elif isinstance(command, commands.Restart):
             if ensemble.scenario is not None:
-                self._say_busy(f"preparing {ensemble.scenario.name}")
+                self._announce(f"preparing {ensemble.scenario.name}")
             ensemble.restart()
         elif isinstance(command, commands.Reset):
             ensemble.reset(command.q_m, command.base_pose)
         self._publish_first(ensemble)
 
-    def _say_busy(self, with_what: str) -> None:
-        self._history.add(replace(self._history.latest, busy=with_what))
+    def _announce(self, operation: str) -> None:
+        self._history.add(replace(self._history.latest, busy=operation))
 
     def _refresh(self, ensemble: Ensemble) -> None:
-        """Publish a visible change although no step follows while paused."""
+        """Publish the newest snapshot with changed settings, also during a pause."""
         main, latest = ensemble.main, self._history.latest
         compared = bool(ensemble.ghosts)
         self._history.add(
@@ -270,6 +273,6 @@ class SimulationLoop(LiveLoop):
                 busy="",
                 ghosts=latest.ghosts if compared else (),
                 scores=latest.scores if compared else (),
-                **self._course(ensemble),
+                **self._loop_fields(ensemble),
             )
         )

@@ -1,4 +1,4 @@
-"""Pacing: steps of a fixed period in real time, or in a multiple of it, with statistics."""
+"""Pacing: steps with a fixed period, in real time or at a multiple of real time, and statistics."""
 
 import gc
 from collections import deque
@@ -14,15 +14,20 @@ _COARSE = 2e-4  # [s] shortest sleep that is worth a switch of threads
 class Pacer:
     """Synchronises a loop of fixed period with the wall clock.
 
-    After a late step the next ones follow at once until the delay is made up for. A delay of more
-    than 0.2 s is abandoned and reduces the real-time factor.
+    After a late step, the next steps follow without pauses until the loop is on time again. If the
+    delay exceeds 0.2 s, the schedule restarts, which reduces the real-time factor.
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
-        """Start now; `period` [s] of a step; `speed` [-], simulated time over real time."""
+        """Start the schedule now.
+
+        Args:
+            period: [s] simulated duration of a step.
+            speed: [-] desired ratio of simulated to real time.
+        """
         self._period, self._speed = period, speed
         self.overruns = 0
-        """Number of steps that missed their period: they took longer, or started after its end."""
+        """Number of steps that took longer than their period, or started after its end."""
         self._marks: deque[tuple[float, int]] = deque()
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self._steps = 0
@@ -72,7 +77,7 @@ class Pacer:
 
     @property
     def realtime_factor(self) -> float:
-        """[-] ratio of simulated to real time in the last second; the desired one before that."""
+        """[-] ratio of simulated to real time in the last second; at first, the desired ratio."""
         if len(self._marks) < 2:
             return self._speed
         (begin, first), (end, last) = self._marks[0], self._marks[-1]
@@ -88,9 +93,9 @@ class Pacer:
 def gc_frozen() -> Iterator[None]:
     """Exclude existing objects from garbage collection during the `with`.
 
-    A run has few objects, but a robot's border has many, and scanning it again takes milliseconds.
-    A nested call changes nothing. At the end all objects are scanned again, because solvers in
-    cycles would otherwise be reported as leaks.
+    A run creates few objects, but a robot's border has many, and the collector takes milliseconds
+    to scan the border. A nested call has no effect. At the end the collector scans all objects
+    again; otherwise solvers in reference cycles would be reported as leaks.
     """
     outermost = gc.get_freeze_count() == 0
     if outermost:

@@ -1,7 +1,7 @@
 """The live loop in a child process, where drawing and network traffic cannot delay it.
 
-Python runs one thread at a time: in the server's process a suspended drawing thread would delay
-the simulation. Commands and snapshots use two pipes.
+Python runs one thread at a time, so in the server's process a drawing thread that the system has
+suspended would delay the simulation. Two pipes carry the commands and the snapshots.
 """
 
 import gc
@@ -24,22 +24,23 @@ from app.simulation.session import Session
 from app.strict import Array
 from app.system import raise_priority
 
-_PATIENCE = 5.0  # [s] timeout for a thread, or for the process, to end
-_SEND_EVERY = 0.002  # [s] between two transmissions of commands
-_POST_EVERY = 0.01  # [s] between two checks for a snapshot; there is one every 0.02 s
-_BEAT_EVERY = 0.25  # [s] between two heartbeats without a snapshot
-_HUNG = 0.5  # [s] without a heartbeat of the loop's own thread
-_SWITCH = 2e-4  # [s] after which the posting thread yields to the loop's thread
-_NICENESS = -10  # [-] desired; browsers use -8 for drawing
+_PATIENCE = 5.0  # [s] timeout for the end of a thread or of the process
+_SEND_EVERY = 0.002  # [s] time between two transmissions of commands
+_POST_EVERY = 0.01  # [s] time between two checks for a snapshot; the loop makes one every 0.02 s
+_BEAT_EVERY = 0.25  # [s] time between two heartbeats without a snapshot
+_HUNG = 0.5  # [s] time without a heartbeat of the loop's thread after which the thread hangs
+_SWITCH = 2e-4  # [s] time after which the posting thread yields to the loop's thread
+_NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
 
 def loop_child() -> Child:
-    """A process that waits for one session to simulate.
+    """Start a process that waits for a session to simulate.
 
-    Its imports take a second or two, so it can be started early and passed to the `ProcessLoop`
-    later. It receives the function that makes the session and the arm's start, then commands. It
-    sends the outcome of the start, which is the tuple of frames at which the arm can be held, then
-    snapshots, with None in between as a heartbeat, and the outcome at the end.
+    The imports of the process take one or two seconds; it can be started early and passed to a
+    `ProcessLoop` later. The process first receives a function that makes the session, together
+    with the arm's start posture, and then receives commands. It sends the outcome of the start (the
+    names of the frames at which people can hold the arm), then snapshots, with None as a heartbeat
+    in between, and finally the outcome of the end.
     """
     return Child(_run_loop)
 
@@ -56,7 +57,7 @@ class ProcessLoop(LiveLoop):
             make_session: Called once in the child; must be picklable, such as
                 `functools.partial(Session, model, data, config)`.
             q_start: (n_m,) arm configuration at the start and after each reset.
-            child: A waiting process; default: a new one.
+            child: A process of `loop_child`; default: a new process.
         """
         super().__init__()
         self._stopping = threading.Event()
@@ -84,7 +85,11 @@ class ProcessLoop(LiveLoop):
             thread.join(_PATIENCE)
 
     def _send(self, child: Child) -> None:
-        """Send commands to the child; a flood waits here, where it shrinks, not in the pipe."""
+        """Send commands to the child at intervals.
+
+        Many commands in a short time wait in the mailbox, where they replace one another, and not
+        in the pipe.
+        """
         try:
             child.sender.send(self._task)
             self._task = None  # frees the robot and its border
@@ -94,8 +99,8 @@ class ProcessLoop(LiveLoop):
                     child.sender.send(command)
                 self._stopping.wait(_SEND_EVERY)
         except OSError:
-            pass  # the child's end, which `_receive` reports
-        except Exception as error:  # an unpicklable session
+            pass  # the child has ended; `_receive` reports it
+        except Exception as error:  # the session cannot be pickled
             self.error = error
         finally:
             child.sender.close()
@@ -129,19 +134,19 @@ class ProcessLoop(LiveLoop):
 
 
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
-    """Main function of the child: run a loop until the parent's end of `commands` is closed."""
+    """Main function of the child: run a loop until the parent closes its end of `commands`."""
     sys.setswitchinterval(_SWITCH)
     raise_priority(_NICENESS)
     try:
         make_session, q_start = commands.recv()
     except (EOFError, OSError):
         return  # the parent has ended, or needs no simulation
-    loop = SimulationLoop(make_session, q_start, kept=1)  # the parent stores the others
+    loop = SimulationLoop(make_session, q_start, kept=1)  # the parent stores older snapshots
     try:
-        with suppress(LoopError):  # posted below
+        with suppress(LoopError):  # `_post` sends this error
             loop.start()
             snapshots.send(Outcome(loop.links))
-        gc.collect()  # otherwise present garbage would remain
+        gc.collect()  # otherwise `gc_frozen` would keep present garbage
         with gc_frozen(), suppress(EOFError, OSError):
             _post(loop, commands, snapshots)
     finally:
@@ -165,7 +170,7 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
             snapshots.send(None)
             beat = monotonic()
         if commands.poll(_POST_EVERY):
-            with suppress(LoopError):  # too many at once, in addition to those of the parent
+            with suppress(LoopError):  # too many commands wait here and in the parent
                 loop.send(commands.recv())
     trace = "".join(traceback.format_exception(loop.error))
     snapshots.send(Outcome((), portable(loop.error), trace))

@@ -1,4 +1,4 @@
-"""Plants: pybullet, MuJoCo and a kinematic stand-in behind one interface."""
+"""Plants: pybullet, MuJoCo and a simple plant without an engine, with one interface."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
     from app.simulation.plants.door import OpenDoor
     from app.simulation.plants.interface import Physics
 
-PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names for `make_physics`
+PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
 
 _FORMERLY = {"contact": "mujoco-contact"}
 _DOORS = "planar, mujoco or mujoco-contact"
 
 
 def default_plant() -> str:
-    """The plant planar of pybullet, if that is installed; otherwise mujoco."""
+    """The default plant: `planar` if pybullet is installed, otherwise `mujoco`."""
     return "planar" if find_spec("pybullet") else "mujoco"
 
 
 def chosen_plant(name: str | None) -> str:
-    """The plant of `PLANTS` by its present or former name; the default without a name.
+    """The present name of a plant with a present or former name; the default plant for None.
 
     Raises:
         UnknownNameError: The plant does not exist.
@@ -41,26 +41,27 @@ def make_physics(
     dt: float = 0.001,
     door: OpenDoor | None = None,
 ) -> Physics:
-    """The plant of that name, at rest in the robot's ready position.
+    """Make a plant, at rest in the robot's ready position.
 
     Args:
-        kind: A name for `chosen_plant`.
+        kind: Name of the plant, as for `chosen_plant`.
         model: The robot.
-        dt: [s] one step.
-        door: A door that the end-effector holds from each reset on, or None.
+        dt: [s] duration of one step.
+        door: A door that the end-effector holds after each reset, or None.
 
     Raises:
         UnknownNameError: The plant does not exist.
-        ConfigError: That plant has no doors, does not suit the kind of base, or needs a library
+        ConfigError: The plant has no doors, does not suit the kind of base, or needs a library
             that is not installed.
         AssetError: pybullet cannot load the robot.
     """
     kind = chosen_plant(kind)
-    # Imported here, because each must work without the others' libraries.
+    # Imported here, because each plant must work without the libraries of the other plants.
     if kind == "planar" and not find_spec("pybullet"):
         raise ConfigError(
-            "the plant planar needs pybullet, which is not installed and has no wheels for every "
-            "Python (docs/install.md); --physics mujoco works without it"
+            "the plant planar needs pybullet, which is not installed; there are no wheels of "
+            "pybullet for some versions of Python (docs/install.md); --physics mujoco works "
+            "without pybullet"
         )
     if kind in ("planar", "mujoco"):
         from app.simulation.plants.planar import planar_plant

@@ -1,6 +1,6 @@
-"""A robot in pybullet on planar joints with velocity motors and a torque-controlled arm.
+"""A robot in pybullet: the base on velocity-controlled planar joints, a torque-controlled arm.
 
-Its end-effector can hold the door of a refrigerator, which stands on the floor.
+The end-effector can hold the door of a refrigerator, which stands on the floor.
 """
 
 from collections.abc import Sequence
@@ -19,16 +19,16 @@ from app.simulation.plants.door import Cabinet, Door, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 from app.strict import Array
 
-_AWAY = (100.0, 0.0)  # [m] where it is loaded, away from robots that settle at the origin
-_SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
-_SEAL_DAMPING = 500.0  # [N s/m]
+_AWAY = (100.0, 0.0)  # [m] place at which the refrigerator is loaded, far from the robot
+_SEAL_STIFFNESS = 2e4  # [N/m] contact stiffness of the door's edge
+_SEAL_DAMPING = 500.0  # [N s/m] contact damping of the door's edge
 _GRASP_FORCE = 1000.0  # [N] largest force of the grasp
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_DOOR = 0  # pybullet's index of the door's link, and of its hinge
+_DOOR = 0  # pybullet's index of the door's link and of its hinge
 
 
 class BulletRobot(BulletWorld, PlanarWorld):
-    """In pybullet."""
+    """A `PlanarWorld` in pybullet."""
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
         """Load the robot.
@@ -41,11 +41,11 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
-        """pybullet's indices of the joints x, y, yaw and those of the arm."""
+        """pybullet's indices of the joints x, y and yaw, and of the arm's joints."""
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._hand, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
-        # pybullet puts a holding motor on every joint, which torque control must disable once.
+        # pybullet adds a holding motor to every joint, which must be disabled for torque control.
         self.client.setJointMotorControlArray(
             self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
         )
@@ -90,7 +90,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return contacts._replace(door_base=self.door.touches_base())
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        order = np.argsort(np.argsort(self.moving))  # pybullet's order is that of the indices
+        order = np.argsort(np.argsort(self.moving))  # pybullet orders joints by their indices
         ordered = np.empty((2, len(q)))
         ordered[:, order] = q, v
         q_own, v_own = ordered.tolist()
@@ -100,24 +100,30 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return M[np.ix_(order, order)], h[order]
 
     def _press(self, link: int, point: Sequence[float], force: Array) -> None:
-        """Apply a force (3,) [N] in the world to a point [m] of a link's (its joint's) frame."""
+        """Apply a force to a point of a link.
+
+        Args:
+            link: Index of the link and of the joint that moves it.
+            point: (3,) [m] the point in the joint's frame.
+            force: (3,) [N] the force in the world.
+        """
         fx, fy, fz = np.asarray(force).tolist()
         if fx == fy == fz == 0.0:
             return
-        # Without fresh kinematics both the point and the lever would be those of the previous step.
+        # Without new kinematics, the point and the lever arm would be those of the previous step.
         state = self.client.getLinkState(self.robot, link, computeForwardKinematics=1)
         place, _ = pybullet.multiplyTransforms(state[4], state[5], point, (0, 0, 0, 1))
         self.client.applyExternalForce(self.robot, link, (fx, fy, fz), place, pybullet.WORLD_FRAME)
 
 
 class BulletDoor(HeldDoor):
-    """The refrigerator's part of a pybullet plant. Only the base's links can touch the door.
+    """The refrigerator in pybullet. Of the robot, only the links of the mobile base touch the door.
 
-    The hinge has dry friction and no stop. The body rests on the floor by its weight.
+    The hinge has dry friction and no angle limit. The cabinet stands on the floor and is not fixed.
     """
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
-        """Place the refrigerator; each reset opens its door to the angle of the start."""
+        """Load the refrigerator; `reset` puts it in place with the door at the initial angle."""
         self.door, self._start = start
         self._client, self._robot = client, robot = world.client, world.robot
         arm = model.description.arm
@@ -152,7 +158,7 @@ class BulletDoor(HeldDoor):
             self._grasp = None
 
     def reset(self) -> None:
-        """The refrigerator in place, its door at rest at the start; the end-effector grasps it."""
+        """Put the refrigerator in place, with its door at the initial angle, and grasp the door."""
         client = self._client
         pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
@@ -172,12 +178,12 @@ class BulletDoor(HeldDoor):
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
     def touches_base(self) -> bool:
-        """Whether the door touched the mobile robot in the last step."""
+        """Whether the door touched the mobile base in the last step."""
         contacts = self._client.getContactPoints(self._robot, self.body, linkIndexB=_DOOR)
         return any(map(touches, contacts))
 
     def _take_hold(self) -> None:
-        """Fix the end-effector to the door in their present poses, at the end-effector's frame."""
+        """Fix the end-effector to the door at the present poses of both."""
         self.release()
         T_ee = self._hand_pose()
         links = (self._robot, self._hand), (self.body, _DOOR)
@@ -193,7 +199,7 @@ class BulletDoor(HeldDoor):
         self._client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
     def _com_pose(self, body: int, link: int) -> pin.SE3:
-        """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
+        """Pose of a link's centre of mass, to which pybullet refers the frames of a constraint."""
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
         return pin.XYZQUATToSE3([*state[0], *state[1]])
 
@@ -203,7 +209,7 @@ class BulletDoor(HeldDoor):
 
 
 def _plant_urdf(description: RobotDescription) -> str:
-    """The robot on two prismatic joints and a revolute one; wheels fixed, without visuals."""
+    """The robot's URDF on planar joints, with fixed wheels and without visuals."""
     tree = ElementTree.fromstring(planar_urdf(description))
     for link in tree.iterfind("link"):
         for visual in link.findall("visual"):  # pybullet would load its mesh
@@ -217,12 +223,11 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links that are fixed to one another, if they may touch the same parts.
+    """Merge links that are fixed to one another and may touch the same parts.
 
-    This holds if one body covers them, and they are nested with the same links.
-
-    To pybullet each link is a joint: it steps all of them, and has space for the state of 128. A
-    link is not merged if it has the end-effector, because people pull in its frame.
+    Two links may touch the same parts if the same body covers both, and both are nested with the
+    same links. pybullet treats each link as a joint, simulates all joints, and is limited to 128.
+    The end-effector's link is not merged, because pulls are expressed in its frame.
     """
     nested = description.nested
     touched = {
@@ -251,7 +256,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
 
 
 def _origin(element: Element) -> pin.SE3:
-    """The `<origin>` of a link's part or of a joint; the identity if it has none."""
+    """The pose in the `<origin>` of an element; the identity if there is none."""
     at = element.find("origin")
     words = {} if at is None else at.attrib
     xyz, rpy = (np.array(words.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
@@ -265,7 +270,7 @@ def _place(element: Element, T: pin.SE3) -> None:
 
 
 def _inertia(link: Element) -> pin.Inertia:
-    """The inertia of a link, in its own frame."""
+    """The inertia of a link, in the link's frame."""
     inertial = _part(link, "inertial")
     moments = _part(inertial, "inertia")
     xx, xy, xz, yy, yz, zz = (float(moments.get(key, 0.0)) for key in _MOMENTS)
@@ -275,7 +280,7 @@ def _inertia(link: Element) -> pin.Inertia:
 
 
 def _weigh(link: Element, inertia: pin.Inertia) -> None:
-    """Write a link's inertia along its principal axes, because pybullet finds them inexactly."""
+    """Write a link's inertia in principal axes, because pybullet computes these axes inexactly."""
     moments, axes = np.linalg.eigh(inertia.inertia)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     inertial = _part(link, "inertial")
@@ -292,7 +297,7 @@ def _part(element: Element, tag: str) -> Element:
 
 
 def _refrigerator_urdf(door: Door, cabinet: Cabinet) -> str:
-    """A box with a board on a hinge; the root's frame is the centre of the box."""
+    """The URDF of a box with a board on a hinge; the root's frame is at the box's centre."""
     return f"""<robot name="refrigerator">
 <link name="body">{_box(cabinet.size, cabinet.inertia)}</link>
 <link name="door">{_box(door.size, cabinet.door_inertia)}</link>

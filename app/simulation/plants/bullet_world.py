@@ -1,4 +1,4 @@
-"""One pybullet client: a robot over a floor; only selected pairs touch."""
+"""One pybullet client with a robot and a floor, in which only selected pairs can touch."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from app.system import decimal_points, flush_c_output
 
 @contextmanager
 def silence(*descriptors: int) -> Iterator[None]:
-    """Discard output to the process's file descriptors during the `with`, also that of C code.
+    """Discard output to file descriptors of the whole process during the `with`, also from C code.
 
-    1 is standard output, 2 standard error. It acts on the whole process: keep it short. C's buffers
-    are flushed at both ends, because inner output would otherwise appear later.
+    Descriptor 1 is standard output, 2 is standard error. The output buffers are flushed at both
+    ends, because discarded output would otherwise appear later.
     """
     _flush()
     kept = {fd: os.dup(fd) for fd in descriptors}
@@ -49,13 +49,13 @@ def _flush() -> None:
     flush_c_output()
 
 
-class _NotHere:
-    """A substitute for pybullet if it is not installed: each use raises an error that says so."""
+class _MissingPybullet:
+    """A substitute for pybullet if pybullet is not installed: each use raises an error."""
 
     def __getattr__(self, name: str) -> Any:
         raise ConfigError(
-            "this needs pybullet, which is not installed and has no wheels for every Python "
-            "(docs/install.md)"
+            "this needs pybullet, which is not installed; there are no wheels of pybullet for some "
+            "versions of Python (docs/install.md)"
         )
 
 
@@ -66,14 +66,14 @@ else:
         with silence(1, 2):  # pybullet prints the time of its build
             import pybullet
     except ModuleNotFoundError:
-        pybullet = _NotHere()
+        pybullet = _MissingPybullet()
 
 GRAVITY = 9.81  # [m/s²]
 _UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
 
 
 class Client:
-    """pybullet's functions, all for the same client; `id` is that client's."""
+    """pybullet's functions, all for the same client with the number `id`."""
 
     def __init__(self) -> None:
         self.id = pybullet.connect(pybullet.DIRECT)
@@ -85,16 +85,20 @@ class Client:
 
 
 class BulletWorld:
-    """A robot in its own client; all indices below are pybullet's."""
+    """A robot in a separate client; all indices are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot from its URDF, with absolute paths of meshes; `dt` [s] is one step.
+        """Load a robot and a floor.
+
+        Args:
+            urdf: Text of the robot's URDF, with absolute paths of meshes.
+            dt: [s] duration of one step.
 
         Raises:
             AssetError: pybullet cannot load the URDF.
         """
         self.client, self._open = Client(), True
-        # pybullet caches files by number, which another file may have had before.
+        # pybullet caches a file by its number, which the system may give to another file later.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
             self.robot = self.load(urdf, self_collision=True)
@@ -104,31 +108,33 @@ class BulletWorld:
         client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
         self.floor = client.createMultiBody(0, plane)
-        """The plane z = 0."""
+        """Index of the floor's body, the plane z = 0."""
         self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
-        """Index of each by its name; the root link's is -1."""
+        """Index of each link and joint by its name; the root link has the index -1."""
         for i in range(client.getNumJoints(self.robot)):
             info = client.getJointInfo(self.robot, i)
             self.joints[info[1].decode()] = self.links[info[12].decode()] = i
         client.setGravity(0, 0, -GRAVITY)
         # The solver's early exit would leave errors of 1e-5 rad/s per step in the arm.
         client.setPhysicsEngineParameter(fixedTimeStep=dt, solverResidualThreshold=0)
-        self._contact_of: dict[tuple[int, ...], str] = {}  # by bodies and links, in both orders
+        self._contact_of: dict[tuple[int, ...], str] = {}  # key: bodies and links, in both orders
         self._at_load: int | None = None
 
     def load(
         self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
     ) -> int:
-        """Index of a new body without damping, from the text of its URDF.
+        """Load a body without damping, and return its index.
 
-        Its root is at `place` (3,) [m]. With `self_collision` it is a robot, whose root is
-        fixed and whose links can touch.
+        Args:
+            urdf: Text of the body's URDF.
+            place: (3,) [m] position of the root.
+            self_collision: Whether the links can touch; the root is then fixed.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        # A file without a name disappears with this process.
+        # The system removes a file without a name at the end of this process.
         with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # without warnings
             file.write(urdf.encode())
             file.seek(0)
@@ -143,7 +149,7 @@ class BulletWorld:
         return body
 
     def allow_contacts(self, pairs: ContactPairs) -> None:
-        """Let only these links touch, and report their contacts; others pass through each other."""
+        """Let only these pairs of links touch; other pairs pass through each other."""
         places = {name: (self.robot, i) for name, i in self.links.items()}
         places[FLOOR] = self.floor, -1
         for a, b in combinations(places, 2):
@@ -155,13 +161,13 @@ class BulletWorld:
                 self._contact_of[body_b, body_a, link_b, link_a] = group
 
     def contacts(self) -> Contacts:
-        """Contacts found in the last step."""
+        """Contacts in the last step."""
         found = self.client.getContactPoints(self.robot)
         groups = (self._contact_of.get(c[1:5]) for c in found if touches(c))
         return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
-        """[m] depth of the contacts of the last step, by the fields of `Contacts`."""
+        """[m] depth of the deepest contact of each kind, by the fields of `Contacts`."""
         deepest: dict[str, float] = {}
         for c in self.client.getContactPoints(self.robot):
             if group := self._contact_of.get(c[1:5]):
@@ -169,15 +175,15 @@ class BulletWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] from each start (n, 3) to the robot or the floor, towards its end; or inf."""
+        """(n,) [m] distance along each ray to the first hit, as in `PlanarWorld.seen`."""
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Restore the state of the first call, with contacts and solver.
+        """Restore the state at the first call, including contacts and the solver's state.
 
-        Otherwise remembered old contacts make two equal runs differ in the last bits.
+        Otherwise old contacts in the engine's memory would make equal runs differ in the last bits.
         """
         if self._at_load is None:
             self._at_load = self.client.saveState()
@@ -185,13 +191,13 @@ class BulletWorld:
             self.client.restoreState(self._at_load)
 
     def close(self) -> None:
-        """End the client; may be called twice."""
+        """End the client; a second call has no effect."""
         if self._open:
             self.client.disconnect()
             self._open = False
 
 
 def touches(contact: tuple[Any, ...]) -> bool:
-    """Whether one of pybullet's contacts is real: closed, or with a force."""
+    """Whether a contact point of pybullet is a real contact: without a gap, or with a force."""
     distance, normal_force = contact[8], contact[9]  # [m], [N]
     return distance <= 0 or normal_force > 0

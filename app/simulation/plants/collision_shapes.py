@@ -1,6 +1,6 @@
 """The parts of a robot that may touch: their pairs and their shapes.
 
-The shapes are the links' own, or the description's bodies if a mesh is not installed.
+The shapes are the links' collision shapes, or the description's bodies if a mesh is not installed.
 """
 
 import logging
@@ -19,13 +19,12 @@ from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import convex_hull
 from app.strict import Array
 
-FLOOR = "/floor"  # name of the floor among the parts, which no link or body can have
+FLOOR = "/floor"  # name of the floor as a part; no link or body can have this name
 
 ContactPairs = dict[tuple[str, str], str]
 """The field of `Contacts` for each pair of parts, by the names of bodies or links.
 
-In `arm_base` the part of l_m is first, then a part of the arm that can come near it; in
-`arm_floor` the floor is first.
+In pairs of `arm_base` the part of l_m is first, in pairs of `arm_floor` the floor.
 """
 
 
@@ -33,27 +32,31 @@ class CollisionShape(NamedTuple):
     """One convex shape."""
 
     part: str
-    """Name of its link or body."""
+    """Name of the shape's link or body."""
     joint: int
-    """Pinocchio's joint that moves it."""
+    """Pinocchio's index of the joint that moves the shape."""
     T: pin.SE3
-    """Its pose in that joint's frame."""
+    """Pose of the shape in the joint's frame."""
     geometry: coal.CollisionGeometry
-    """The shape; a mesh means its convex hull, or one of its hulls."""
+    """The shape; a mesh represents its convex hull."""
 
 
 class CollisionShapes(NamedTuple):
-    """All shapes of a robot, the parts that may touch, and the parts of l_m."""
+    """All shapes of a robot, and the pairs that may touch."""
 
     shapes: tuple[CollisionShape, ...]
+    """The shapes."""
     pairs: ContactPairs
+    """The pairs of parts that may touch."""
     mobile: tuple[str, ...]
+    """Names of the parts of l_m."""
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies that may touch; bodies with a reachability may touch l_m and the floor.
+    """Pairs of bodies that may touch.
 
-    Within the arm, bodies that are not neighbours in the chain may touch.
+    Bodies with a reachability map may touch l_m and the floor. Bodies of the arm that are not
+    neighbours in the chain may touch each other.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -67,7 +70,7 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """The same pairs for the URDF's links that the bodies enclose, except nested ones."""
+    """Pairs of links that may touch: the links of `body_contact_pairs`, except nested links."""
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -80,17 +83,17 @@ def link_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 @kept_per_model(1)
 def collision_shapes(model: RobotModel) -> CollisionShapes:
-    """The collision shapes of the links, or the convex bodies if a mesh is not installed.
+    """The collision shapes of a robot's links, or its convex bodies if a mesh is not installed.
 
-    The bodies are larger than the links; the log reports that they are used. Reading the meshes
-    takes half the time of making a plant, so the shapes are cached per model.
+    A warning in the log reports the use of the bodies, which are larger than the links. The shapes
+    are cached, because the meshes take half of the time that a plant needs to start.
     """
     description = model.description
     try:
         text = resolved_urdf(description)
     except AssetError as error:
         logging.getLogger(__name__).warning(
-            "%s: contacts are those of its convex bodies, which are larger than its links: %s",
+            "%s: contacts are computed with the convex bodies, which are larger than the links: %s",
             description.name,
             error,
         )
@@ -122,7 +125,10 @@ def vertices(geometry: coal.CollisionGeometry) -> Array | None:
 
 
 def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
-    """A shape, or the hulls of an OBJ's named objects and groups, as in pybullet."""
+    """A shape as a list of convex shapes.
+
+    As in pybullet, an OBJ file with several named objects or groups has a hull for each of these.
+    """
     if not placed.meshPath.lower().endswith(".obj"):
         return [placed.geometry]
     points: list[list[float]] = []

@@ -1,4 +1,4 @@
-"""A refrigerator and its door: their geometry, and the door as a body of the arm (§4.2.3)."""
+"""The geometry of a refrigerator and its door, and the door as a body of the arm (§4.2.3)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,21 +17,21 @@ from app.strict import Array
 
 BODY = "door"
 
-_E1 = 0.2  # [-] slightly curved upright edges, so that the closest point is unique
-_E2 = 0.2  # [-] in plan
-_MASS = 60.0  # [kg] of the refrigerator without its door
-_DEPTH = 0.60  # [m]
-_GAP = 0.005  # [m] between its body and the closed door
-_HANDLE = 0.03, 0.025, 0.24  # [m] drawn depth, width and height
-_SINKING = 1e-5  # [m] of its body into the floor, where it rests in the engines
+_E1 = 0.2  # [-] curvature of the vertical sections: slight, so that the closest point is unique
+_E2 = 0.2  # [-] curvature of the horizontal sections
+_MASS = 60.0  # [kg] mass of the refrigerator without its door
+_DEPTH = 0.60  # [m] depth of the cabinet
+_GAP = 0.005  # [m] distance between the cabinet and the closed door
+_HANDLE = 0.03, 0.025, 0.24  # [m] depth, width and height of the drawn handle
+_SINKING = 1e-5  # [m] depth of the cabinet in the floor, at which the cabinet rests in the engines
 
 
 @dataclass(frozen=True)
 class Door:
-    """An upright board on a hinge.
+    """A vertical board on a hinge.
 
-    The door's frame has its origin on the floor under the hinge's axis, z up, x into the closed
-    refrigerator and y to the left of a person in front of it; it turns with the door.
+    The door's frame turns with the door. Its origin is on the floor under the hinge's axis, z is
+    up, x points into the closed refrigerator, and y to the left of a person in front of the door.
     """
 
     hinge: Literal["left", "right"]
@@ -41,21 +41,21 @@ class Door:
     yaw: float
     """[rad] direction of the closed door's x axis in the world."""
     width: float
-    """[m] from the hinge's axis to the free edge."""
+    """[m] distance from the hinge's axis to the free edge."""
     friction: float
     """[N m] dry friction of the hinge."""
     height: float = 1.70
-    """[m]"""
+    """[m] height of the board."""
     thickness: float = 0.06
-    """[m]"""
+    """[m] thickness of the board."""
     bottom: float = 0.05
-    """[m] lower edge above the floor."""
+    """[m] height of the board's lower edge above the floor."""
     mass: float = 8.0
-    """[kg]"""
+    """[kg] mass of the board."""
     handle_inset: float = 0.06
-    """[m] from the handle to the free edge."""
+    """[m] distance from the handle to the free edge."""
     handle_reach: float = 0.05
-    """[m] from the door's face to the handle."""
+    """[m] distance from the door's face to the handle."""
     handle_height: float = 1.10
     """[m] height of the handle above the floor."""
 
@@ -71,7 +71,7 @@ class Door:
 
     @property
     def handle_radius(self) -> float:
-        """[m] from the hinge's axis to the handle."""
+        """[m] distance from the hinge's axis to the handle."""
         return math.hypot(self.width - self.handle_inset, self.thickness / 2 + self.handle_reach)
 
     @property
@@ -85,7 +85,7 @@ class Door:
         return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
 
     def handle(self, angle: float) -> pin.SE3:
-        """Pose of an end-effector at the handle: z into the door, x up."""
+        """Pose of an end-effector at the handle: z points into the door, x up."""
         place = np.array(
             [
                 -self.thickness / 2 - self.handle_reach,
@@ -97,12 +97,12 @@ class Door:
         return self.pose(angle) * pin.SE3(axes, place)
 
     def radial(self, p_hand: Array) -> Array:
-        """(2,) unit vector in plan from an end-effector at `p_hand` (3,) [m] to the hinge."""
+        """(2,) horizontal unit vector from an end-effector at `p_hand` (3,) [m] to the hinge."""
         to_hinge = np.subtract(self.hinge_position, p_hand[:2])
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the corners of the board, with the door's frame at T."""
+        """The hyper-ellipsoid through the corners of the board; T is the door's frame."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
@@ -122,22 +122,24 @@ class DoorReading(NamedTuple):
     angle: float
     """[rad] opening angle of the door."""
     force: Array
-    """(3,) [N] force of the end-effector on it, in the world."""
+    """(3,) [N] force of the end-effector on the door, in the world."""
     radial_force: float
-    """[N] its component towards the hinge's true place."""
+    """[N] component of the force towards the true position of the hinge."""
     radial_error: float
     """[rad] error of the estimated radial direction, positive counter-clockwise."""
 
 
 class OpenDoor(NamedTuple):
-    """A door with its opening angle at the start, `angle` [rad]."""
+    """A door with its initial opening angle."""
 
     door: Door
+    """The door."""
     angle: float
+    """[rad] opening angle at the start."""
 
 
 class Cabinet:
-    """The refrigerator that carries a door: a box that rests on the floor by its weight."""
+    """The cabinet of a refrigerator: a box that stands on the floor and is not fixed."""
 
     def __init__(self, door: Door) -> None:
         height = door.bottom + door.height
@@ -149,9 +151,9 @@ class Cabinet:
         self.T_world = door.pose(0.0) * pin.SE3(
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
         )
-        """Pose of that frame."""
+        """Pose of the box's centre in the world."""
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)
-        """Pose of the closed door's frame in it."""
+        """Pose of the closed door's frame in the frame of the box's centre."""
         self.T_centre = pin.SE3(np.eye(3), door.centre)
         """Pose of the board's centre in the door's frame."""
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
@@ -159,7 +161,10 @@ class Cabinet:
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
-    """Size [m] and pose of the boxes that represent a refrigerator, at an opening angle [rad]."""
+    """Size [m] and pose in the world of the boxes that represent a refrigerator.
+
+    The door is open by `angle` [rad].
+    """
     cabinet, opened = Cabinet(door), door.pose(angle)
     handle = door.pose(0.0).actInv(door.handle(0.0)).translation
     return {
@@ -172,13 +177,20 @@ def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float,
 def with_door(
     model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
 ) -> tuple[RobotModel, BorderData]:
-    """The robot that holds a door: the arm's last body is the door, and ⟨l_m, door⟩ is in L_m.
+    """The robot that holds a door: the door is the arm's last body, and ⟨l_m, door⟩ is in L_m.
 
-    The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link: the grasp is
-    rigid. Its reachability is the end-effector's. It has no sampled border, so the acting
-    point is found on the exact offset of l_m. `T_ee_door` is the door's frame in the
-    end-effector's. point is found on the exact offset of l_m. The door's frame stands at
-    `T_ee_door` in the hand's.
+    The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
+    grasp is rigid. The door has the reachability map of the end-effector. It has no sampled border,
+    so the acting point is found on the exact offset of l_m.
+
+    Args:
+        model: The robot without the door.
+        data: The border data of that robot.
+        door: The door.
+        T_ee_door: Pose of the door's frame in the end-effector's frame.
+
+    Returns:
+        The robot with the door, and its border data.
     """
     description = model.description
     link = description.arm.end_effector_link

@@ -1,4 +1,4 @@
-"""Comparison of pybullet and MuJoCo on one robot: pictures by rays, and contacts."""
+"""Comparison of pybullet and MuJoCo for one robot: pictures from rays, and contacts."""
 
 from itertools import product
 from typing import NamedTuple
@@ -13,36 +13,40 @@ from app.simulation.plants.planar import planar_plant
 from app.strict import Array
 
 SAME_DEPTH = 0.005
-"""[m] depth below which a contact may exist in one engine only: pybullet rounds its hulls, and
+"""[m] depth up to which a contact may exist in only one engine: pybullet rounds its hulls, and
 computes the depth of two hulls approximately."""
-SAME_PICTURE = 0.002  # [-] share of differing rays below which pictures are equal
+SAME_PICTURE = 0.002  # [-] share of differing rays below which pictures count as equal
 _SAME_PLACE = 0.01  # [m] tolerance of a ray's hit: pybullet adds 1 mm to hulls, more at a slant
-_EDGE = 0.003  # [m] tolerance of edges
-_BESIDE = tuple(product((0, 1, -1), repeat=2))  # the ray itself first
-_HALF, _PIXELS = 1.0, 48  # [m] and number of rays of a picture's side
+_EDGE = 0.003  # [m] tolerance at edges
+_BESIDE = tuple(product((0, 1, -1), repeat=2))  # offsets of parallel rays, the ray itself first
+_HALF, _PIXELS = 1.0, 48  # [m] half side of a picture; number of rays along a side
 _MIDDLE, _FAR = 0.6, 3.0  # [m] height of the target, and distance of the viewpoint
 _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # directions of the viewpoints
 
 
 class Difference(NamedTuple):
-    """Differences of two engines over some poses."""
+    """Differences between two engines in some poses."""
 
     picture: float
-    """[-] largest share of a picture's rays on the robot with different hits."""
+    """[-] largest share, among all pictures, of the rays to the robot with different hits."""
     depth: float
-    """[m] depth of the deepest contact that only one of them has."""
+    """[m] depth of the deepest contact that exists in only one engine."""
     contacts: int
-    """Number of contacts that both have."""
+    """Number of contacts that exist in both engines."""
     poses: int
-    """Number of poses."""
+    """Number of compared poses."""
 
 
 def compare_engines(
     model: RobotModel, *, poses: int = 30, pictures: int = 3, seed: int = 0
 ) -> Difference:
-    """Put both planar plants into random poses, and compare their contacts.
+    """Put both planar plants into random poses, and compare contacts and pictures.
 
-    In the first `pictures` poses, pictures are taken by rays from three sides.
+    Args:
+        model: The robot.
+        poses: Number of poses.
+        pictures: Number of poses with pictures, from three sides each.
+        seed: Seed of the random poses.
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
@@ -77,7 +81,7 @@ def compare_engines(
 def _picture(
     worlds: tuple[PlanarWorld, PlanarWorld], base: Array, side: tuple[float, ...]
 ) -> float:
-    """[-] share of the robot's rays with different hits, in a parallel projection."""
+    """[-] share of the rays to the robot with different hits, in a parallel projection."""
     forward = -np.array(side) / np.linalg.norm(side)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

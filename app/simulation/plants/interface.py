@@ -1,4 +1,4 @@
-"""The common interface of all plants, real physics or stand-in."""
+"""The common interface of all plants."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
@@ -11,72 +11,79 @@ from app.strict import Array
 
 
 class Contacts(NamedTuple):
-    """Contacts of the last step."""
+    """Contacts in the last step."""
 
     arm_base: bool = False
-    """Arm and base."""
+    """Whether arm and base touch."""
     arm_arm: bool = False
-    """Two parts of the arm that are not neighbours."""
+    """Whether two parts of the arm touch that are not neighbours."""
     arm_floor: bool = False
-    """Arm and floor."""
+    """Whether arm and floor touch."""
     door_base: bool = False
-    """A door that the end-effector holds, and the base."""
+    """Whether a held door and the base touch."""
 
     @classmethod
     def of(cls, groups: Iterable[str]) -> Self:
-        """The contacts of some fields, by their names."""
+        """The contacts with the fields of these names true."""
         return cls(**dict.fromkeys(groups, True))
 
 
 class Wrench(NamedTuple):
-    """Force (3,) [N] and torque (3,) [N m] about the end-effector's origin, in the world."""
+    """A force and a torque about the end-effector's origin, in the world."""
 
     force: Array
+    """(3,) [N] force."""
     torque: Array
+    """(3,) [N m] torque."""
 
 
 class Push(NamedTuple):
-    """A force on some point of the arm."""
+    """A force on a point of the arm."""
 
     joint: str
     """Name of the joint that carries the point."""
     p: Array
-    """(3,) [m] the point in that joint's frame."""
+    """(3,) [m] the point in the joint's frame."""
     force: Array
-    """(3,) [N] in the world."""
+    """(3,) [N] force in the world."""
 
 
 class HeldDoor(ABC):
-    """A door that the end-effector holds since the plant's reset."""
+    """A door in a plant, which the end-effector holds after the plant's reset."""
 
     @abstractmethod
     def angle(self) -> float:
-        """[rad] opening angle."""
+        """[rad] present opening angle."""
 
     @abstractmethod
     def wrench(self) -> Wrench:
-        """Wrench on the door in the last step, as a force-torque sensor measures it."""
+        """Wrench of the end-effector on the door in the last step, as a sensor measures it."""
 
 
 class Physics(ABC):
-    """A plant with a velocity-controlled base and a torque-controlled arm, stepped by `dt`.
+    """A plant with a velocity-controlled base and a torque-controlled arm.
 
     The world's floor is z = 0. Implementations: `planar` in pybullet (default) or in MuJoCo,
-    `mujoco_wheels`, `kinematic` (a stand-in for tests).
+    `mujoco_wheels`, and `kinematic` (a simple plant for tests).
     """
 
     dt: float
-    """[s] one step."""
+    """[s] duration of one step."""
     door: HeldDoor | None
     """The door that the end-effector holds; None in a plant without one."""
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest at base pose (x, y, φ) [m, rad] and joint positions `q_m`."""
+        """Put the robot at rest.
+
+        Args:
+            base_pose: (3,) x, y [m] and heading [rad] of the base.
+            q_m: (n_m,) [rad or m] joint positions of the arm.
+        """
 
     @abstractmethod
     def measure(self) -> Measurement:
-        """The sensors' readings now."""
+        """The robot's present state, as exact sensors measure it."""
 
     @abstractmethod
     def step(
@@ -86,54 +93,65 @@ class Physics(ABC):
 
         Args:
             u_a: (n_m,) [N m or N] torques of the arm, constant during the step.
-            base_velocity: (n_b,) [m/s or rad/s] commanded along the base's axes; the drive
-                follows with the description's time constant and limits.
+            base_velocity: (n_b,) [m/s or rad/s] command along the base's axes; the drive follows
+                with the description's time constant and limits.
             hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
             pushes: Forces on other points of the arm.
         """
 
     @abstractmethod
     def contacts(self) -> Contacts:
-        """Contacts of the last step."""
+        """Contacts in the last step."""
 
-    def close(self) -> None:  # noqa: B027 - most have nothing to release
+    def close(self) -> None:  # noqa: B027 - most plants have no resources
         """Release the plant's resources."""
 
 
 class PlanarWorld(ABC):
-    """A robot on planar joints in an engine; q and v are x, y, yaw in the world and the arm's."""
+    """A robot on planar joints in an engine.
+
+    Positions q and velocities v (3 + n_m,) are those of x, y and yaw in the world, then of the
+    arm's joints.
+    """
 
     door: HeldDoor | None
 
     @abstractmethod
     def reset(self, q: Array) -> None:
-        """At rest at q (3 + n_m,) [m, rad]; the end-effector grasps the door."""
+        """Put the robot at rest at q (3 + n_m,) [m, rad]; the end-effector grasps the door."""
 
     @abstractmethod
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Position (3,) and velocity of x, y and yaw, then q_m and q̇_m of the arm, as copies."""
+        """Copies of position (3,) and velocity (3,) of x, y and yaw, and of q_m and q̇_m (n_m,)."""
 
     @abstractmethod
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push]
     ) -> None:
-        """As `Physics.step`, with the speeds of x, y and yaw [m/s, rad/s] in the world."""
+        """Advance by one step.
+
+        `speeds` (3,) [m/s, m/s, rad/s] are the commanded speeds of x, y and yaw in the world; the
+        other arguments are those of `Physics.step`.
+        """
 
     @abstractmethod
     def contacts(self) -> Contacts:
-        """Contacts of the last step."""
+        """Contacts in the last step."""
 
     @abstractmethod
     def depths(self) -> dict[str, float]:
-        """[m] depth of the contacts, by the fields of `Contacts`."""
+        """[m] depth of the deepest contact of each kind, by the fields of `Contacts`."""
 
     @abstractmethod
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] from each start (n, 3) to the robot or the floor, towards its end; or inf."""
+        """(n,) [m] distance from the start of each ray to the first hit of robot or floor.
+
+        The rays go from `begins` (n, 3) to `ends` (n, 3) [m]; a ray without a hit has infinity.
+        """
 
     @abstractmethod
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Mass matrix and bias forces of the engine."""
+        """The engine's mass matrix (3 + n_m, 3 + n_m) and bias forces (3 + n_m,) at q and v."""
 
-    def close(self) -> None:  # noqa: B027 - most have nothing to release
+    def close(self) -> None:  # noqa: B027 - most engines have no resources
         """Release the engine's resources."""

@@ -1,8 +1,9 @@
-"""A stand-in plant without a physics library: the equation of motion, integrated.
+"""A simple plant without a physics engine, which integrates the equation of motion.
 
-The base moves exactly as its drive; the arm follows M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f.
-Only joint limits stop the arm: contacts are overlaps of the convex bodies and are only
-reported. It is for tests, and an independent check of the engines.
+The base moves exactly with its drive's velocity; the arm follows
+M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f. Only joint limits stop the arm: contacts are overlaps of
+the convex bodies, which are reported and cause no force. The plant is for tests, and for an
+independent check of the engines.
 """
 
 from collections.abc import Sequence
@@ -22,12 +23,12 @@ from app.strict import Array
 
 
 class Kinematic(Physics):
-    """A plant of pinocchio alone."""
+    """A plant that uses only pinocchio."""
 
     door = None
 
     def __init__(self, model: RobotModel, *, dt: float = 0.001) -> None:
-        """The robot at rest in its ready position; `dt` [s] is one step."""
+        """Start at rest in the robot's ready position; `dt` [s] is the duration of one step."""
         self.dt = dt
         self._model = model
         self._state = RobotState(model)
@@ -66,13 +67,13 @@ class Kinematic(Physics):
         self._stepped = True
 
     def contacts(self) -> Contacts:
-        """Overlaps of the bodies, which are larger than the links."""
+        """Overlaps of the convex bodies, which are larger than the links."""
         if not self._stepped:
             return Contacts()
         return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
-        """(n_m,) Σ J_aᵀ f: the joint torques of the forces on the arm."""
+        """(n_m,) [N m or N] Σ J_aᵀ f, the joint torques of the forces on the arm."""
         state, n_b = self._state, self._model.n_b
         felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)
         for push in pushes:
@@ -82,7 +83,7 @@ class Kinematic(Physics):
         return felt
 
     def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
-        """(n_m,) q̈_a from the arm's rows of the equation of motion, including joint limits."""
+        """(n_m,) q̈_a from the arm's rows of the equation of motion, within the joint limits."""
         M, h, n_b = self._state.M, self._state.h, self._model.n_b
         u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
         M_aa = M[n_b:, n_b:]
@@ -97,19 +98,19 @@ class Kinematic(Physics):
         return qdd
 
     def _beyond_limits(self, qdd: Array) -> Array:
-        """(n_m,) joints that an acceleration would move beyond their limits in this step."""
+        """(n_m,) whether an acceleration would move each joint beyond a limit in this step."""
         q = self._q + (self._qd + qdd * self.dt) * self.dt
         return (q < self._model.q_lower) | (q > self._model.q_upper)
 
     def _stopping_acceleration(self) -> Array:
-        """(n_m,) acceleration that moves each joint exactly to its nearer limit in this step."""
+        """(n_m,) acceleration that moves each joint to its nearer limit in this step."""
         lower, upper = self._model.q_lower, self._model.q_upper
         limit = np.where(self._q - lower < upper - self._q, lower, upper)
         return ((limit - self._q) / self.dt - self._qd) / self.dt
 
 
 class _Overlaps:
-    """Overlapping bodies, in the groups of `Contacts`."""
+    """Overlaps of the convex bodies, by the fields of `Contacts`."""
 
     def __init__(self, model: RobotModel) -> None:
         self._pin, self._data = model.pin, model.pin.createData()

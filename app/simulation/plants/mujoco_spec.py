@@ -1,7 +1,7 @@
-"""A robot over a floor as a MuJoCo specification; a plant adds its own parts.
+"""A MuJoCo specification of a robot and a floor, to which a plant adds further parts.
 
-Its bodies and inertias are pinocchio's, one for each joint; its contact shapes are the links'
-own. Only selected pairs touch.
+The specification has a body for each joint of pinocchio's model, with the same inertia, and the
+links' collision shapes. Only selected pairs can touch.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,11 +20,11 @@ from app.simulation.plants.interface import Contacts
 from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
-FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts and of joint limits
-IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of both, in MuJoCo's format
+FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts
+IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of contacts and joint limits, in MuJoCo's format
 
-_FLAT = 1e-6  # [-] ratio of thickness to length of a flat mesh
-_SHEET = 0.0002  # [m] thickness given to a flat mesh
+_FLAT = 1e-6  # [-] largest ratio of thickness to length of a flat mesh
+_SHEET = 0.0002  # [m] thickness that a flat mesh gets
 _STIFFEST = 0.9999  # [-] MuJoCo's largest impedance
 _FRICTION = 0.25  # [-] friction of two links
 _ROUND = 100.0  # [-] ratio of the firmness of friction to that of contacts
@@ -44,22 +44,24 @@ class RobotSpec:
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
     ) -> None:
-        """Specify the robot over the floor; `dt` [s] is one step.
+        """Specify the robot and the floor.
 
-        The root moves on motors along x, y and yaw. With an inertia it is free, and the plant adds
-        joints that carry the rest of the robot's mass.
+        Args:
+            model: The robot.
+            dt: [s] duration of one step.
+            free_root: Inertia of a free root; the plant then adds bodies with the rest of the
+                base's mass. None means that motors along x, y and yaw move the root.
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
         self.pairs: dict[frozenset[str], str | None] = {}
-        """The field of `Contacts` for two geoms, by their names, or None."""
+        """The field of `Contacts`, or None, for each pair of geoms that can touch, by name."""
         self.motors: list[str] = []
         """Names of the joints that have a motor."""
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
         self.shapes, pairs, self.mobile = collision_shapes(model)
-        """The robot's shapes, by the names of l_m's links, or of the body itself if bodies replace
-        links."""
+        """The robot's shapes, and the names of the parts of l_m."""
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
         self._geoms = {FLOOR: [FLOOR]}
@@ -67,20 +69,26 @@ class RobotSpec:
             name = f"{shape.part}/{i}"
             self._geoms.setdefault(shape.part, []).append(name)
             self._add_shape(bodies[shape.joint], name, shape)
-        # By group and names, because the solver's last digits depend on their order.
+        # Sorted by group and names, because the last digits of the solution depend on the order.
         ordered = sorted(pairs.items(), key=lambda item: (Contacts._fields.index(item[1]), item[0]))
         for (a, b), group in ordered:
             self.allow(group, self.geoms(a), self.geoms(b))
 
     def geoms(self, *parts: str) -> list[str]:
-        """Names of the geoms of links or of the floor; of bodies if these replace links."""
+        """Names of the geoms of parts: links, the floor, or bodies if these replace the links."""
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
-        """A body of the specification at a pose in its parent.
+        """Add a body to a parent body, and return the new body.
 
-        Its inertia is written into the compiled model, because MuJoCo's compiler refuses inertias
-        that other libraries accept, such as a link without mass whose joint moves links with mass.
+        The inertia is written into the compiled model later, because MuJoCo's compiler refuses
+        inertias that other libraries accept, such as a link without mass that carries other links.
+
+        Args:
+            parent: The parent body.
+            name: Name of the new body.
+            T: Pose of the new body in the parent.
+            inertia: Inertia of the new body.
         """
         moments, axes = np.linalg.eigh(inertia.inertia)
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
@@ -104,7 +112,16 @@ class RobotSpec:
         T: pin.SE3 | None = None,
         mesh: str = "",
     ) -> None:
-        """A shape at a pose in its body that touches only the geoms of `allow`."""
+        """Add a shape to a body; the shape touches only geoms that `allow` names.
+
+        Args:
+            body: The body.
+            name: Name of the geom.
+            kind: Type of the geom.
+            size: [m] up to three sizes, as MuJoCo defines them for the type.
+            T: Pose in the body; None means the identity.
+            mesh: Name of the mesh, for a geom of that type.
+        """
         body.add_geom(
             name=name,
             type=kind,
@@ -116,20 +133,30 @@ class RobotSpec:
         )
 
     def add_motor(
-        self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], most: float
+        self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], limit: float
     ) -> None:
-        """A joint whose motor holds a velocity, with limited force or torque [N or N m].
+        """Add a joint with a velocity-controlled motor of limited force or torque.
 
-        The motor is dry friction against a moving reference, which MuJoCo's solver treats together
-        with contacts and limits.
+        The motor is dry friction relative to a moving reference, which MuJoCo's solver treats
+        together with contacts and limits.
+
+        Args:
+            body: The body that the joint moves.
+            name: Name of the joint.
+            kind: Type of the joint.
+            axis: (3,) axis in the body's frame.
+            limit: [N or N m] largest force or torque.
         """
-        body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(most))
+        body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(limit))
         self.motors.append(name)
 
-    def friction(self, most: float) -> dict[str, Any]:
-        """A joint's dry friction [N or N m], which stops all motion that it can within a step."""
+    def friction(self, limit: float) -> dict[str, Any]:
+        """Options of a joint with dry friction up to `limit` [N or N m].
+
+        Friction below the limit stops the joint within one step.
+        """
         return {
-            "frictionloss": most,
+            "frictionloss": limit,
             "solref_friction": [-1.0, -_STIFFEST / self._dt],
             "solimp_friction": [_STIFFEST, _STIFFEST, 0.001, 0.5, 2.0],
         }
@@ -144,15 +171,15 @@ class RobotSpec:
         firmness: Sequence[float] = FIRM,
         **contact: Any,
     ) -> None:
-        """Let the geoms of one group touch those of another.
+        """Let each geom of one list touch each geom of another list.
 
         Args:
-            group: The field of `Contacts` that reports it; None for none.
-            some: Names of geoms.
-            others: Names of geoms.
-            friction: [-] coefficient of the two.
-            firmness: [s] time constant and [-] damping ratio of their contact.
-            contact: Further options of MuJoCo's contact.
+            group: The field of `Contacts` that reports such a contact, or None.
+            some: Names of the geoms of the first list.
+            others: Names of the geoms of the second list.
+            friction: [-] coefficient of friction.
+            firmness: [s] time constant and [-] damping ratio of the contact.
+            contact: Further contact options of MuJoCo.
         """
         contact = {"solref": list(firmness), "solimp": IMPEDANCE} | contact
         for a, b in product(some, others):
@@ -166,7 +193,7 @@ class RobotSpec:
             )
 
     def compile(self) -> mujoco.MjModel:
-        """The model, with unchanged inertias."""
+        """Compile the model, and set the inertias of its bodies."""
         compiled = self.spec.compile()
         for name, (mass, moments) in self._inertias.items():
             body = compiled.body(name).id
@@ -221,7 +248,7 @@ class RobotSpec:
 
 
 def _solid(points: Array) -> Array:
-    """(N, 3) [m] the points; a flat sheet, which has no hull in MuJoCo, gets a thickness."""
+    """(N, 3) [m] the points of a hull; a flat one, which MuJoCo refuses, gets a thickness."""
     extents, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1:]
     if extents[2] > _FLAT * extents[0]:
         return points
@@ -237,7 +264,7 @@ def _empty_spec(dt: float) -> mujoco.MjSpec:
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER  # semi-implicit, as pybullet's
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _ROUND
     option.tolerance = 1e-10
-    # Islands copy the data that `MujocoWorld.step` writes, before it does.
+    # With islands MuJoCo would copy data before `MujocoWorld.step` changes them.
     option.disableflags = mujoco.mjtDisableBit.mjDSBL_ISLAND | mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return spec
 
@@ -247,6 +274,6 @@ def _pose(T: pin.SE3) -> dict[str, Any]:
 
 
 def _quaternion(R: Array) -> Array:
-    """(4,) quaternion in MuJoCo's order, w first."""
+    """(4,) quaternion of an orientation R (3, 3) in MuJoCo's order, w first."""
     x, y, z, w = pin.Quaternion(np.ascontiguousarray(R)).coeffs()
     return np.array([w, x, y, z])

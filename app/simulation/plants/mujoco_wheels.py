@@ -1,10 +1,10 @@
-"""The high-fidelity plant: MuJoCo with a free base on its own wheels that roll, slip and tip.
+"""The high-fidelity plant: MuJoCo with a free base on wheels, which can roll and slip, and can tip.
 
-A skid-steer base stands on all its wheels; all are driven and have the same friction along and
-across. Its effective track is the balance of their drags, which depends on the load of each
-wheel: a new base turns once on the spot, and this calibrates its drive. A base with two wheels
-also stands on casters, which are frictionless and slightly soft: the spheres at the floor in the
-URDF, or otherwise four corners.
+A skid-steer base stands on all its wheels; all wheels are driven and have the same friction along
+and across. The effective track depends on the load of each wheel. Therefore a turn on the spot at
+the start calibrates the drive. A base with two wheels also stands on casters, which are
+frictionless and slightly soft: the spheres at the floor in the URDF, or, without such spheres, the
+four corners of the base.
 """
 
 import math
@@ -30,28 +30,28 @@ from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
 from app.strict import Array
 
-_TREAD = 0.25  # [-] half width of a wheel in radii: an ellipsoid, which touches in one point
+_TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
-"""[-] Friction of two wheels relative to the traction limit under the whole weight; casters
-carry a part of it. For more wheels, the motors' torque relative to its share of that limit."""
+"""[-] Increase of the friction of two wheels, because casters carry a part of the weight. With more
+wheels, increase of the motors' torque above an equal share of the traction limit."""
 _SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and skidding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
-"""A tyre that deforms by a millimetre and whose drag builds up within 0.1 s. MuJoCo lifts sliding
-parts more if they are stiff and their friction acts fast: firm wheels hop, and turn in jerks."""
+"""A tyre that deforms by a millimetre and whose drag builds up within 0.1 s. With stiffer contacts
+and faster friction, MuJoCo lifts sliding parts: firm wheels would hop and turn in jerks."""
 _AT_FLOOR = 0.01  # [m] height below which a part of the base touches the floor
 _GEOM = mujoco.mjtGeom
-_MIN_MASS = 0.005  # [-] mass of a wheel without one in the URDF, in masses of the base
-_SETTLING_TIME = 0.3  # [s] for the base to sink onto its wheels after a reset
-_FROZEN = 1e6  # [kg m²] armature of the arm's joints meanwhile
-_TURNING = 1.0  # [s] duration of the calibration's turn; its last half counts
-_TURN_RATE = 0.4  # [rad/s]
+_MIN_MASS = 0.005  # [-] mass of a wheel that has none in the URDF, relative to the base's mass
+_SETTLING_TIME = 0.3  # [s] time in which the base sinks onto its wheels after a reset
+_FROZEN = 1e6  # [kg m²] armature that fixes the arm's joints
+_TURNING = 1.0  # [s] duration of the calibrating turn; the second half is evaluated
+_TURN_RATE = 0.4  # [rad/s] commanded rate of the calibrating turn
 
 
 class Wheels:
     """The driven wheels in the frame of the root, which is on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
-        """Read the wheels from the URDF; without wheels there, two at the half track."""
+        """Read the wheels from the URDF; if it has none, assume two wheels at the half track."""
         base = differential(model.description)
         self.radius = r = base.wheel_radius_m
         full = pin.buildModelFromXML(bare_urdf(model.description))
@@ -69,30 +69,31 @@ class Wheels:
             for y in (-base.half_track_m, base.half_track_m)
         ]
         self.centres = np.array([[*place.translation[:2], r] for place in places])
-        """(n, 3) [m]"""
+        """(n, 3) [m] centres of the wheels."""
         self.right = self.centres[:, 1] < 0.0
-        """(n,) whether a wheel is on the right side."""
+        """(n,) whether each wheel is on the right side."""
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
-        least = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
-        self.inertias = [I if I.mass > 0.0 else least for I in own] or [least] * len(places)
-        """Inertia of each wheel, in a frame at its centre; the root's contains them."""
+        small = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
+        self.inertias = [I if I.mass > 0.0 else small for I in own] or [small] * len(places)
+        """Inertia of each wheel, in a frame at its centre. The root's inertia in the robot model
+        includes the wheels."""
         self.spans = bool(np.ptp(self.centres[:, 0]) > r)
-        """Whether the base stands on them; otherwise it needs casters."""
+        """Whether the base can stand on its wheels; otherwise it needs casters."""
 
     def root_without(self, whole: pin.Inertia) -> pin.Inertia:
-        """The root's inertia: the whole without the wheels."""
+        """The root's inertia without the wheels, from the inertia with the wheels."""
         for centre, inertia in zip(self.centres, self.inertias, strict=True):
             whole = whole - pin.SE3(np.eye(3), centre).act(inertia)
         return whole
 
 
 class MujocoWheels(Physics):
-    """A plant whose wheels push on the floor."""
+    """A plant whose wheels drive the base by friction on the floor."""
 
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
     ) -> None:
-        """Load the robot, whose base is differential, in its ready position; see `make_physics`."""
+        """Load a robot with a differential base in its ready position; see `make_physics`."""
         description, self.dt = model.description, dt
         self.wheels = wheels = Wheels(model)
         root = wheels.root_without(model.pin.inertias[1])
@@ -113,12 +114,12 @@ class MujocoWheels(Physics):
 
     @property
     def wheel_angles(self) -> Array:
-        """(2,) [rad] mean angles of the right and the left side."""
+        """(2,) [rad] mean angles of the wheels on the right and on the left side."""
         angles, right = self.world.q[self._angles], self.wheels.right
         return np.array([angles[right].mean(), angles[~right].mean()])
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """The base stands on its wheels, tilted by the arm's weight."""
+        """Put the robot at rest; the base stands on its wheels, tilted by the arm's weight."""
         world = self.world
         world.rewind()
         self._drive.reset()
@@ -136,7 +137,7 @@ class MujocoWheels(Physics):
             self.door.take_hold(world)
 
     def measure(self) -> Measurement:
-        """The pose of the root link, seen from above."""
+        """The robot's state; the base's pose is that of the root link, projected on the floor."""
         world = self.world
         q, v = world.q.copy(), world.v.copy()
         R = self._turn()
@@ -156,7 +157,7 @@ class MujocoWheels(Physics):
         self.world.step(u_a, speeds, hand_force, pushes)
 
     def tilt(self) -> float:
-        """[rad] angle between the base's vertical axis and the world's; 0 is level."""
+        """[rad] angle between the vertical axes of base and world; 0 if the base is level."""
         return math.acos(min(1.0, self._turn()[2, 2]))
 
     def contacts(self) -> Contacts:
@@ -174,14 +175,22 @@ class MujocoWheels(Physics):
         self._rolling = np.array([right if is_right else left for is_right in self.wheels.right])
 
     def _turned_half_track(self) -> float:
-        """[m] the half track that follows from a turn on the spot."""
+        """[m] the effective half track, measured in a turn on the spot."""
         steps = math.ceil(_TURNING / self.dt)
         speeds = (self._rolling @ [0.0, _TURN_RATE]).tolist()
         rates = self._frozen(steps, speeds)[steps // 2 :]
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Turn the wheels while the arm is fixed; the base's rates [rad/s] at each step."""
+        """Turn the wheels while the arm is fixed, and return the base's turn rates.
+
+        Args:
+            steps: Number of steps.
+            speeds: (n,) [rad/s] speeds of the wheels.
+
+        Returns:
+            [rad/s] turn rate of the base at each step.
+        """
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []
         armature[:] = _FROZEN
@@ -193,12 +202,12 @@ class MujocoWheels(Physics):
 
 
 def _heading(R: Array) -> float:
-    """[rad] angle of the x axis of an orientation, seen from above."""
+    """[rad] horizontal direction of the x axis of an orientation R (3, 3)."""
     return math.atan2(R[1, 0], R[0, 0])
 
 
 def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> None:
-    """The driven wheels, on motors; friction and motors respect the base's traction limit."""
+    """Add the driven wheels; friction and motor torques follow from the base's traction limit."""
     weight = GRAVITY * pin.computeTotalMass(robot.model.pin)  # [N]
     mu, torque = base.traction_limit_n / weight, base.traction_limit_n * wheels.radius
     torque /= len(wheels.centres)
@@ -217,7 +226,7 @@ def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> Non
 
 
 def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
-    """Casters if needed; the hull of the base meets the floor when it tips."""
+    """Add casters if needed, and let the base's hull touch the floor if the base tips."""
     casters: list[tuple[float, Array]] = []
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:

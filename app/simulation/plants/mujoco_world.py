@@ -1,4 +1,4 @@
-"""One compiled MuJoCo model: motors, torques and people's forces in, states and contacts out.
+"""A compiled MuJoCo model of a robot, with its motors, torques, external forces and contacts.
 
 The end-effector can hold the door of a refrigerator, which stands on the floor.
 """
@@ -22,22 +22,22 @@ from app.strict import Array
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
 
 _NO_TORQUE = np.zeros(3)
-_AWAY = 100.0  # [m] place of the refrigerator while a base settles on its wheels
+_AWAY = 100.0  # [m] displacement of the refrigerator while a base settles on its wheels
 _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld(PlanarWorld):
-    """A compiled specification, also of a robot whose root is free."""
+    """A compiled specification; the robot's root may be free."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
-        """Compile a complete specification with its motors and, optionally, a door."""
+        """Compile a specification that has all motors, with a door if there is one."""
         self.door = None if door is None else MujocoDoor(robot, door)
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
         self.q, self.v = self.data.qpos, self.data.qvel
-        """All positions and velocities, which MuJoCo updates."""
+        """All positions and velocities, as views that MuJoCo updates."""
         source, arm = robot.model, robot.model.description.arm
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
@@ -62,7 +62,7 @@ class MujocoWorld(PlanarWorld):
             self._group[a, b] = self._group[b, a] = group
 
     def rewind(self) -> None:
-        """Restore the first state, without remembered contacts."""
+        """Restore the initial state, and remove stored contacts."""
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
@@ -76,7 +76,7 @@ class MujocoWorld(PlanarWorld):
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
     def mass_matrix(self) -> Array:
-        """(n_v, n_v) mass matrix of the last step or forward computation."""
+        """(n_v, n_v) mass matrix after the last step or forward computation."""
         columns = np.eye(self.model.nv)
         rows = np.empty_like(columns)
         for row, column in zip(rows, columns, strict=True):
@@ -84,7 +84,7 @@ class MujocoWorld(PlanarWorld):
         return rows
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The values without a door."""
+        """The mass matrix and bias forces, as in `PlanarWorld`, for a robot without a door."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -93,12 +93,12 @@ class MujocoWorld(PlanarWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """The speeds [m/s or rad/s] are the references of the motors."""
+        """Advance by one step, as in `PlanarWorld`; `speeds` are the references of the motors."""
         data = self.data
         mujoco.mj_step1(self.model, data)
-        # Dry friction decelerates by v / dt, relative to the floor; a motor, to a moving reference.
-        # The solver starts where the motors follow: from the last step it would need three
-        # iterations.
+        # Dry friction has the reference acceleration -v / dt, which stops a joint. A motor's
+        # reference acceleration is (speed - v) / dt. The solver starts with the motors at their
+        # speeds; from the last step's solution it would need three iterations.
         row = 0 if self.door is None else data.ne  # the motors' rows follow the grasp's
         aref, guess = data.efc_aref, self._guess
         for joint, speed in zip(self._motors, speeds, strict=True):
@@ -143,14 +143,14 @@ class MujocoWorld(PlanarWorld):
 
 
 class MujocoDoor(HeldDoor):
-    """The refrigerator's part of a plant in MuJoCo. Only the base's links can touch the door.
+    """The refrigerator in MuJoCo. Of the robot, only the links of the mobile base touch the door.
 
-    The hinge has dry friction and no stop. The end-effector is welded to a massless body that is
-    fixed to the door; between the two is a force-torque sensor at the end-effector.
+    The hinge has dry friction and no angle limit. The end-effector is welded to a massless body on
+    the door; a sensor between this body and the door measures force and torque.
     """
 
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:
-        """Add it to a specification with all motors; the end-effector grasps it at the start."""
+        """Add the refrigerator to a specification that has all motors."""
         self.door, self._start = start
         self._cabinet = cabinet = Cabinet(self.door)
         source = robot.model.pin
@@ -183,12 +183,12 @@ class MujocoDoor(HeldDoor):
             robot.spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=_GRIP)
 
     def put_away(self, world: MujocoWorld) -> None:
-        """Move the refrigerator far away, without a grasp."""
+        """Move the refrigerator far away, and end the grasp."""
         world.data.eq_active[0] = 0
         world.data.joint(_BODY).qpos[0] += _AWAY
 
     def take_hold(self, world: MujocoWorld) -> None:
-        """The refrigerator in place, its door at rest at the start; the end-effector grasps it."""
+        """Put the refrigerator in place, with its door at the initial angle, and grasp the door."""
         model, data = world.model, world.data
         self._data = data
         data.joint(_BODY).qpos[:] = pin.SE3ToXYZQUAT(self._cabinet.T_world)[[0, 1, 2, 6, 3, 4, 5]]
@@ -209,7 +209,7 @@ class MujocoDoor(HeldDoor):
 
     def wrench(self) -> Wrench:
         R = self._data.site(_GRIP).xmat.reshape(3, 3)
-        read = self._data.sensordata  # of the door on the end-effector
+        read = self._data.sensordata  # force and torque of the door on the end-effector
         return Wrench(-R @ read[:3], -R @ read[3:])
 
 

@@ -1,7 +1,7 @@
-"""The planar plant: the base on planar joints that follow the drive's velocity, in any engine.
+"""The planar plant: a base on planar joints that follow the drive's velocity, in any engine.
 
-Motors on x, y and yaw move the base with the drive, with at most the traction of the wheels; the
-wheels themselves are only animated. The base cannot tip.
+Motors on x, y and yaw move the base with the drive's velocity. Their force is limited to the
+traction of the wheels. The wheels are only animated. The base cannot tip.
 """
 
 import math
@@ -22,12 +22,12 @@ class Planar(Physics):
     """`Physics` with an ideal contact of the wheels within their traction."""
 
     def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
-        """The robot of that world at rest in its ready position."""
+        """Start with the robot of an engine's world at rest in the ready position."""
         self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base
         self._drive = Drive(base, dt)
-        self._axes = base.T.argmax(axis=0).tolist()  # each is one component of the twist
+        self._axes = base.T.argmax(axis=0).tolist()  # component of the twist of each base axis
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -58,10 +58,12 @@ class Planar(Physics):
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
         """M (n, n) and C q̇ + g (n,) of (26) from the engine, for a base that faces +x.
 
-        The arguments are q_m (n_m,) [rad or m] and the reduced velocity q̇ (n,).
+        Args:
+            q_m: (n_m,) [rad or m] joint positions of the arm.
+            qd: (n,) reduced velocity q̇.
         """
         S = self._S
-        v = S @ qd  # at heading 0 the base's own axes are the world's
+        v = S @ qd  # at heading 0 the axes of base and world coincide
         M, h = self.world.mass_and_bias(np.concatenate([np.zeros(3), q_m]), v)
         # The world's axes do not turn with the base: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
         turning = np.zeros(len(v))
@@ -79,12 +81,12 @@ def planar_plant(
     dt: float = 0.001,
     door: OpenDoor | None = None,
 ) -> Planar:
-    """The planar plant of an engine; the other arguments are those of `make_physics`.
+    """Make the planar plant with an engine; `make_physics` documents the other arguments.
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
     """
-    # Imported here, because each must work without the other's library.
+    # Imported here, because each engine must work without the other engine's library.
     if engine == "pybullet":
         from app.simulation.plants.bullet_robot import BulletRobot
 
@@ -96,10 +98,15 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The twist in the world for a twist in the base's own frame, for a step of dt [s].
+    """The mean twist (3,) in the world during a step, for a twist in the base's frame.
 
-    Both twists are (3,) v_x, v_y [m/s] and ω [rad/s]; the heading [rad] is that at the step's
-    start. The direction is that in the middle of the step, which is exact on a circle.
+    Both twists are v_x, v_y [m/s] and ω [rad/s]. The direction in the middle of the step is used,
+    which is exact on a circle.
+
+    Args:
+        twist: (3,) twist in the base's frame.
+        heading: [rad] heading at the start of the step.
+        dt: [s] duration of the step.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt
@@ -108,7 +115,10 @@ def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float
 
 
 def base_twist(velocity: Sequence[float], heading: float) -> list[float]:
-    """(3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame, from those in the world (3,)."""
+    """The twist (3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame, from the twist in the world.
+
+    `velocity` (3,) is the twist in the world, `heading` [rad] the base's heading.
+    """
     c, s = math.cos(heading), math.sin(heading)
     x, y, w = velocity
     return [c * x + s * y, c * y - s * x, w]

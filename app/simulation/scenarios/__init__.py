@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from app.robot.description import RobotDescription
 
 
-def _guiding(name: str, what: str, start: Point, move: Point) -> LineScenario:
-    about = f"a person pulls the end-effector {what}"
+def _guiding(name: str, direction: str, start: Point, move: Point) -> LineScenario:
+    about = f"a person pulls the end-effector {direction}"
     return LineScenario(name, 8.0, about, "guiding", start, move, 0.6)
 
 
@@ -43,46 +43,49 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios with a path towards the base's sides; some robots need their own line for them."""
+"""Scenarios with a path towards the base's sides; a robot may need its own line for each."""
 _SAME_LINE = {"tracking": "guiding-lateral"}
-"""Scenarios that use another one's line if a robot has none for them."""
+"""Scenarios that use the robot's line for another scenario if the robot has no line for them."""
 
 
 def scenario_by_name(name: str) -> Scenario:
-    """The scenario of that name.
+    """The scenario with a name.
 
     Raises:
-        UnknownNameError: Lists the existing ones.
+        UnknownNameError: The scenario does not exist; the message lists the scenarios.
     """
     check_name("scenario", name, SCENARIOS)
     return SCENARIOS[name]
 
 
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
-    """The scenario of that name, on the robot's own line if its description has one.
+    """The scenario with a name, on the robot's own line if the description has one.
 
-    The changes, as in `Scenario.changed`, override the robot's line.
+    Args:
+        description: The robot.
+        name: Name of the scenario.
+        changes: Options as in `Scenario.changed`; they override the robot's line.
 
     Raises:
         UnknownNameError: The scenario does not exist.
-        UnreachableError: The robot has no line for it, and no start is specified.
+        UnreachableError: The robot has no line for the scenario, and `changes` has no start.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:
         there = ", ".join(each for each in _OWN if _own_line(description, each)) or "none"
-        unknown = "no line is known on which its base moves away there"
+        unknown = "no line is known on which the base moves away from the arm"
         why = description.without_line.get(name, unknown)
         raise UnreachableError(
-            f"{description.name} has no line for {name}: {why}; it has {there}; --start X Y Z and "
-            "--move X Y Z set another"
+            f"{description.name} has no line for {name}: {why}; it has lines for: {there}. "
+            "--start X Y Z and --move X Y Z set a line"
         )
     return scenario.changed(**own).changed(**changes)
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, object]:
-    """Start and move of a robot's own line for a scenario, as in `Scenario.changed`.
+    """Start and move of a robot's own line for a scenario, as options of `Scenario.changed`.
 
-    Tracking uses the line of guiding from the base's side.
+    Tracking without a line of its own uses the line of `guiding-lateral`.
     """
     lines = description.lines
     place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))

@@ -1,9 +1,10 @@
-"""Opening a door whose hinge is unknown: velocity along the estimated tangent, force along the
-estimated radius (§4.2.3; Karayiannidis et al., 2016).
+"""Opening a door with an unknown hinge: velocity control along the estimated tangent, force control
+along the estimated radius (§4.2.3; Karayiannidis et al., 2016).
 
-The problem is planar, about the vertical: the hinge is upright. The end-effector holds the door
-rigidly, so the radial direction is constant in its frame, which turns with the door. During the
-motion the radial force adapts that direction, and the torque adapts the path's curvature.
+The hinge is vertical, so the problem is planar. The end-effector holds the door rigidly, so the
+radial direction is constant in the end-effector's frame, which turns with the door. During the
+motion the controller estimates the radial direction from the radial force, and the path's curvature
+from the torque.
 """
 
 import math
@@ -31,19 +32,19 @@ class DoorOpeningGains:
     turn: float = math.radians(88)
     """[rad] rotation of the end-effector at which the door is open."""
     braking: float = math.radians(4)
-    """[rad] range before that angle in which the end-effector slows down."""
+    """[rad] length of the range before the angle `turn` in which the end-effector slows down."""
     radial_force: float = 0.0
     """[N] f_d, desired force along the estimated radius, towards the hinge."""
     compliance: float = 0.002
-    """[m/(s N)] α_f, velocity per force error."""
+    """[m/(s N)] α_f, ratio of velocity to force error."""
     integral_time: float = 4.0
     """[s] integral time of the force's PI regulator."""
     angular_compliance: float = 0.05
-    """[rad/(s N m)] α_τ, rotation rate per torque."""
+    """[rad/(s N m)] α_τ, ratio of rotation rate to torque."""
     learning_rate: float = 1.5
     """[1/s] adaptation rate of both estimates at full speed."""
     slow_from: float = 15.0
-    """[N] force from which the end-effector slows down."""
+    """[N] force above which the end-effector slows down."""
     slow_until: float = 30.0
     """[N] force at which the end-effector stops."""
     smoothing: float = 0.02
@@ -57,7 +58,7 @@ class HandReading(NamedTuple):
 
     T_world_ee: pin.SE3
     velocity: Array
-    """(3,) [m/s] velocity of its origin."""
+    """(3,) [m/s] velocity of the end-effector's origin."""
     force: Array
     """(3,) [N] force on the door."""
     torque: Array
@@ -72,45 +73,48 @@ def tangent(radial: Array, sense: float) -> Array:
 def radial_update(
     regulated: float, progress: float, sense: float, gains: DoorOpeningGains
 ) -> float:
-    """[rad/s] adaptation law of the estimated radial direction, about the vertical.
+    """Rotation rate [rad/s] of the estimated radial direction about the vertical.
 
-    If t̂ deviates by e from the true tangent, the motion along it pushes against the hinge with
-    α_f (f_r - f_d) = -s v_d sin e in the steady state. The law is e's gradient step,
-    λ s (v/v_d) α_f (f_r - f_d) / v_d, so that ė = -λ sin e at full speed.
+    If the estimated tangent t̂ deviates by the angle e from the true tangent, motion along t̂
+    causes a radial force f_r with α_f (f_r - f_d) = -s v_d sin e in the steady state. The rate is
+    λ s (v/v_d) α_f (f_r - f_d) / v_d; at full speed the error then decreases by ė = -λ sin e.
 
     Args:
-        regulated: [N] f_r - f_d with its integral, as in the regulator.
+        regulated: [N] sum of the force error f_r - f_d and its integral.
         progress: [-] v/v_d, ratio of measured to desired speed along t̂.
-        sense: s, ±1.
-        gains: λ, α_f, v_d.
+        sense: [-] s, sense of opening, ±1.
+        gains: The gains λ, α_f and v_d.
     """
     return gains.learning_rate * sense * progress * gains.compliance * regulated / gains.speed
 
 
 def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) -> float:
-    """[rad/(m s)] adaptation law of the signed curvature κ = ω/v of the end-effector's path.
+    """Rate of change [rad/(m s)] of the estimated curvature κ = ω/v of the end-effector's path.
 
-    If κ̂ is wrong, the end-effector turns ahead of the door and twists it:
-    (κ̂ - κ) v_d = α_τ τ_z in the steady state; the law is -λ (v/v_d) α_τ τ_z / v_d.
+    If the estimate κ̂ is wrong, the end-effector twists the door: (κ̂ - κ) v_d = α_τ τ_z in the
+    steady state. The rate is -λ (v/v_d) α_τ τ_z / v_d.
 
     Args:
-        torque: [N m] τ_z of the end-effector on the door.
-        progress: [-] as in `radial_update`.
-        gains: λ, α_τ, v_d.
+        torque: [N m] τ_z, torque of the end-effector on the door about the vertical.
+        progress: [-] v/v_d, ratio of measured to desired speed along t̂.
+        gains: The gains λ, α_τ and v_d.
     """
     return -gains.learning_rate * progress * gains.angular_compliance * torque / gains.speed
 
 
 class DoorOpening:
-    """The adaptive controller; computes the end-effector's reference from its readings."""
+    """The adaptive controller, which computes the end-effector's reference from sensor readings."""
 
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
     ) -> None:
-        """Grasp a door that opens towards the end-effector, whose z axis points into the door.
+        """Start with the end-effector at the handle of a door that opens towards it.
 
-        `radial_guess` (2,) is the initial estimate of the direction towards the hinge, in plan;
-        `dt` [s] is the period of `step`.
+        Args:
+            T_world_ee: Pose of the end-effector, whose z axis points into the door.
+            radial_guess: (2,) initial estimate of the horizontal direction towards the hinge.
+            gains: The gains.
+            dt: [s] period of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -121,17 +125,17 @@ class DoorOpening:
         if tangent(self.radial(T_world_ee), 1.0) @ out_of_door < 0.0:
             self._sense = -1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
-        """κ̂ [1/m], signed: positive turns counter-clockwise; v [m/s] the commanded speed along the
+        """κ̂ [1/m], positive for counter-clockwise turns, and the commanded speed [m/s] along the
         tangent."""
         self._felt = np.zeros(6)
 
     def radial(self, T_world_ee: pin.SE3) -> Array:
-        """(3,) r̂, the estimated direction towards the hinge, for a pose of the end-effector."""
+        """(3,) r̂, the estimated direction to the hinge at a pose of the end-effector."""
         angle = self._angle + self._turned(T_world_ee)
         return np.array([math.cos(angle), math.sin(angle), 0.0])
 
     def step(self, hand: HandReading) -> Reference:
-        """The reference of one control step; the reading updates the estimates."""
+        """Update the estimates from the readings, and return the reference of the control step."""
         gains, dt = self._gains, self._dt
         share = -math.expm1(-dt / gains.smoothing)  # of a first-order filter
         self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
@@ -141,7 +145,7 @@ class DoorOpening:
         error = float(force @ radial) - gains.radial_force
         self._integral += error * dt / gains.integral_time
         regulated = error + self._integral
-        self.speed = self._asked_speed(force, abs(self._turned(hand.T_world_ee)))
+        self.speed = self._desired_speed(force, abs(self._turned(hand.T_world_ee)))
         velocity = self.speed * along - gains.compliance * (
             regulated * radial + force * [0.0, 0.0, 1.0]
         )
@@ -159,8 +163,8 @@ class DoorOpening:
         R = T_world_ee.rotation @ self._R_start.T
         return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
-    def _asked_speed(self, force: Array, turned: float) -> float:
-        """[m/s] v_d after a smooth start, reduced if the door resists or is almost open."""
+    def _desired_speed(self, force: Array, turned: float) -> float:
+        """[m/s] v_d, reduced at the start, if the door resists, and if the door is almost open."""
         gains = self._gains
         left = (gains.turn - turned) / gains.braking
         begun = min(self._t / gains.ramp, 1.0)
@@ -170,7 +174,7 @@ class DoorOpening:
         return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
 
     def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
-        """Advance the reference, within its largest distance from the end-effector."""
+        """Advance the reference, up to its largest distance from the end-effector."""
         lead = self._pose.translation + velocity * self._dt - T_world_ee.translation
         longest = max(float(np.linalg.norm(lead)) / self._gains.leash, 1.0)
         self._pose.translation = T_world_ee.translation + lead / longest
@@ -181,10 +185,13 @@ class Opener:
     """The adaptive controller with the sensors of a session."""
 
     def __init__(self, door: Door, session: Session, *, rate: float, guess: float) -> None:
-        """Start with the end-effector of a session at the handle of the door that it holds.
+        """Start with the end-effector of a session at the handle of a door.
 
-        `rate` [deg/s] is the door's rotation rate at the end-effector's speed, and `guess` [deg]
-        the error of the initial estimate of the direction to the hinge.
+        Args:
+            door: The held door.
+            session: The session, which is at its start.
+            rate: [deg/s] desired rotation rate of the door.
+            guess: [deg] error of the initial estimate of the direction to the hinge.
         """
         self._door = door
         T_ee = session.T_world_ee

@@ -1,4 +1,4 @@
-"""Scenarios: the start of a run, and the input of each step."""
+"""The interface of scenarios: the start of a run, and the input of each control step."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:  # for annotations, so that options are checked before slow im
 
 SHORTEST = 0.01  # [s] shortest scenario
 _DURATIONS = SHORTEST, 3600.0  # [s]
-_FARTHEST = 10.0  # [m] from the origin; a longer path is a typing error
+_FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one is a typing error
 
 
 class StepInput(NamedTuple):
-    """The input of one control step; the arguments of `Session.step`."""
+    """The input of one control step: the arguments of `Session.step`."""
 
     reference: Reference | None = None
     """The end-effector's reference, or None while a person guides the arm."""
@@ -36,11 +36,11 @@ class StepInput(NamedTuple):
     door: DoorReading | None = None
     """State of the opening door, or None without one."""
     holds: tuple[Hold, ...] = ()
-    """Other people who hold the robot, at the end-effector or elsewhere."""
+    """Other people who hold the robot, at the end-effector or another point."""
 
 
 Driver = Callable[["Session"], StepInput]
-"""Computes the input of each control step; may read the session's sensors."""
+"""A function that computes the input of the next control step from the session's sensors."""
 
 
 class Setting(NamedTuple):
@@ -49,7 +49,7 @@ class Setting(NamedTuple):
     model: RobotModel
     """The robot model of the controller."""
     data: BorderData
-    """Its pairs and clouds."""
+    """Link pairs and border clouds of the model."""
     base_pose: Array
     """(3,) x, y [m] and heading [rad] of the base."""
     q_m: Array
@@ -60,11 +60,12 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class Scenario(ABC):
-    """The start and the motion of a run."""
+    """A scenario: the start and the motion of a run."""
 
     name: str
     duration: float
-    """[s] duration of the run; a motion along a line scales with it, unless the person releases."""
+    """[s] duration of the run. A motion along a line takes a fixed share of the duration, unless
+    the person releases the end-effector during the run."""
     about: str
     """Description in one line."""
 
@@ -78,7 +79,7 @@ class Scenario(ABC):
 
     @property
     def open(self) -> bool:
-        """Whether it continues, and is recorded, while people hold the end-effector."""
+        """Whether people pull the robot freely during the scenario, which records their pulls."""
         return False
 
     @abstractmethod
@@ -86,22 +87,25 @@ class Scenario(ABC):
         """The start of the run.
 
         Raises:
-            DbbError: The robot cannot start there.
+            DbbError: The robot cannot start the scenario.
         """
 
     def adapted(self, config: Config) -> Config:
-        """The parameters for this scenario, also for a configuration that changes during it."""
+        """A configuration with the changes that this scenario requires.
+
+        The live loop also adapts a configuration that the user changes during the scenario.
+        """
         return config
 
     @abstractmethod
     def driver(self, session: Session) -> Driver:
-        """The driver of a session that is at the start."""
+        """The driver for a session that is at the start."""
 
     def changed(self, **changes: Any) -> Self:
-        """A copy with some fields changed; None means no change.
+        """A copy with some fields changed; a value of None changes nothing.
 
         Raises:
-            ConfigError: This scenario has no such field, or the value is invalid.
+            ConfigError: This scenario does not have a field, or a value is invalid.
         """
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
@@ -110,21 +114,28 @@ class Scenario(ABC):
                 raise self.without(name)
         try:
             return replace(self, **given)
-        except (TypeError, ValueError) as error:  # a text, a point of two numbers
+        except (TypeError, ValueError) as error:  # for example a text, or a point of two numbers
             raise ConfigError(f"options of {self.name}: {error}") from None
 
     def without(self, name: str) -> ConfigError:
         """The error for an option that this scenario does not have."""
         options = ", ".join(sorted(option.replace("_", "-") for option in self.options))
         option = name.replace("_", "-")
-        return ConfigError(f"--{option}: the scenario {self.name} has none; it has: {options}")
+        return ConfigError(
+            f"--{option}: the scenario {self.name} has no such option; its options are: {options}"
+        )
 
 
 def check_point(option: str, point: Sequence[float], size: int = 3) -> None:
-    """Refuse a point with a wrong number of coordinates, or beyond 10 m.
+    """Check the number of coordinates of a point, and that each is within ±10 m.
+
+    Args:
+        option: Name of the option, for the message.
+        point: (size,) [m] the point.
+        size: Number of coordinates.
 
     Raises:
-        ConfigError: Names the option and the valid form.
+        ConfigError: The point is invalid; the message names the option and the valid form.
     """
     if len(point) != size:
         raise ConfigError(f"{option}: {point!r} is not {size} numbers")

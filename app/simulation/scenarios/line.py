@@ -26,37 +26,36 @@ MODES = ("guiding", "tracking")
 
 @dataclass(frozen=True)
 class LineScenario(Scenario):
-    """The end-effector moves on a straight line in the world, along a cubic in time, and then
-    holds.
+    """The end-effector moves on a straight line in the world, with a cubic profile, and stops.
 
     The base starts at the origin and faces +x.
     """
 
     mode: Literal["guiding", "tracking"]
-    """Whether a person pulls the end-effector or it tracks the line."""
+    """"guiding": a person pulls the end-effector; "tracking": the end-effector tracks the line."""
     start: Point
-    """[m] start of the end-effector, in the world; a robot may have its own start."""
+    """[m] start of the end-effector, in the world; default: the robot's own start."""
     move: Point
-    """[m] displacement of the end-effector, in the world; a robot may have its own."""
+    """[m] displacement of the end-effector, in the world; default: the robot's own displacement."""
     moving: float
-    """[-] duration of the motion relative to the run; then it holds. Above 1 if the person
-    releases and the run ends before the motion does."""
+    """[-] ratio of the motion's duration to the run's duration. The target rests after the motion.
+    A ratio above 1 requires a release: then the run ends before the motion."""
     release_at: float | None = field(default=None, kw_only=True)
-    """[s] time at which the person releases the end-effector; the motion has its normal speed until
-    then, and the run continues to its duration."""
+    """[s] time at which the person releases the end-effector. The option `duration` then changes
+    only the end of the run, not the speed of the motion."""
     regrasp_at: float | None = field(default=None, kw_only=True)
-    """[s] time at which the person takes hold again and continues the motion."""
+    """[s] time at which the person grasps the end-effector again and continues the motion."""
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Only a person can release."""
+        """Names of the options; only guiding has those of a release."""
         released = ("release_at", "regrasp_at") if self.mode == "guiding" else ()
         return ("start", "move", "duration", *released)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.mode not in MODES:
-            raise ConfigError(f"--mode: {self.mode!r} is none of {', '.join(MODES)}")
+            raise ConfigError(f"--mode: {self.mode!r} is not one of {', '.join(MODES)}")
         if not 0.0 < self.moving <= (1.0 if self.release_at is None else math.inf):
             raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
         self._check_release()
@@ -79,13 +78,13 @@ class LineScenario(Scenario):
         return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
 
     def _check_release(self) -> None:
-        """Check that a person can release within the run, and take hold after that."""
+        """Check that the release is within the run, and a new grasp after the release."""
         release, regrasp = self.release_at, self.regrasp_at
         if release is None and regrasp is None:
             return
         if self.mode != "guiding":
             raise ConfigError(
-                f"--release-at: no person pulls in {self.name}, only in guiding scenarios"
+                f"--release-at: no person pulls in {self.name}; use a guiding scenario"
             )
         if release is None or not 0.0 < release < self.duration:
             raise ConfigError(
@@ -94,13 +93,14 @@ class LineScenario(Scenario):
         if regrasp is not None and not release < regrasp < self.duration:
             raise ConfigError(
                 f"--regrasp-at: {regrasp:g} s is not within {release:g} to {self.duration:g} s, "
-                "from the release to the run's end"
+                "which are the release and the run's end"
             )
 
     def changed(self, **changes: Any) -> Self:
-        """A duration scales the motion unless the person releases.
+        """A copy with some fields changed, as in `Scenario.changed`.
 
-        With `release_at` the motion has its normal speed, and the run ends at the duration.
+        A new duration changes the speed of the motion. With `release_at` the speed stays, and the
+        duration only sets the end of the run.
         """
         duration, release = changes.get("duration"), changes.get("release_at")
         released = (self.release_at if release is None else release) is not None
@@ -117,7 +117,7 @@ class LineScenario(Scenario):
         )
 
     def place(self, t: float) -> Array:
-        """(3,) [m] the moving point at time t [s]."""
+        """(3,) [m] target of the end-effector at time t [s], in the world."""
         s = self._passed(t)
         share = s * s * (3 - 2 * s)
         moves = zip(self.start, self.move, strict=True)
@@ -130,13 +130,14 @@ class LineScenario(Scenario):
         return self.regrasp_at is not None and t >= self.regrasp_at
 
     def reference(self, t: float, orientation: Array) -> Reference:
-        """The end-effector's reference with a constant orientation, (3, 3)."""
+        """The end-effector's reference at time t [s], with a constant orientation (3, 3)."""
         import pinocchio as pin
 
         from app.control.tasks import Reference
 
         T, s = self.duration * self.moving, self._passed(t)
-        speed, change = 6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2  # [1/s, 1/s²] of the way
+        # [1/s, 1/s²] rates of the share of the displacement
+        speed, change = 6 * s * (1 - s) / T, 6 * (1 - 2 * s) / T**2
         if not 0.0 <= t <= T:
             speed = change = 0.0
         return Reference(
@@ -144,18 +145,18 @@ class LineScenario(Scenario):
         )
 
     def _along(self, rate: float) -> Array:
-        """(6,) a motion by a rate times the whole way, without rotation."""
+        """(6,) a rate times the whole displacement, without rotation."""
         x, y, z = self.move
         return np.array([rate * x, rate * y, rate * z, 0.0, 0.0, 0.0])
 
     def _passed(self, t: float) -> float:
-        """[-] share of the motion's duration that has passed, 0 to 1."""
+        """[-] share of the motion's duration that has passed at time t [s], 0 to 1."""
         return min(max(t / (self.duration * self.moving), 0.0), 1.0)
 
 
 @dataclass(frozen=True)
 class StartedLine(LineScenario):
-    """A line from a known posture of the arm, without a search."""
+    """A line that starts at a known posture of the arm, so that no search is necessary."""
 
     q_m: tuple[float, ...]
     """(n_m,) [rad or m] joint positions of the arm at the start."""
@@ -168,13 +169,13 @@ class StartedLine(LineScenario):
         del data, config, seed
         if len(self.q_m) != model.n_m:
             raise CaseError(
-                f"{self.name}: a posture of {len(self.q_m)} joints; the arm of "
+                f"{self.name}: the posture has {len(self.q_m)} joints, but the arm of "
                 f"{model.description.name} has {model.n_m}"
             )
         return np.array(self.q_m)
 
 
 RANDOM_PULL = StartedLine(
-    "random-pull", 8.0, "a pull that a study drew", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
+    "random-pull", 8.0, "a random pull of a study", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
 )
-"""The template of a study's cases."""
+"""The template of the cases of a study."""

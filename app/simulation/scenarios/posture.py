@@ -1,4 +1,4 @@
-"""The posture search: joint positions that bring the end-effector to a target, best of many."""
+"""Search for the best of many postures that bring the end-effector to a target."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -15,45 +15,46 @@ from app.robot.model import RobotModel, length_bound
 from app.robot.state import RobotState, at_rest
 from app.strict import Array
 
-_MAX_EVALUATIONS = 60  # [-] most evaluations of the residual
-_JOINT_MARGIN = 0.03  # [-] margin to a limit in the least squares, relative to the range
+_MAX_EVALUATIONS = 60  # [-] largest number of evaluations of the residual
+_JOINT_MARGIN = 0.03  # [-] margin to a limit in the least squares, relative to the joint's range
 _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
-"""The quality [-] of a posture (n_m,), above zero and better if larger, or why it is invalid."""
+"""A function that returns the quality [-] of a posture (n_m,), above zero and better if larger, or
+the reason why the posture is invalid."""
 
 
 class Target(NamedTuple):
-    """The position of the end-effector, and optionally its direction."""
+    """A position of the end-effector, and optionally a direction."""
 
     p: Array
-    """(3,) [m] its origin in the world."""
+    """(3,) [m] position of the end-effector's origin, in the world."""
     z: Array | None = None
-    """(3,) unit vector of the end-effector's direction, or None for any direction."""
+    """(3,) unit vector of the end-effector's z axis, or None for any direction."""
 
 
 class Found(NamedTuple):
     """The best of the tried postures."""
 
     q_m: Array | None
-    """(n_m,) [rad or m], or None if no posture is valid."""
+    """(n_m,) [rad or m] joint positions, or None if no posture is valid."""
     quality: float
-    """[-] its quality, 0 without a posture."""
+    """[-] quality of the posture, 0 without a posture."""
     flaws: Counter[str]
     """Number of failed tries for each reason."""
 
 
 class PostureSearch:
-    """Tries postures of the arm and evaluates their surroundings."""
+    """Tries postures of the arm and evaluates them."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare for a robot, its relevant pairs and a buffer distance [m]."""
+        """Prepare the search for a robot, its relevant pairs and a buffer distance `d_b` [m]."""
         self.model, self.d_b, self.state = model, d_b, RobotState(model)
-        """The buffer distance [m]; the state is that of the last posture."""
+        """The robot, the buffer distance [m], and the state in the last posture."""
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2
-        """(n_m,) [rad or m] of each joint's range."""
+        """(n_m,) [rad or m] length and middle of each joint's range."""
         self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor = FloorDistance(self.state)
         self._base_pose = np.zeros(3)
@@ -61,17 +62,17 @@ class PostureSearch:
         self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
-        """Put the base at x, y [m] and heading [rad], (3,); initially it is at the origin."""
+        """Put the base at a pose (3,): x, y [m] and heading [rad]; it starts at the origin."""
         self._base_pose, self._placed = base_pose, None
 
     def place(self, q_m: Array) -> None:
-        """Put the arm into a posture, (n_m,) [rad or m]."""
+        """Put the arm into a posture (n_m,) [rad or m]."""
         if self._placed is None or not np.array_equal(q_m, self._placed):
             self.state.update_kinematics(at_rest(self.model, q_m, self._base_pose))
             self._placed = q_m.copy()
 
     def guesses(self, rng: np.random.Generator, count: int) -> Iterator[Array]:
-        """Random postures (n_m,), uniform over the joints' ranges."""
+        """Draw random postures (n_m,) [rad or m], uniform within the joints' ranges."""
         for _ in range(count):
             yield self.middle + (rng.random(self.model.n_m) - 0.5) * self.span
 
@@ -83,12 +84,13 @@ class PostureSearch:
         target: Target | pin.SE3 | None = None,
         enough: float = np.inf,
     ) -> Found:
-        """The posture of the highest quality among the results of all guesses.
+        """Find the posture with the highest quality.
 
         Args:
-            guesses: (n_m,) each, start of a search; without a target the postures themselves.
-            judge: Computes the quality of a posture that is already placed.
-            target: Position or pose of the end-effector.
+            guesses: (n_m,) each; with a target the starting points of the search, otherwise the
+                postures themselves.
+            judge: Computes the quality of a posture, into which the arm is already placed.
+            target: Position or pose of the end-effector, or None.
             enough: [-] quality at which the search ends.
         """
         best = Found(None, 0.0, Counter())
@@ -105,9 +107,10 @@ class PostureSearch:
         return best
 
     def reach(self, target: Target | pin.SE3, guess: Array) -> Array:
-        """(n_m,) least-squares solution of the target near a guess, slightly drawn to the middle.
+        """Find the posture (n_m,) near a guess with the least squared error from the target.
 
-        The joints have a margin to their limits relative to their range.
+        A small additional error draws the joints to the middle of their ranges. The joints have a
+        margin to their limits.
         """
 
         def residual(q: Array) -> Array:
@@ -122,10 +125,10 @@ class PostureSearch:
         return best_posture(residual, jacobian, guess, bounds)
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
-        """(k,) weighted error of the end-effector, and (k, n_m) its derivative by the joints.
+        """The weighted error (k,) of the end-effector, and its derivative (k, n_m) by the joints.
 
-        For a pose it is the logarithm of the displacement, in the end-effector's frame; otherwise
-        the errors of position and direction.
+        For a pose, the error is the logarithm of the displacement in the end-effector's frame. For
+        a position with or without a direction, it consists of the errors of both.
         """
         self.place(q_m)
         at, J = self.state.T_world_ee, self.J_hand
@@ -143,22 +146,25 @@ class PostureSearch:
 
     @property
     def J_hand(self) -> Array:
-        """(6, n_m) Jacobian of the end-effector by the arm's joints, in the world."""
+        """(6, n_m) Jacobian of the end-effector for the arm's joints, in the world."""
         return self.state.J_ee[:, self.model.n_b :]
 
     def beyond(self, p: Array) -> float:
-        """[m] lower bound of the distance of a place (3,) [m] from the reach; negative inside."""
+        """[m] lower bound of the distance of a point p (3,) [m] from the arm's workspace.
+
+        A negative value says that the point may be inside.
+        """
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
         return float(np.linalg.norm(p - at)) - self._length
 
     def distances(self) -> tuple[float, ...]:
-        """[m] distances of all pairs."""
+        """[m] distances of all pairs in the present posture."""
         return self.monitor.distances()
 
     def above_floor(self) -> float:
-        """[m] between the arm and the floor."""
-        return self._floor.least()
+        """[m] smallest distance between the arm and the floor."""
+        return self._floor.smallest()
 
     def joint_room(self, q_m: Array) -> float:
         """[-] smallest distance of a joint to a limit, relative to its range."""
@@ -167,9 +173,10 @@ class PostureSearch:
 
 
 def _arm_length(model: RobotModel) -> tuple[Array, float]:
-    """(3,) [m] the arm's first joint over a base at the origin, and [m] how far the hand can be.
+    """Position (3,) [m] of the arm's first joint for a base at the origin, and the arm's reach [m].
 
-    The hand is never farther than all joints' offsets, and the travels of slides, together.
+    The reach is an upper bound of the end-effector's distance from the first joint: the sum of all
+    offsets between joints and of the travels of prismatic joints.
     """
     arm, hand = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[hand.parentJoint] if j > 1]
@@ -194,8 +201,8 @@ class FloorDistance:
                 self._geometry.addCollisionPair(pin.CollisionPair(floor, shape))
         self._data = geometry_data(self._geometry)
 
-    def least(self) -> float:
-        """[m]"""
+    def smallest(self) -> float:
+        """[m] smallest signed distance in the present state."""
         pin.updateGeometryPlacements(
             self._state.model.pin, self._state.data, self._geometry, self._data
         )
@@ -209,9 +216,13 @@ def best_posture(
     guess: Array,
     bounds: tuple[Array, Array],
 ) -> Array:
-    """(n_m,) joint positions with the smallest sum of squared residuals (k,) near a guess.
+    """Find the joint positions (n_m,) near a guess with the smallest sum of squared residuals.
 
-    The guess is moved within the bounds, lower and upper; the Jacobian is (k, n_m).
+    Args:
+        residual: Computes the residuals (k,) for joint positions (n_m,).
+        jacobian: Computes the derivative (k, n_m) of the residuals.
+        guess: (n_m,) starting point, which is first moved within the bounds.
+        bounds: (n_m,) lower and (n_m,) upper bounds of the joint positions.
     """
     inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
     return least_squares(
@@ -224,5 +235,5 @@ def best_posture(
 
 
 def manipulability(J: Array) -> float:
-    """√det(J Jᵀ) of a Jacobian (k, n_m); 0 if a direction is lost."""
+    """√det(J Jᵀ) of a Jacobian J (k, n_m); 0 at a singularity."""
     return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))

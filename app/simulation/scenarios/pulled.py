@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 
-BEGIN = "guiding-front"  # its line's start is the free start of the end-effector
+BEGIN = "guiding-front"  # scenario whose start is also the free start of the end-effector
 
 
 class PullEvent(NamedTuple):
@@ -32,11 +32,11 @@ class PullEvent(NamedTuple):
     who: int
     """Number of the person."""
     target: Point | None
-    """[m] target, in the world; None releases."""
+    """(3,) [m] target in the world; None means that the person releases the robot."""
     link: str | None = None
-    """One of `held_links`; None is the end-effector."""
+    """Name of one of `held_links`; None is the end-effector."""
     point: Point = (0.0, 0.0, 0.0)
-    """[m] the held point, in the link's frame."""
+    """(3,) [m] the held point in the link's frame."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,7 @@ class PulledScenario(Scenario):
     """
 
     q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] joint positions of the arm at the start; empty for those of the free
-    start."""
+    """(n_m,) [rad or m] joint positions of the arm at the start; empty means the free start."""
     pulls: tuple[PullEvent, ...] = ()
     """Recorded pulls, in order; empty for free pulls."""
 
@@ -64,14 +63,14 @@ class PulledScenario(Scenario):
         except (TypeError, ValueError, DbbError) as error:
             raise CaseError(f"{self.name}: an impossible pull: {error}") from None
         if not finite:
-            raise CaseError(f"{self.name}: the arm's joints are {self.q_m!r}")
+            raise CaseError(f"{self.name}: the joint positions {self.q_m!r} are not all finite")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         from app.simulation.people import held_links
 
         unknown = {pull.link for pull in self.pulls} - {None, *held_links(model)}
         if unknown or (self.q_m and len(self.q_m) != model.n_m):
-            raise CaseError(f"{self.name}: of another robot than {model.description.name}")
+            raise CaseError(f"{self.name}: the case is not of the robot {model.description.name}")
         q_m = np.array(self.q_m) if self.q_m else free_start(model, data, config, None, seed)
         return Setting(model, data, np.zeros(3), q_m, config)
 
@@ -97,30 +96,39 @@ class PulledScenario(Scenario):
 def free_start(
     model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
 ) -> Array:
-    """(n_m,) posture with the end-effector at a place [m], or in front of the base, or ready."""
+    """Find the arm's posture (n_m,) at the free start.
+
+    Args:
+        model: The robot.
+        data: Its border data.
+        config: All parameters.
+        start: (3,) [m] position of the end-effector; None means the start of `guiding-front`, or
+            the ready position if the robot has no line for that scenario.
+        seed: Seed of the search.
+    """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start
 
     place = model.description.lines.get(BEGIN)
     at = place.start_m if start is None and place else start
-    if at is None:  # a robot whose end-effector cannot reach it
+    if at is None:  # the robot has no line for the scenario
         return np.array(model.description.arm.ready_position)
     x, y, z = at
     return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
 
 
-def _checked(given: Sequence[object]) -> PullEvent:
-    """A pull from untrusted data of a file."""
+def _checked(data: Sequence[object]) -> PullEvent:
+    """Check the data of a pull from an untrusted file, and make the pull."""
     from app.simulation.people import checked_hold, checked_target
 
-    pull = PullEvent(*given)  # type: ignore[arg-type]
+    pull = PullEvent(*data)  # type: ignore[arg-type]
     checked_hold(pull.point)
     if pull.target is not None:
         checked_target(pull.target)
     if not all(isinstance(number, int) and number >= 0 for number in pull[:2]):
-        raise CaseError(f"control step {pull.step!r} of person {pull.who!r}")
+        raise CaseError(f"a control step {pull.step!r} or a person {pull.who!r} is not a number")
     return pull
 
 
 CHALLENGE = PulledScenario("make-it-collide", 30.0, "pull the robot into itself, if you can")
-"""The challenge for every viewer."""
+"""The challenge for viewers: free pulls of any part of the arm."""

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from app.simulation.plants.door import Door
     from app.simulation.session import Session
 
-_HINGE_BESIDE = 0.10  # [m] from the base's axis to the hinge, at the base's default place
-_FREE_TURN = math.radians(62)  # door angle at which it meets a base at its default place
-_FRONT = 0.495  # [m] from the base's centre to its front
-_FARTHEST = 0.53  # [m] from the base's front to a closed door whose handle the arm still reaches
-_WIDE = 0.60  # [m] width of a door from which the base starts nearer to the handle
+_HINGE_BESIDE = 0.10  # [m] lateral distance of the hinge from the base's axis, by default
+_FREE_TURN = math.radians(62)  # [rad] door angle at which the door meets the base, by default
+_FRONT = 0.495  # [m] distance of the base's front from its centre
+_FARTHEST = 0.53  # [m] largest distance of the base's front from a door with a reachable handle
+_WIDE = 0.60  # [m] door width above which the base starts nearer to the handle
 _RANGES = {
     "door_width": (0.40, 0.80, "m"),
     "door_friction": (0.0, 10.0, "N m"),
@@ -46,13 +46,14 @@ class RefrigeratorScenario(Scenario):
 
     name: str = "refrigerator"
     duration: float = 45.0
-    about: str = "the arm opens a refrigerator's door, which comes towards the base"
+    about: str = "the arm opens a refrigerator's door, which approaches the base"
     hinge: Literal["left", "right"] = "left"
     """Side of the hinge, seen from the robot in front of the door."""
     hinge_position: tuple[float, float] | None = None
-    """[m] hinge in the world; default: 1 m ahead of the origin and 0.1 m to its side."""
+    """[m] x and y of the hinge in the world; default: 1 m ahead of the origin and 0.1 m beside the
+    x axis."""
     door_width: float = 0.60
-    """[m] radius from the hinge to the free edge."""
+    """[m] distance from the hinge to the free edge."""
     door_friction: float = 1.0
     """[N m] friction of the hinge."""
     door_angle: float = 0.0
@@ -60,13 +61,13 @@ class RefrigeratorScenario(Scenario):
     door_yaw: float = 0.0
     """[deg] viewing direction of a person in front of the closed door; 0 is the world's x axis."""
     radial_guess: float = 30.0
-    """[deg] error of the initial estimate of the direction towards the hinge; positive is turned
-    into the door."""
+    """[deg] error of the initial estimate of the direction towards the hinge; a positive error
+    turns the estimate into the door."""
     opening_rate: float = 2.15
-    """[deg/s] rotation rate of the door at the end-effector's speed and the handle's radius."""
+    """[deg/s] desired rotation rate of the door."""
     base: tuple[float, float, float] | None = None
     """[m] [m] [deg] x, y and heading of the base at the start; default: in front of the door, at a
-    distance at which doors up to 0.6 m wide meet the base at the same opening angle."""
+    distance such that all doors up to 0.6 m wide meet the base at the same opening angle."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -105,7 +106,7 @@ class RefrigeratorScenario(Scenario):
         return np.array([at[0], at[1], door.yaw])
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """The controller's robot has the door as its last body."""
+        """The start of the run; the door is the last body of the controller's robot."""
         # Imported here: scipy would delay the start of every command.
         from app.simulation.plants.door import OpenDoor, with_door
         from app.simulation.scenarios.start import find_grasp
@@ -120,13 +121,13 @@ class RefrigeratorScenario(Scenario):
         )
 
     def adapted(self, config: Config) -> Config:
-        """Raise the stiffness of the lowest level to the minimum for an end-effector in contact.
+        """Raise the posture task's gains to the minimum for an end-effector in contact.
 
-        The controller does not model the door's force, and its effect in the null space of the
-        end-effector's task would swing the elbow away. The cost of base motion grows by the same
-        factor; otherwise the base would move to hold the arm's posture.
+        The controller does not model the door's force. In the null space of the end-effector's task
+        that force would swing the elbow. The cost of base motion rises too; otherwise the base
+        would move to maintain the arm's posture.
         """
-        firm = {path: max(float(config.value(path)), least) for path, least in _FIRMNESS.items()}
+        firm = {path: max(float(config.value(path)), low) for path, low in _FIRMNESS.items()}
         return config.changed(firm)
 
     def driver(self, session: Session) -> Driver:

@@ -1,4 +1,4 @@
-"""The start of a run: the arm with its end-effector at a place, or at the handle of a door."""
+"""Search for the start of a run, with the end-effector at a position or at a door's handle."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,43 +14,44 @@ from app.simulation.plants.door import Door
 from app.simulation.scenarios.posture import Found, PostureSearch, Target, manipulability
 from app.strict import Array
 
-_PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # below horizontal, best first
-_SEEDS = 16  # starting points of the search per pitch
-_POSITION_TOLERANCE = 1e-5  # [m]
-_DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
-_BUFFER_MARGIN = 0.005  # [m] smallest distance beyond the buffer
-_FLOOR_MARGIN = 0.01  # [m] between arm and floor
-_LOST = 1e-3  # [m/rad or -] singular value of a lost direction of the end-effector
-_UPRIGHT = 0.94  # [-] smallest z of an upright axis: a tilt of 20 degrees
-_WAY_TOLERANCE = 0.01  # [-] weighted error of the end-effector on its path: 1 mm
+_PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # [rad] below the horizon, best first
+_SEEDS = 16  # starting points of the search for each pitch
+_POSITION_TOLERANCE = 1e-5  # [m] tolerance of the end-effector's position
+_DIRECTION_TOLERANCE = 0.02  # [-] tolerance of the end-effector's direction, a unit vector
+_BUFFER_MARGIN = 0.005  # [m] smallest distance of a pair outside its buffer
+_FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
+_LOST = 1e-3  # [m/rad or -] largest singular value that counts as a lost direction
+_UPRIGHT = 0.94  # [-] smallest z component of an upright axis: a tilt of 20 degrees
+_WAY_TOLERANCE = 0.01  # [-] largest weighted error of the end-effector on its path: 1 mm
 _SHARES = np.linspace(0.2, 1.0, 5)  # [-] shares of a line at which the path is checked
-_KEPT = 100  # cached starts of a robot
+_CACHED = 100  # number of cached starts of a robot
 
-_ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # of the end-effector about its own axis
-_ROLL_SEEDS = 80  # starting points of the search per roll
-_GRASP_TOLERANCE = 1e-4  # [m] and [rad]
-_LOOSE_TOLERANCE = 5e-3  # [m] and [rad] tolerance of the prediction
-_GRASP_MARGIN = 0.015  # [-] margin to a joint's limits, relative to its range
+_ROLLS = np.radians([0.0, 90.0, 180.0, -90.0])  # [rad] of the end-effector about its z axis
+_ROLL_SEEDS = 80  # starting points of the search for each roll
+_GRASP_TOLERANCE = 1e-4  # [m] and [rad] tolerance of the grasp
+_LOOSE_TOLERANCE = 5e-3  # [m] and [rad] tolerance of the predicted poses on the path
+_GRASP_MARGIN = 0.015  # [-] margin to a joint's limits, relative to the joint's range
 _MAX_INSIDE = 0.07  # [m] largest depth of a pair in its buffer on the path
-_AHEAD = np.radians(np.arange(3, 94, 3))  # door angles that need room
+_AHEAD = np.radians(np.arange(3, 94, 3))  # [rad] further door angles that are checked
 _CORRECTIONS = 4  # [-] Newton steps for each door angle
-_TO_START = 0.5  # [-] part of the return to the starting posture in each step
+_TO_START = 0.5  # [-] share of the return to the starting posture in each step
 
 OUT_OF_REACH = "out of the arm's reach"
-"""The reason of a try in which the end-effector did not reach the place."""
+"""The reason of a failed try in which the end-effector did not reach its position."""
 
 
 class StartSolver:
     """Finds an arm configuration for an end-effector position, with the base at the origin facing
     +x.
 
-    The end-effector points away from the arm's mount, and downwards if possible; every pair is
-    outside its buffer, the arm above the floor, each joint away from its limits. If the arm cannot
-    point its end-effector in all directions, it uses a possible direction.
+    The end-effector points away from the arm's mount, and downwards if possible. Every pair is
+    outside its buffer, the arm is above the floor, and each joint is away from its limits. If the
+    search finds no such direction, and the arm cannot choose its direction freely, any direction is
+    accepted.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare for a robot and a buffer distance [m]."""
+        """Prepare the search for a robot, its pairs and a buffer distance `d_b` [m]."""
         self._model = model
         self._search = PostureSearch(model, pairs, d_b)
         # With fewer than six directions of motion, or without an upright first axis, the arm
@@ -69,26 +70,27 @@ class StartSolver:
         tries: int = _SEEDS,
         along: Sequence[Array] = (),
     ) -> Array:
-        """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
+        """Find an arm configuration (n_m,) with the end-effector at a position in the world.
 
-        With further places the posture has room for the path too: its joints are away from
-        their limits while the end-effector passes the places with the direction of the start and
-        the base does not move. The base's own motion adds to that.
+        With further positions in `along`, the joints must also be away from their limits while the
+        end-effector passes these positions with its starting orientation and the base rests.
+        During a run the base may move in addition.
 
         Args:
-            p_ee: Position of the end-effector.
+            p_ee: (3,) [m] position of the end-effector.
             seed: Seed of the starting points of the search.
-            turn: [rad] angle of the end-effector to the left of straight away from the mount.
-            tries: Starting points of the search per pitch of the end-effector.
-            along: (3,) [m] each, further places of the end-effector, in order.
+            turn: [rad] horizontal angle, positive to the left, between the end-effector's direction
+                and the direction away from the mount.
+            tries: Number of starting points of the search for each pitch of the end-effector.
+            along: (3,) [m] each, further positions of the end-effector, in order.
 
         Raises:
-            UnreachableError: There is no configuration; names the reasons.
+            UnreachableError: The search has found no configuration; the message names the reasons.
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
             raise UnreachableError(
-                f"start {_text(p_ee)}: the floor is z = 0, the end-effector must be above"
+                f"start {_text(p_ee)}: the end-effector must be above the floor, which is z = 0"
             )
         if (beyond := self._search.beyond(target)) > 0.0:
             raise UnreachableError(
@@ -111,9 +113,9 @@ class StartSolver:
             flaws.update(found.flaws)
         if best.q_m is not None:
             return best.q_m
-        told = "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
+        reasons = "; ".join(f"{flaw} ({count} tries)" for flaw, count in flaws.most_common(3))
         raise UnreachableError(
-            f"start {_text(p_ee)}: no configuration of the arm reaches it: {told}", flaws
+            f"start {_text(p_ee)}: no configuration of the arm reaches it: {reasons}", flaws
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
@@ -124,12 +126,16 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """(n_m,) the posture near another one with the end-effector's origin at `p_ee` (3,) [m].
+        """Find the posture (n_m,) near another posture for a new position of the end-effector.
 
-        Its direction is that of q_m (n_m,), and the arm does not change its branch.
+        The direction of the end-effector and the branch of the inverse kinematics do not change.
+
+        Args:
+            p_ee: (3,) [m] new position of the end-effector.
+            q_m: (n_m,) [rad or m] the other posture.
 
         Raises:
-            UnreachableError: The posture is invalid; names the reason.
+            UnreachableError: The new posture is invalid; the message names the reason.
         """
         self._search.place(q_m)
         direction = self._search.state.T_world_ee.rotation[:, 2].copy()
@@ -139,7 +145,11 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether the end-effector reaches `p_ee` [m] within the joint limits, in any direction."""
+        """Whether the end-effector reaches `p_ee` (3,) [m] within the joint limits.
+
+        Any direction of the end-effector counts. `tries` is the number of starting points of the
+        search, which `seed` determines.
+        """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
             return False
@@ -153,7 +163,7 @@ class StartSolver:
         return found.q_m is not None
 
     def _direction(self, target: Array, pitch: float) -> Array:
-        """Unit vector from the mount outwards, tilted `pitch` below the horizon."""
+        """Unit vector (3,) from the arm's mount towards a target, `pitch` [rad] downwards."""
         outwards = target[:2] - self._model.p_base()[:2]
         length = np.hypot(*outwards)
         outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])
@@ -180,7 +190,7 @@ class StartSolver:
         return self._room(q, along) + min(clearance, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] margin of joint ranges and mobility at a posture, and on the path."""
+        """[-] quality of a posture: smallest joint margin and manipulability, also on the path."""
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility = search.joint_room(q_m), manipulability(search.J_hand)
@@ -197,7 +207,7 @@ class StartSolver:
 _Place = tuple[float, float, float]
 
 
-@kept_per_model(_KEPT)
+@kept_per_model(_CACHED)
 def find_start(
     model: RobotModel,
     pairs: LinkPairs,
@@ -207,13 +217,21 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """(n_m,) arm configuration of `StartSolver.solve`, read-only and cached.
+    """Find an arm configuration (n_m,), read-only and cached, by `StartSolver.solve`.
 
     Thus a run that starts again, for example with another controller, does not repeat the search.
-    From the start the end-effector follows a line, its `move` (3,) [m], with a constant direction.
+
+    Args:
+        model: The robot.
+        pairs: The robot's pairs.
+        d_b: [m] buffer distance.
+        p_ee: (3,) [m] position of the end-effector.
+        seed: Seed of the search.
+        move: (3,) [m] displacement along which the end-effector will track a line from the start
+            with a constant orientation, or None.
 
     Raises:
-        UnreachableError: There is no configuration; names the reasons.
+        UnreachableError: The search has found no configuration; the message names the reasons.
     """
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
@@ -223,25 +241,30 @@ class GraspSolver:
     """Finds a configuration with the end-effector at a door's handle and every pair outside its
     buffer.
 
-    It chooses the one that can follow the door farthest, and among equals the one with
-    the most room on the path, while the base moves back from the door.
+    The best configuration can follow the door through the largest angle while the base moves back.
+    Among equal configurations the best one has the largest margins on the path.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare for a robot and a buffer distance [m]."""
+        """Prepare the search for a robot, its pairs and a buffer distance `d_b` [m]."""
         self._search = PostureSearch(model, pairs, d_b)
         self._front = float(MobileBody(model).upper[0])
 
     def solve(
         self, base_pose: Array, door: Door, angle: float, *, seed: int = 0
     ) -> tuple[Array, pin.SE3]:
-        """(n_m,) the arm at a door's handle, and the end-effector's pose: horizontal, palm to the
-        door.
+        """Find the arm's posture (n_m,) at a door's handle, and the end-effector's pose.
 
-        The base is at x, y [m] and heading [rad], the door is open by an angle [rad].
+        The end-effector is horizontal and points into the door.
+
+        Args:
+            base_pose: (3,) x, y [m] and heading [rad] of the base.
+            door: The door.
+            angle: [rad] opening angle of the door.
+            seed: Seed of the search.
 
         Raises:
-            UnreachableError: There is no configuration.
+            UnreachableError: The search has found no configuration.
         """
         rng = np.random.default_rng(seed)
         best = Found(None, 0.0, Counter())
@@ -268,7 +291,7 @@ class GraspSolver:
         return best.q_m, target
 
     def _judge(self, base_pose: Array, door: Door, angle: float, roll: float, q_m: Array) -> float:
-        """Quality of a posture at the handle: the door angles that it can follow, and its room."""
+        """[-] quality of a posture at the handle: number of reachable door angles, plus margins."""
         room = self._room(_rolled(door.handle(angle), roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
         if room > 0.0:
             room = self._room_ahead(base_pose, door, angle, roll, q_m, room)
@@ -278,7 +301,7 @@ class GraspSolver:
     def _room_ahead(
         self, base_pose: Array, door: Door, angle: float, roll: float, q_start: Array, room: float
     ) -> float:
-        """[-] one for each door angle that the arm can follow, plus the smallest room there.
+        """[-] number of further door angles that the arm can follow, plus the smallest margin.
 
         As in the controller, the arm stays near its starting posture in the task's null space.
         """
@@ -294,7 +317,7 @@ class GraspSolver:
         return followed + room
 
     def _backed_off(self, base_pose: Array, door: Door, angle: float) -> Array:
-        """(3,) the base, moved back until the door's free edge is outside of its front's buffer."""
+        """(3,) pose of the base, moved back until the door's free edge is d_b ahead of the base."""
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         x, y, heading = base_pose
         forwards = np.array([np.cos(heading), np.sin(heading)])
@@ -304,13 +327,13 @@ class GraspSolver:
         )
 
     def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) one step towards the target, and in its null space towards a posture."""
+        """(n_m,) the posture after one step towards the target, in its null space to `q_start`."""
         error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
     def _room(self, target: pin.SE3, q_m: Array, tolerance: float, clearance: float) -> float:
-        """[-] above zero and below one if the configuration is valid; larger is better."""
+        """[-] margins of a posture, below one; zero if the posture is invalid."""
         search = self._search
         search.place(q_m)
         if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
@@ -323,7 +346,7 @@ class GraspSolver:
         return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 
-@kept_per_model(_KEPT)
+@kept_per_model(_CACHED)
 def find_grasp(
     model: RobotModel,
     pairs: LinkPairs,
@@ -334,10 +357,12 @@ def find_grasp(
     *,
     seed: int = 0,
 ) -> tuple[Array, pin.SE3]:
-    """The arm, read-only, and the end-effector from `GraspSolver.solve`; cached.
+    """The arm's posture (n_m,), read-only, and the end-effector's pose from `GraspSolver.solve`.
+
+    The result is cached.
 
     Raises:
-        UnreachableError: There is no configuration.
+        UnreachableError: The search has found no configuration.
     """
     q_m, T_ee = GraspSolver(model, pairs, d_b).solve(np.array(base_pose), door, angle, seed=seed)
     return _frozen(q_m), T_ee

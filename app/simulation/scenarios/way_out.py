@@ -1,4 +1,4 @@
-"""Starts in trouble: a pair inside its buffer or in penetration, without a person."""
+"""The scenario way-out: a start with a pair inside its buffer or in penetration, and no person."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ if TYPE_CHECKING:
 
 Begin = Literal["penetration", "buffer", "arm"]
 BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")
-"""Kinds of starts: a pair in penetration; a pair of L_m inside its buffer, none in penetration;
-a pair of L_m^c inside its buffer, none in penetration."""
+"""Kinds of starts: a pair in penetration; a pair of L_m inside its buffer, without penetration;
+a pair of L_m^c inside its buffer, without penetration."""
 
 DEEPEST = 0.05  # [m] deepest penetration of a start
-_FLOOR_MARGIN = 0.01  # [m] between arm and floor
-_FROM_ABOVE = 0.7  # [-] |n_z| from which a pair of L_m meets from above
-_TRIES = 20_000  # most random configurations for a kind of start
+_FLOOR_MARGIN = 0.01  # [m] smallest distance between arm and floor
+_FROM_ABOVE = 0.7  # [-] smallest |n_z| of a pair of L_m whose arm is above the base
+_TRIES = 20_000  # [-] random configurations for each pair and direction
 
 
 @dataclass(frozen=True)
 class WayOutScenario(Scenario):
-    """The arm starts in a forbidden posture, random by the seed, without a person."""
+    """The arm starts in a random posture inside a buffer or in penetration, without a person."""
 
     name: str = "way-out"
     duration: float = 3.0
-    about: str = "a start inside a buffer or in penetration that the robot has to leave"
+    about: str = "the robot starts inside a buffer or in penetration, and has to leave it"
     begin: Begin = "penetration"
     """Kind of the start."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.begin not in BEGINS:
-            raise ConfigError(f"--begin: {self.begin!r} is none of {', '.join(BEGINS)}")
+            raise ConfigError(f"--begin: {self.begin!r} is not one of {', '.join(BEGINS)}")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         starts = TroubledStarts(model, data.pairs, config.border.d_b)
@@ -56,29 +56,29 @@ class WayOutScenario(Scenario):
 
 
 class TroubledStarts:
-    """Random arm configurations in trouble, with the base at the origin.
+    """Random arm configurations inside a buffer or in penetration, with the base at the origin.
 
-    The pair is chosen first, and for a pair of L_m also whether the arm meets the base
-    from above or from the side: some of these hardly occur among uniform configurations.
+    The pair is chosen first. For a pair of L_m, the direction is chosen too: the arm is above the
+    base or beside it. Some of these cases are rare among uniformly random configurations.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare for a robot and a buffer distance [m]."""
+        """Prepare the search for a robot, its pairs and a buffer distance `d_b` [m]."""
         # Imported here: scipy would delay the start of every command.
         from app.simulation.scenarios.posture import PostureSearch
 
         self._pairs, self._search = pairs, PostureSearch(model, pairs, d_b)
 
     def draw(self, begin: Begin, seed: int) -> Array:
-        """(n_m,) an arm configuration of that kind, the same for the same seed.
+        """Draw an arm configuration (n_m,) for a kind of start; equal seeds give equal results.
 
         Raises:
-            UnreachableError: No configuration was found.
+            UnreachableError: The search has found no configuration.
         """
         search, mobile = self._search, len(self._pairs.mobile)
         model, rng = search.model, np.random.default_rng([seed, BEGINS.index(begin)])
         depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, search.d_b)
-        kinds: list[tuple[int, bool | None]] = []  # which pair, and whether it meets from above
+        kinds: list[tuple[int, bool | None]] = []  # index of the pair; whether the arm is above
         if begin != "arm":
             kinds += product(range(mobile), (True, False))
         if begin != "buffer":
@@ -89,13 +89,18 @@ class TroubledStarts:
             if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return q_m
         raise UnreachableError(
-            f"no configuration of the arm starts with {begin!r} in {_TRIES} tries a pair"
+            f"no configuration of the arm has a start of the kind {begin!r} in {_TRIES} tries "
+            "for each pair"
         )
 
     def _judge(self, i: int, above: bool | None, depth: tuple[float, float], _: Array) -> float:
-        """Whether pair i is the nearest one, its distance within `depth`, from above or not.
+        """1 if the present posture is a valid start for pair i, otherwise 0.
 
-        An arm that is nearer to the floor than a margin does not count.
+        Args:
+            i: Index of the pair, which must be the nearest one.
+            above: Whether the arm must be above the base; None means any direction.
+            depth: [m] range of the pair's distance.
+            _: The posture, which is already placed.
         """
         closest = self._search.monitor.find_closest_points()
         pair = closest[i]

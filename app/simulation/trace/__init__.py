@@ -1,1 +1,1 @@
-"""The record of a run: snapshots, logs and figures."""
+"""The record of a run: snapshots, traces, log files and figures."""

@@ -1,6 +1,6 @@
 """Tables as files: CSV with a leading comment, or Parquet with schema metadata.
 
-It imports little, because a child process reads files by it.
+This module imports little, because a child process uses it to read files.
 """
 
 import io
@@ -19,24 +19,24 @@ from app.system import write_whole
 _KEY = b"dbb_log"
 _COMMENT = "# "
 
-pa.set_memory_pool(pa.system_memory_pool())  # the default one reserves 1 GB of address space
+pa.set_memory_pool(pa.system_memory_pool())  # the default pool reserves 1 GB of address space
 
 
 def read_arrow(path: Path) -> tuple[str, pa.Table]:
-    """The header and the columns of an untrusted file.
+    """Read the header and the columns of an untrusted file.
 
     Raises:
-        LogError: The file does not exist, is damaged, or exceeds the reading budget.
+        LogError: The file does not exist or is damaged, or reading exceeds the budget.
     """
     try:
-        # A Parquet file of any size may hold millions of equal rows.
-        least = 0 if path.suffix == ".csv" else SMALL + 1
-        return within_budget(_read, path, size=max(path.stat().st_size, least))
+        # A small Parquet file can contain millions of equal rows.
+        smallest = 0 if path.suffix == ".csv" else SMALL + 1
+        return within_budget(_read, path, size=max(path.stat().st_size, smallest))
     except FileNotFoundError:
         raise LogError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise LogError(f"{path}: not a log, or damaged: {reason}") from None
+        raise LogError(f"{path}: the file is not a log, or is damaged: {reason}") from None
 
 
 def _read(path: Path) -> tuple[str, pa.Table]:
@@ -49,9 +49,10 @@ def _read(path: Path) -> tuple[str, pa.Table]:
 
 
 def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
-    """Write columns completely or not at all, as CSV or Parquet by the file's ending.
+    """Write a table completely or not at all, as CSV or Parquet according to the file's ending.
 
-    The header is a comment on the first line, or metadata. The same columns give the same bytes.
+    The header becomes a comment on the first line of CSV, or metadata of Parquet. Equal tables give
+    equal files.
     """
     sink = io.BytesIO()
     if path.suffix == ".csv":
@@ -66,12 +67,12 @@ def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
 def _read_csv(path: Path) -> tuple[str, pa.Table]:
     first, _, rest = file_text(path).partition("\n")
     if not first.startswith(_COMMENT):
-        changed = ", as after an edit in a spreadsheet: use the original file, or .parquet"
-        raise ValueError(f"its first line is no comment with meta data{changed * ('# ' in first)}")
+        changed = "; a spreadsheet has probably changed it: use the original file, or .parquet"
+        raise ValueError(f"the first line is no metadata comment{changed * ('# ' in first)}")
     names, _, rows = rest.partition("\n")
     comma = ";" in names  # many countries' spreadsheets write decimal commas
     point = "," if comma and re.search(r"\d,\d", rows[:10_000]) else "."
-    # Only numbers are distinguished from texts here: the caller knows the kinds.
+    # This distinguishes only numbers and texts; the caller knows the exact types.
     options = pyarrow.csv.ConvertOptions(
         null_values=[""], strings_can_be_null=False, decimal_point=point
     )
@@ -85,7 +86,7 @@ def _read_parquet(path: Path) -> tuple[str, pa.Table]:
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
         table = file.read(use_threads=False)
     for k, field in enumerate(table.schema):
-        if pa.types.is_dictionary(field.type):  # else it would expand later, beyond the budget
+        if pa.types.is_dictionary(field.type):  # expanded here, where the budget limits the memory
             table = table.set_column(k, field.name, table.column(k).cast(field.type.value_type))
     metadata = table.schema.metadata or {}
     return metadata.get(_KEY, b"").decode("utf-8"), table

@@ -1,4 +1,4 @@
-"""Quantities as columns: their names, and the conversion of values to cells and back."""
+"""Quantities as columns: names, and the conversion of values to cells and back."""
 
 import json
 from collections import ChainMap
@@ -31,28 +31,28 @@ _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": 
 
 
 class TraceMeta(Strict):
-    """The run of a trace: constant data that also determine the names of the columns."""
+    """Constant data of a run, which also determine the names of the columns."""
 
     format: Literal[2] = 2
-    """[-] version of the file format; other versions are refused."""
+    """[-] version of the file format; files of other versions cannot be read."""
     robot: str
     """Name of the robot, as `dbb robots` lists it."""
     joints: tuple[str, ...]
-    """The arm's joints, in the order of q_m."""
+    """Names of the arm's joints, in the order of q_m."""
     joint_units: tuple[Literal["rad", "m"], ...]
-    """Unit of the position of each of them."""
+    """Unit of the position of each joint."""
     joint_speeds: tuple[Positive, ...] = ()
     """(n_m,) [rad/s or m/s] largest joint speeds; empty if unknown."""
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
-    """Names of the base's velocities in the columns, in the order of its axes."""
+    """Names of the base's velocities in the columns, in the order of the base's axes."""
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
-    """Names of their derivatives."""
+    """Names of the base's accelerations in the columns."""
     wheels: tuple[str, ...] = ("right", "left")
     """Names of the angles of the base's wheels."""
     pairs: tuple[str, ...]
-    """All link pairs, in the order of the rows' distances."""
+    """Names of all link pairs, in the order of the distances."""
     mobile_pairs: tuple[str, ...]
-    """Those of L_m among them."""
+    """Names of the pairs of L_m."""
     scenario: str = ""
     """Name of the scenario; empty if a person guided the arm."""
     physics: str = ""
@@ -60,7 +60,7 @@ class TraceMeta(Strict):
     seed: int = Field(default=0, ge=0)
     """[-] seed of all random numbers of the run."""
     config: Config
-    """Parameters at the first row; later rows state differences."""
+    """Parameters at the first row; a column has the later changes."""
     stuck: dict[str, Any] | None = None
     """Place and reasons of a tracking end-effector that stopped short at the end (`Stuck`)."""
     left_way: dict[str, Any] | None = None
@@ -73,14 +73,21 @@ class TraceMeta(Strict):
         if len(self.joint_units) != len(self.joints):
             raise ValueError("joint_units: not one for each of the joints")
         if self.joint_speeds and len(self.joint_speeds) != len(self.joints):
-            raise ValueError("joint_speeds: not one for each of the joints")
+            raise ValueError("joint_speeds: there must be one for each joint")
         if not set(self.mobile_pairs) <= set(self.pairs):
-            raise ValueError("mobile_pairs: not all of them are among the pairs")
+            raise ValueError("mobile_pairs: each must be one of the pairs")
         return self
 
     @classmethod
     def of(cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any) -> Self:
-        """The meta data of a run, with all its link pairs; the values say which belong to L_m."""
+        """The data of a run.
+
+        Args:
+            model: The robot.
+            pairs: Whether each link pair belongs to L_m, by the pair's name.
+            config: Parameters at the first row.
+            about: Further fields.
+        """
         arm, base = model.description.arm, model.description.base
         velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
         kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
@@ -100,24 +107,24 @@ class TraceMeta(Strict):
 
 
 def axis_name(axis: Axis) -> str:
-    """An axis of the base's velocity in plain letters: v, vx, vy or w."""
+    """The name of an axis of the base in plain letters: v, vx, vy or w."""
     return axis.symbol.replace("_", "").replace("ω", "w")
 
 
 def _rate_columns(axis: Axis) -> tuple[str, str]:
-    """Columns of an axis's velocity and acceleration, such as vx_mps and ax_mps2."""
+    """Names of the columns of an axis's velocity and acceleration, such as vx_mps and ax_mps2."""
     name, unit = axis_name(axis), "radps" if axis.angular else "mps"
     return f"{name}_{unit}", f"a{name.removeprefix('v')}_{unit}2"
 
 
 def column_names(template: str, meta: TraceMeta) -> list[str]:
-    """The columns of a quantity of a robot, which end in their unit.
+    """The names of a quantity's columns, which end in the unit.
 
     Args:
-        template: Such as `p_ee_{xyz}_m`, one column for each of x, y and z;
-            `u_{joint}_{effort}`, one per joint in N m or N; `base_{velocity}`, one per axis of
-            the base in m/s or rad/s; `d_{pair}_m`, one per link pair.
-        meta: The run.
+        template: A pattern such as `p_ee_{xyz}_m` for x, y and z; `u_{joint}_{effort}` for the
+            joints, in N m or N; `base_{velocity}` for the base's axes, in m/s or rad/s;
+            `d_{pair}_m` for the link pairs.
+        meta: The data of the run.
     """
     joints = zip(meta.joints, meta.joint_units, strict=True)
     plain: dict[str, Sequence[str]] = {
@@ -137,35 +144,35 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
 
 
 class Column(NamedTuple):
-    """One column."""
+    """A column of a trace."""
 
     name: str
     """Name, which ends in the unit."""
     kind: Kind = "float"
-    """Type of its cells."""
+    """Type of the cells."""
     optional: bool = False
-    """Whether a cell may be empty, which is not-a-number in memory."""
+    """Whether a cell may be empty; in memory, an empty cell is not-a-number."""
     often: bool = False
-    """Whether it has a number at each control step, not only at snapshots."""
+    """Whether the column has a number at each control step, not only at snapshots."""
 
 
 class Quantity(NamedTuple):
-    """One quantity of a run."""
+    """A quantity of a run."""
 
     columns: Callable[[TraceMeta], Sequence[Column]]
-    """Its columns in a run."""
+    """The quantity's columns in a run."""
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]
     """Conversion of a snapshot's value to cells."""
     value: Callable[[Sequence[Any], TraceMeta], Any]
-    """Back."""
+    """Conversion of cells to a snapshot's value."""
     take: Take | None = None
-    """Its value at a control step, from the session after it and the step; None if only the
-    publisher of the snapshot knows it."""
+    """Computation of the value from a control step and the session after the step; None if the
+    publisher of the snapshot sets the value."""
     single: bool = False
-    """Whether it is a single number."""
+    """Whether the quantity is a single number."""
     row: Take | None = None
-    """Its numbers at a control step, of the columns that have one at each; None if it is only
-    drawn."""
+    """Computation of the numbers that are recorded at each control step; None if the quantity is
+    recorded at snapshots only."""
 
 
 def number(
@@ -176,7 +183,15 @@ def number(
     often: bool = True,
     optional: bool = False,
 ) -> Quantity:
-    """A number that is recorded at each control step; otherwise it may be a text or None."""
+    """A quantity of one number, recorded at each control step.
+
+    Args:
+        name: Name of the column.
+        kind: Type of the cells.
+        take: Computation of the value.
+        often: False for a number or a text that is recorded at snapshots only.
+        optional: Whether the value may be None.
+    """
     column = Column(name, kind, optional, often)
 
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
@@ -190,7 +205,10 @@ def number(
 
 
 def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
-    """An array (k,) that is recorded at each control step; `template` as in `column_names`."""
+    """A quantity of an array (k,), recorded at each control step.
+
+    `template` is that of `column_names`; the other arguments are those of `number`.
+    """
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         return [Column(n, "float", optional, often) for n in column_names(template, meta)]
@@ -205,13 +223,14 @@ def numbers(template: str, take: Take, *, often: bool = True, optional: bool = F
     return Quantity(columns, cells, value, take, row=row)
 
 
-drawn = partial(number, often=False)  # a number or text that is recorded at snapshots
+drawn = partial(number, often=False)
+"""A quantity of one number or text, recorded at snapshots."""
 drawn_numbers = partial(numbers, often=False)
-"""An array (k,) that is recorded at snapshots."""
+"""A quantity of an array (k,), recorded at snapshots."""
 
 
 def config_changes(take: Take) -> Quantity:
-    """The parameters of a row that differ from those of the first row, as JSON."""
+    """A quantity for the parameters that differ from the first row's parameters, as JSON."""
     return Quantity(
         lambda _: (Column("config_changes", "text"),),
         lambda config, meta: (_changes(meta.config, config),),
@@ -221,7 +240,7 @@ def config_changes(take: Take) -> Quantity:
 
 
 def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
-    """A tuple of named tuples as JSON, or empty; for rare events."""
+    """A quantity for a tuple of named tuples, as JSON; empty cells represent an empty tuple."""
     hints = get_type_hints(kind)
 
     def inner(name: str, data: Any) -> Any:

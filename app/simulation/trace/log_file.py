@@ -22,41 +22,41 @@ from app.strict import LARGEST_DATA, Strict, explain, problems_of
 
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
 
-_CELL = 100  # [bytes] memory for a cell of a snapshot's row
-_NUMBER = 8  # [bytes] of memory for a number of any row
+_CELL = 100  # [bytes] memory for a cell of a snapshot
+_NUMBER = 8  # [bytes] memory for a number of the table
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
 
 
 class LogHeader(Strict):
-    """The content of a file's first line."""
+    """The header of a log file."""
 
     dbb_log: TraceMeta
     rows: int = Field(ge=1, strict=True)
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """A header from its JSON.
+        """Read a header from JSON.
 
         Raises:
-            LogError: The text is no header, or of another format.
+            LogError: The text is not a header, or has another format.
         """
         if len(text) > LARGEST_DATA:
-            raise LogError("its meta data are longer than those of any log")
+            raise LogError("the metadata are too long for a log")
         try:
             return cls.model_validate_json(text)
         except ValidationError as error:
             problems = [(p["type"], p["loc"]) for p in problems_of(error)]
             if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
-                told = "it has no meta data of a log: dbb run --log or --out writes logs"
-                raise LogError(told) from None
-            raise LogError(f"its meta data: {explain(error, cls)}") from None
+                fault = "the file has no metadata of a log: dbb run --log or --out writes logs"
+                raise LogError(fault) from None
+            raise LogError(f"the metadata: {explain(error, cls)}") from None
 
 
 def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
     Raises:
-        LogError: Its ending is neither.
+        LogError: The file's name has another ending.
         OutputError: The file cannot be written.
     """
     _check_suffix(path)
@@ -83,15 +83,20 @@ def read_trace(path: Path) -> Trace:
     text, table = read_arrow(path)
     try:
         return _trace(text, table, Budget.of(path.stat().st_size))
-    except (LogError, UnicodeDecodeError) as error:  # the latter for a column's name
+    except (LogError, UnicodeDecodeError) as error:  # the second one: the name of a column
         raise LogError(f"{path}: {error}") from None
 
 
 def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
-    """The trace of a file's header and table.
+    """Make a trace from the header and the table of a file.
+
+    Args:
+        text: The header.
+        found: The table.
+        budget: The limit of memory.
 
     Raises:
-        LogError: They do not match, are not those of a trace, or too large for the file.
+        LogError: Header and table do not match, are invalid, or need too much memory.
     """
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
@@ -100,15 +105,15 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     _check_names(found.column_names, known)
     layout = Layout.of(meta, names)
     if len(found) != rows:
-        raise LogError(f"it has {len(found)} rows, and its meta data say {rows}")
+        raise LogError(f"the file has {len(found)} rows, but its metadata state {rows}")
     if rows * len(layout.columns) * _NUMBER > budget.memory:
-        raise LogError(f"{rows} rows are too many for a file of its size")
+        raise LogError(f"{rows} rows are too many for a file of this size")
     modes = _cast(Column("mode", "text"), found["mode"], rows)
     drawn = found.filter(pc.not_equal(modes.fill_null(""), ""))
     if not len(drawn):
-        raise LogError("it has no snapshots: the column mode is empty")
+        raise LogError("the file has no snapshots: the column mode is empty")
     if len(drawn) * len(known) > budget.memory / _CELL:
-        raise LogError(f"{len(drawn)} rows to be drawn are too many for a file of its size")
+        raise LogError(f"{len(drawn)} snapshots are too many for a file of this size")
     table = np.empty((rows, len(layout.columns)))
     for k, column in enumerate(layout.columns):
         table[:, k] = _cast(column, found[column.name], rows).to_numpy()
@@ -146,25 +151,31 @@ def _snapshots(
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column in the rows with snapshots; the others are empty.
+    """The cells of a column in the rows with snapshots; a column without numbers at each step must
+    be empty in the other rows.
 
     Raises:
-        LogError: As for `_cast`.
+        LogError: `_cast` raises an error, or a text is too long.
     """
     if not column.often:
         _cast(column, values, len(drawn))
     nothing = "" if column.kind == "text" else NAN
     cells = _cast(column, drawn, len(drawn)).to_pylist()
     if column.kind == "text" and max(len(cell or "") for cell in cells) > SMALL:
-        raise LogError(f"column {column.name}: a text is longer than any log has")
+        raise LogError(f"column {column.name}: a text is too long for a log")
     return [nothing if cell is None else cell for cell in cells]
 
 
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
-    """The cells of a column in its own type; `filled` of them are not empty.
+    """Convert the cells of a column to the column's type.
+
+    Args:
+        column: The column.
+        values: The cells.
+        filled: Number of cells that must not be empty, if the column is required.
 
     Raises:
-        LogError: The cells are of another kind, or a required one is empty.
+        LogError: The cells have another type, or a required cell is empty.
     """
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
@@ -183,12 +194,12 @@ def _check_suffix(path: Path) -> None:
 def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
     if twice := sorted(name for name, count in Counter(found).items() if count > 1):
         raise LogError(f"column {twice[0]!r} appears twice")
-    wanted = [column.name for column in known]
-    if len(set(wanted)) < len(wanted):
-        raise LogError("its meta data name a pair, a joint or an axis twice")
+    names = [column.name for column in known]
+    if len(set(names)) < len(names):
+        raise LogError("the metadata name a pair, a joint or an axis twice")
     for name in found:
-        if name not in wanted:
-            raise LogError(f"unknown column {name!r}{did_you_mean(name, wanted)}")
+        if name not in names:
+            raise LogError(f"unknown column {name!r}{did_you_mean(name, names)}")
     missing = [c.name for c in known if c.name not in found]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -199,11 +210,11 @@ def _check_times(times: np.ndarray) -> None:
     gaps = np.diff(times)
     if not (gaps > 0.0).all():
         k = int(np.argmin(gaps > 0.0))
-        raise LogError(f"its times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
+        raise LogError(f"the times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
 
 
 def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
-    """Its cells in the file's form; None and, if optional, not-a-number are empty."""
+    """The cells of a column for a file; None, and not-a-number if optional, become empty cells."""
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):
         return pa.array(values, kind, from_pandas=column.optional)

@@ -1,19 +1,19 @@
-"""A trace as MCAP: Protobuf by Foxglove's schemas, with the robot in it; or messages of ROS 2.
+"""A trace as an MCAP file: Protobuf with Foxglove's schemas and the robot, or ROS 2 messages.
 
 | topic | schema | how often |
 |---|---|---|
 | `/tf` | `foxglove.FrameTransforms`, the links in the world | each snapshot |
-| `/joint_states` | `foxglove.JointStates`, of arm and wheels | each snapshot |
-| `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, its meshes in the file | once |
+| `/joint_states` | `foxglove.JointStates`, the joints of arm and wheels | each snapshot |
+| `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
 | `/step` | `dbb.Step`, the columns of a log; names end in units, `-` is `_` | each row |
-| `/parameters` | `dbb.Config` | when they change |
-| `/robot_description` | `std_msgs/msg/String`, the URDF, its meshes by their paths here | once |
+| `/parameters` | `dbb.Config` | each change |
+| `/robot_description` | `std_msgs/msg/String`, the URDF with local paths of meshes | once |
 | `/curves/…` | `sensor_msgs/msg/JointState`, the columns of a quantity by name | each snapshot |
 
-The last two are ROS messages, because Rerun reads robots and named curves only from these. With
-`ros` all messages are: `/tf`, `/joint_states` and `/robot_description`.
+The last two are ROS messages, because Rerun reads robots and named curves only from ROS messages.
+With `ros` the file has only ROS messages: `/tf`, `/joint_states` and `/robot_description`.
 """
 
 import io
@@ -57,9 +57,9 @@ from app.simulation.trace.trace import Trace
 from app.strict import Array
 from app.system import write_whole
 
-Materials = Mapping[str | None, Element]  # of the robot, by their names
+Materials = Mapping[str | None, Element]  # materials of the robot by name
 
-_METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force: 0.1 m is 40 N
+_METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
 _BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
     fg.Color(r=r, g=g, b=b, a=a)
     for r, g, b, a in (
@@ -76,14 +76,20 @@ _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
-    """Write a trace with snapshots completely or not at all; with `ros` as ROS 2 messages in CDR.
+    """Write a trace with snapshots completely or not at all.
+
+    Args:
+        path: The file.
+        trace: The trace.
+        model: The robot.
+        ros: Whether to write ROS 2 messages in CDR only.
 
     Raises:
         OutputError: The file cannot be written.
         AssetError: The robot's URDF is missing.
-        RobotFileError: A visual of it says nothing sensible.
+        RobotFileError: A visual in the URDF is invalid.
     """
-    file = io.BytesIO()  # errors of writing are raised here, not at each message
+    file = io.BytesIO()  # in memory, so that a writing error occurs only at the end
     log = _Log(file, profile="ros2" if ros else None)
     with log.writer:
         about = trace.meta.model_dump(mode="json", exclude={"config"})
@@ -96,7 +102,7 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
 
 
 class _Log:
-    """A log whose channels are opened with their first messages."""
+    """An MCAP log; the first message of a topic opens the topic's channel."""
 
     def __init__(self, file: BinaryIO, profile: str | None) -> None:
         self._context = foxglove.Context()
@@ -106,11 +112,11 @@ class _Log:
         self._kinds: dict[str, Any] = {}
 
     def put(self, topic: str, t: float, message: Any) -> None:
-        """Append a Foxglove message with a time [s]."""
+        """Append a Foxglove message at time t [s]."""
         self._put(topic, t, message.encode(), "protobuf", message.get_schema)
 
     def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
-        """Append a ROS message of some type."""
+        """Append an encoded ROS message of the type `kind` at time t [s]."""
 
         def schema() -> foxglove.Schema:
             return foxglove.Schema(name=kind, encoding="ros2msg", data=ros_definition(kind))
@@ -118,7 +124,10 @@ class _Log:
         self._put(topic, t, content, "cdr", schema)
 
     def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
-        """Append a record of numbers and texts; the topic's first record determines the names."""
+        """Append a record of numbers and texts at time t [s].
+
+        The topic's first record determines the names of the fields.
+        """
         if topic not in self._kinds:
             self._kinds[topic] = _record_kind(name, values)
         kind = self._kinds[topic]
@@ -140,7 +149,7 @@ class _Log:
 
 
 def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
-    """The Protobuf type for such a record."""
+    """The Protobuf type for records like an example."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
     kind = file.message_type.add(name=name)
     for number, (field, value) in enumerate(example.items(), 1):
@@ -149,7 +158,7 @@ def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
 
 
 def _put_motion(log: _Log, trace: Trace, model: RobotModel, *, ros: bool) -> None:
-    """The robot and its motion."""
+    """Write the robot's URDF and its motion."""
     frames, urdf = Frames(model), ros_text(shown_urdf(model.description))
     log.put_ros("/robot_description", trace.snapshots[0].t, TEXT, urdf)
     for s in trace.snapshots:
@@ -201,7 +210,7 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """Names of columns, made valid and unique for Protobuf."""
+    """Names of columns, changed to valid and unique names for Protobuf."""
     found: dict[str, None] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
@@ -212,7 +221,7 @@ def _fields(names: Iterable[str]) -> list[str]:
 
 
 def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
-    """A visual of the URDF; None if its mesh is too large or of an unknown format."""
+    """A visual of a link; None if the mesh is too large or has an unknown format."""
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
         return None
@@ -254,7 +263,7 @@ def _model(
 
 
 def _markers(s: Snapshot) -> list[fg.SceneEntity]:
-    """Closest points, acting points and forces; an entity replaces an earlier one of its name."""
+    """Closest points, acting points and forces; a later entity replaces one with the same name."""
     lines = [
         fg.LinePrimitive(
             type=fg.LinePrimitiveLineType.LineList,
@@ -278,7 +287,7 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
 
 
 def _arrow(start: Array, force: Array, colour: fg.Color) -> fg.ArrowPrimitive:
-    """A force (3,) [N] at a place (3,) [m]."""
+    """An arrow for a force (3,) [N] at a point (3,) [m]."""
     newtons = float(np.linalg.norm(force))
     turn = pin.Quaternion.FromTwoVectors(np.array([1.0, 0.0, 0.0]), np.asarray(force))
     still = pin.Quaternion.Identity()

@@ -12,12 +12,12 @@ from app.simulation.trace.words import outcome, spoken
 from app.strict import Array
 
 NEAR = 0.01
-"""[m] distance that counts as contact for the figures of the person's force."""
+"""[m] distance below which two bodies count as in contact, for the figures of a person's force."""
 
 _DEAD_BAND = 0.01  # [m/s², rad/s²] dead band of an acceleration's sign
-_TORQUE_BAND = 0.003  # [N m] or [N] per step, dead band of a torque rate's sign
-OPENED = math.radians(80)  # [rad] angle of an open door
-_ESTIMATE_AT = 5.0  # [s] time of evaluating the radial direction's estimate
+_TORQUE_BAND = 0.003  # [N m] or [N] dead band of the sign of a torque's change in one step
+OPENED = math.radians(80)  # [rad] smallest angle of an open door
+_ESTIMATE_AT = 5.0  # [s] time at which the estimated radial direction is evaluated
 _BACKED_OFF = 0.01  # [m] smallest motion of the base that counts
 _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
 
@@ -26,13 +26,15 @@ class Figure(NamedTuple):
     """A figure of a run."""
 
     about: str
+    """Description in one sentence."""
     of: Callable[[Trace], Any]
+    """Computation of the figure from a run."""
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """All figures of a run; keys end in their unit.
+    """Compute all figures of a run; keys end in the unit.
 
-    Changes between control steps are None for a log without a row for each step.
+    Figures of changes between control steps are None if the run does not have each step.
     """
     figures = {key: figure.of(run) for key, figure in FIGURES.items()}
     if not run.each_step:
@@ -44,14 +46,20 @@ def metrics(run: Trace) -> dict[str, Any]:
 
 
 def touches(figures: dict[str, Any]) -> list[str]:
-    """The parts that the arm touched in a run with these figures: base, itself, floor."""
-    return [what for key, what in _TOUCHED.items() if figures[key]]
+    """The parts that the arm touched: "the base", "itself", "the floor".
+
+    `figures` are the figures of the run.
+    """
+    return [part for key, part in _TOUCHED.items() if figures[key]]
 
 
 def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
-    """The result of a run with these figures: contact, smallest distance, remaining error.
+    """The result of a run in words: contact, smallest distance and remaining error.
 
-    With the robot's bodies in order, as `chain`, it names link pairs in words.
+    Args:
+        figures: The figures of the run.
+        chain: Names of the robot's bodies from the base outwards, for the displayed names of link
+            pairs; if empty, the pairs' own names are used.
     """
     touched = touches(figures)
     text = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
@@ -72,7 +80,10 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:
-    """[m] smallest distance of the pairs with the base, or within the arm; None without."""
+    """[m] smallest distance of the pairs of L_m (`mobile`) or of the pairs within the arm.
+
+    It is None if there is no such pair.
+    """
     chosen = [(pair in run.meta.mobile_pairs) == mobile for pair in run.meta.pairs]
     return float(run.distances[:, chosen].min()) if any(chosen) else None
 
@@ -83,12 +94,15 @@ def path(run: Trace) -> float:
 
 
 def largest(values: Array, at_least: float = 0.0) -> float:
-    """The largest value, ignoring those that are not numbers."""
+    """The largest of `at_least` and of all values; not-a-number is ignored."""
     return float(np.fmax.reduce(values, axis=None, initial=at_least))
 
 
 def jumps(run: Trace, quantity: str) -> dict[str, float]:
-    """Largest change of an acceleration of the base in one step, linear and angular."""
+    """Largest change of a base acceleration in one step, for linear and angular axes.
+
+    `quantity` is the name of the acceleration.
+    """
     changes = np.abs(np.diff(run.of(quantity), axis=0))
     return {
         "linear_mps2": largest(changes[:, ~run.angular]),
@@ -102,7 +116,7 @@ def torque_jump(run: Trace, at_least: float = 0.0) -> float:
 
 
 def sign_changes(values: Array, band: float) -> int:
-    """Largest number of sign changes among columns of values (N, k), outside of a dead band."""
+    """Largest number of sign changes in a column of values (N, k), outside of a dead band."""
     signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
     return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
 
@@ -139,8 +153,8 @@ def _clear_force(run: Trace) -> float:
 
 
 def _joint_speed_share(run: Trace) -> float | None:
-    most = run.meta.joint_speeds
-    return largest(np.abs(run.of("qd_m")) / most) if most else None
+    limits = run.meta.joint_speeds
+    return largest(np.abs(run.of("qd_m")) / limits) if limits else None
 
 
 def _percentile(run: Trace, q: float) -> float | None:
@@ -149,7 +163,7 @@ def _percentile(run: Trace, q: float) -> float | None:
 
 
 def _moves(run: Trace) -> Array:
-    """(N, 3) [m, rad] motion of the base's pose from its start."""
+    """(N, 3) [m, rad] displacement of the base's pose from the start."""
     return run.of("base_pose") - run.of("base_pose")[0]
 
 
@@ -168,7 +182,7 @@ def total(run: Trace, quantity: str) -> int:
 
 FIGURES: dict[str, Figure] = {
     "min_distance_m": Figure(
-        "Smallest distance of each link pair; below 0 two bodies overlap.",
+        "Smallest distance of each link pair; a negative distance is an overlap of bodies.",
         lambda r: dict(zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)),
     ),
     "min_clearance_m": Figure(
@@ -189,14 +203,17 @@ FIGURES: dict[str, Figure] = {
     "ee_error_max_m": Figure(
         "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
     ),
-    "ee_error_final_m": Figure("Final value of that distance.", lambda r: _last(r, "ee_error")),
+    "ee_error_final_m": Figure(
+        "Final distance of the end-effector from its target.", lambda r: _last(r, "ee_error")
+    ),
     "base_displacement_m": Figure(
         "Displacement of the base from start to end.",
         lambda r: float(np.hypot(*_moves(r)[-1, :2])),
     ),
     "base_path_m": Figure("Length of the path of the base's centre.", path),
     "base_path_after_release_m": Figure(
-        "That length since the last release; null if a person holds the robot at the end.",
+        "Length of the base's path since the last release; null if a person holds the robot at the "
+        "end.",
         _path_after_release,
     ),
     "base_speed_final_mps": Figure(
@@ -233,10 +250,11 @@ FIGURES: dict[str, Figure] = {
         lambda r: largest(_force(r)),
     ),
     "hand_force_clear_max_n": Figure(
-        "Largest force until two bodies first came nearer than 10 mm.", _clear_force
+        "Largest force before two bodies first came nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
-        "Smallest bound of a person's force (at 50 Hz) in a buffer, or null.",
+        "Smallest bound of a person's force while a pair is in its buffer, computed at 50 Hz; or "
+        "null.",
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(
@@ -246,7 +264,8 @@ FIGURES: dict[str, Figure] = {
         "Largest ratio of a joint's speed to its limit.", _joint_speed_share
     ),
     "clear_since_s": Figure(
-        "Time since which no pair is fully activated; null if one is at the end.",
+        "Time after which no pair is fully activated; null if a pair is fully activated at the "
+        "end.",
         _clear_since,
     ),
     "approach_speed_max_mps": Figure(
@@ -254,7 +273,7 @@ FIGURES: dict[str, Figure] = {
         lambda r: r.buffer.approach_speed_max,
     ),
     "buffer_needed_m": Figure(
-        "d_b required for these speeds; null if none suffices.",
+        "d_b required for the approach speeds of the run; null if no d_b is sufficient.",
         lambda r: _finite(r.buffer.needed_max),
     ),
     "solver_failures": Figure(
@@ -265,18 +284,20 @@ FIGURES: dict[str, Figure] = {
         "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))
     ),
     "stuck": Figure(
-        "Place and reasons of stopping short of a resting target, or null.",
+        "Position and reasons if the end-effector stops before a resting target, or null.",
         lambda r: r.meta.stuck,
     ),
     "left_way": Figure(
-        "Place and reasons at the largest tracking error; null within 1 mm.",
+        "Position and reasons at the largest tracking error; null up to 1 mm.",
         lambda r: r.meta.left_way,
     ),
     "fault_s": Figure(
-        "When the controller first reported each fault of the readings.", lambda r: r.meta.faults
+        "Time of the first report of each fault of the readings.", lambda r: r.meta.faults
     ),
     "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
-    "step_p99_us": Figure("99th percentile of that time.", lambda r: _percentile(r, 99)),
+    "step_p99_us": Figure(
+        "99th percentile of the time of a control step.", lambda r: _percentile(r, 99)
+    ),
 }
 """Figures of every run, by their keys."""
 
@@ -322,7 +343,7 @@ DOOR: dict[str, Figure] = {
         "Error of the estimated radial direction after 5 s.", _radial_error
     ),
     "base_back_off_s": Figure(
-        "Time at which the base had first moved by 10 mm; null if never.",
+        "Time at which the base is first 10 mm from its start; null if never.",
         lambda r: _first(r, np.hypot(*_moves(r)[:, :2].T) >= _BACKED_OFF),
     ),
 }
@@ -330,7 +351,7 @@ DOOR: dict[str, Figure] = {
 
 
 def extremes(run: Trace) -> dict[str, Any]:
-    """Duration, and largest base speeds and joint torques and forces, by column."""
+    """Duration of a run, largest speeds of the base, and largest torque or force of each joint."""
     speeds = np.abs(run.of("base_velocity"))
     efforts = np.abs(run.of("u_a")).max(axis=0)
     return {

@@ -1,6 +1,6 @@
-"""Frames of links and states of joints at a snapshot, with the names of robot tools.
+"""Frames of links and states of joints at a snapshot, with the names that ROS tools use.
 
-They are also available as ROS 2 messages in CDR, without an installation of ROS.
+They can be encoded as ROS 2 messages in CDR without an installation of ROS.
 """
 
 from collections.abc import Sequence
@@ -15,25 +15,25 @@ from rosbags.typesys import Stores, get_typestore
 from app.robot.model import RobotModel, whole_model
 from app.simulation.trace.snapshot import Snapshot
 
-WORLD = "world"  # the frame of base and links
+WORLD = "world"  # name of the world's frame
 TEXT, JOINTS = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 FRAMES = "tf2_msgs/msg/TFMessage"
 
 
 class JointReading(NamedTuple):
-    """A joint at one instant; None means unknown."""
+    """The state of a joint at one instant; None means unknown."""
 
     name: str
     position: float
     """[rad or m] position about or along the joint's axis in the URDF."""
     velocity: float | None = None
-    """[rad/s or m/s]"""
+    """[rad/s or m/s] velocity."""
     effort: float | None = None
-    """[N m or N]"""
+    """[N m or N] torque or force."""
 
 
 class Frames:
-    """Poses of the links, each relative to its parent; wheels turn."""
+    """Poses of the links relative to their parents, including turning wheels."""
 
     def __init__(self, model: RobotModel) -> None:
         self._model, self._whole = model, whole_model(model.description)
@@ -45,7 +45,7 @@ class Frames:
         self._hand = link.name, hand.name, link.placement.actInv(hand.placement)
 
     def _carrier(self, number: int) -> int | None:
-        """The parent of a link; None is the world."""
+        """Index of the parent link's frame; None means that the parent is the world."""
         frames = self._whole.frames
         while number := frames[number].parentFrame:
             if frames[number].type == pin.FrameType.BODY:
@@ -53,7 +53,7 @@ class Frames:
         return None
 
     def at(self, s: Snapshot) -> list[tuple[str, str, pin.SE3]]:
-        """Parent, child and T_parent_child of each link at a snapshot."""
+        """Name of the parent, name of the link and T_parent_link, for each link at a snapshot."""
         whole, turned = self._whole, np.zeros(self._whole.nv)
         for joint in joints_of(s, self._model):
             turned[whole.joints[whole.getJointId(joint.name)].idx_v] = joint.position
@@ -70,7 +70,7 @@ class Frames:
 
 
 def joints_of(s: Snapshot, model: RobotModel) -> list[JointReading]:
-    """The joints of arm and wheels at a snapshot."""
+    """The states of the joints of arm and wheels at a snapshot."""
     arm = model.description.arm.joints
     speeds = [None] * len(arm) if s.qd_m is None else s.qd_m.tolist()
     moving = zip(arm, s.q_m.tolist(), speeds, s.u_a.tolist(), strict=True)
@@ -79,7 +79,7 @@ def joints_of(s: Snapshot, model: RobotModel) -> list[JointReading]:
 
 
 def nanoseconds(t: float) -> int:
-    """A time [s] in the unit of logs."""
+    """A time [s] in nanoseconds, the unit of MCAP logs."""
     return round(1e9 * t)
 
 
@@ -90,17 +90,20 @@ def _store() -> Any:
 
 @cache
 def ros_definition(kind: str) -> bytes:
-    """The definition of a message type, including those of its parts."""
+    """The definition of a message type, including the definitions of its parts."""
     return _store().generate_msgdef(kind, ros_version=2)[0].encode()
 
 
 def ros_text(content: str) -> bytes:
-    """A message with a text."""
+    """A ROS message with a text."""
     return _encode(TEXT, data=content)
 
 
 def ros_joints(t: float, states: Sequence[JointReading]) -> bytes:
-    """A message of joints at a time [s]; without velocities or efforts if no joint has them."""
+    """A ROS message with the states of joints at time t [s].
+
+    Velocities or efforts are omitted if no joint has them.
+    """
     names, position, *others = zip(*states, strict=True)
     velocity, effort = (
         np.array([nan if x is None else x for x in column if {*column} != {None}], dtype=float)
@@ -117,7 +120,7 @@ def ros_joints(t: float, states: Sequence[JointReading]) -> bytes:
 
 
 def ros_frames(t: float, places: Sequence[tuple[str, str, pin.SE3]]) -> bytes:
-    """A message of transforms T_parent_child at a time [s]."""
+    """A ROS message with transforms T_parent_child at time t [s]."""
     return _encode(FRAMES, transforms=[_frame(t, *each) for each in places])
 
 

@@ -1,4 +1,4 @@
-"""The record of a run: one declaration per quantity, with columns, units and its computation.
+"""The quantities of a run: one declaration for each, with columns, units and computation.
 
 A `Snapshot` has all quantities at one instant, for display; a `Trace` has their columns over time.
 A new quantity is one more field here, at the end and with a default value: log files and live
@@ -44,7 +44,7 @@ from app.simulation.trace.columns import (
 )
 from app.strict import Array
 
-_D_B_STEP = 0.005  # [m] steps of a changing d_b; the border is drawn again for each
+_D_B_STEP = 0.005  # [m] step of a changing d_b after which the border is drawn again
 EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop and in logs
 
 _DOOR = TypeAdapter(Door)
@@ -54,9 +54,9 @@ class PairReading(NamedTuple):
     """One link pair at one instant; positions are in the world."""
 
     name: str
-    """As in `lm-lEE`."""
+    """Name of the pair, such as `lm-lEE`."""
     mobile: bool
-    """Whether it belongs to L_m."""
+    """Whether the pair belongs to L_m."""
     d: float
     """[m] signed distance."""
     beta: float
@@ -71,7 +71,7 @@ class ActingReading(NamedTuple):
     """The acting point of one active pair of L_m; positions are in the world."""
 
     name: str
-    """Name of the pair, as in `lm-lEE`."""
+    """Name of the pair, such as `lm-lEE`."""
     p_n: Array
     """(3,) [m] nearest point of the border at the end-effector's height."""
     p_t: Array
@@ -83,34 +83,35 @@ class ActingReading(NamedTuple):
 
 
 class DoorView(NamedTuple):
-    """A door that the end-effector holds; unknown values after its opening are not-a-number."""
+    """A door that the end-effector holds; after the scenario, unknown values are not-a-number."""
 
     door: Door
-    """Its geometry, which does not change: `door.pose(angle)` is T_world_door."""
+    """The door's constant geometry; `door.pose(angle)` is T_world_door."""
     angle: float
     """[rad] opening angle."""
     force: Array
-    """(3,) [N] force of the end-effector on it during the opening, in the world."""
+    """(3,) [N] force of the end-effector on the door, in the world; 0 after the scenario."""
     radial_force: float = NAN
-    """[N] component of the force towards the hinge's true place."""
+    """[N] component of the force towards the true position of the hinge."""
     radial_error: float = NAN
     """[rad] error of the estimated radial direction, positive counter-clockwise."""
     contact: bool = False
-    """Whether it touches the base."""
+    """Whether the door touches the base."""
 
 
 class GhostReading(NamedTuple):
     """A compared robot at one instant."""
 
     controller: str
+    """Name of the controller."""
     base_pose: Array
-    """(3,) x, y [m], φ [rad]."""
+    """(3,) x, y [m] and heading φ [rad] of the base."""
     q_m: Array
-    """(n_m,) [rad or m] arm joints."""
+    """(n_m,) [rad or m] joint positions of the arm."""
     wheel_angles: Array
-    """(n_w,) [rad] angles of the base's `wheels`, for drawing."""
+    """(n_w,) [rad] angles of the base's wheels, for drawing."""
     p_ee: Array
-    """(3,) [m] end-effector in the world."""
+    """(3,) [m] position of the end-effector in the world."""
     clearance: float
     """[m] present smallest distance of the pairs of L_m."""
 
@@ -119,12 +120,13 @@ class Score(NamedTuple):
     """Results of a robot since the start of the comparison."""
 
     controller: str
+    """Name of the controller."""
     clearance: float
     """[m] smallest distance of any pair of L_m."""
     error: float
     """[m] present distance of the end-effector from its reference or the person's target."""
     error_max: float
-    """[m] largest value of that distance."""
+    """[m] largest distance of the end-effector from its reference or the person's target."""
     base_path: float
     """[m] length of the path of the base's centre."""
     acceleration_jump: float
@@ -132,21 +134,22 @@ class Score(NamedTuple):
     angular_jump: float
     """[rad/s²] largest change of the commanded ω̇ in one step."""
     torque_jump: float
-    """[N m] largest change of a torque of the arm in one step."""
+    """[N m or N] largest change of a joint's torque or force in one step."""
     contacts: int
-    """Control steps in which arm and base touched."""
+    """Number of control steps in which arm and base touched."""
 
 
 class Refusal(NamedTuple):
-    """A command that could not be executed and has changed nothing."""
+    """The failure of a command, which has changed nothing."""
 
     number: int
-    """Number of the refusal, from 1 on; a larger number is a new one."""
+    """Number of the refusal since the start of the loop, from 1 on."""
     message: str
+    """The reason."""
 
 
 def _pairs() -> Quantity:
-    """d, β, p_a and p_b of each pair."""
+    """The quantity of d, β, p_a and p_b of each pair."""
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
         often = [n for x in ("d_{pair}_m", "beta_{pair}") for n in column_names(x, meta)]
@@ -180,7 +183,7 @@ def _pairs() -> Quantity:
 
 
 def _acting() -> Quantity:
-    """p_n, p_t, p_act and f of each pair of L_m; empty without an acting point."""
+    """The quantity of p_n, p_t, p_act and f of each pair of L_m; empty without acting points."""
     templates = (
         *(f"{p}_{{mobile}}_{{xyz}}_m" for p in ("p_n", "p_t", "p_act")),
         "f_{mobile}_{xyz}_n",
@@ -214,7 +217,7 @@ def _acting() -> Quantity:
 
 
 def _buffer() -> Quantity:
-    """Approach speed of the arm, and the d_b that it requires."""
+    """The quantity of the arm's approach speed and the d_b that this speed requires."""
     numbers = "approach_speed_mps buffer_needed_m approach_speed_max_mps buffer_needed_max_m"
     flags = "buffer_too_small buffer_too_small_ever"
     columns = [
@@ -231,7 +234,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """The door's geometry as JSON, empty without one, and the state of its opening."""
+    """The quantity of the door's geometry, as JSON or empty, and of the opening's state."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
@@ -275,19 +278,20 @@ def _door() -> Quantity:
 
 
 def _force_bound() -> Quantity:
-    """Smallest bound of a person's force on the arm; computed at 50 Hz."""
+    """The quantity of the smallest bound of a person's force on the arm, computed at 50 Hz."""
 
     def row(session: Session, step: Step) -> Sequence[float]:
-        return (NAN if round(step.t / DT) % EVERY else _least_force_bound(session, step),)
+        return (NAN if round(step.t / DT) % EVERY else _smallest_force_bound(session, step),)
 
-    return number("force_bound_n", "float", _least_force_bound)._replace(row=row)
+    return number("force_bound_n", "float", _smallest_force_bound)._replace(row=row)
 
 
-def _least_force_bound(session: Session, step: Step) -> float:
-    """[N] smallest bound of the pairs in their buffers, and of the pull itself.
+def _smallest_force_bound(session: Session, step: Step) -> float:
+    """[N] smallest bound of a person's force, among the bounds of pairs and of the pull.
 
-    Within the latter the torques can balance the pull, so that no joint exceeds its speed limit. It
-    is NaN without a person, or without a pair in its buffer.
+    Each pair in its buffer has a bound. The bound of the pull is the largest force that the torques
+    can balance, so that no joint exceeds its speed limit. The result is not-a-number without a
+    person, or without a pair in its buffer.
     """
     w, tau_max = step.control, session.model.tau_max
     near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
@@ -303,20 +307,20 @@ def _least_force_bound(session: Session, step: Step) -> float:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole simulation at one instant: every quantity of its record.
+    """The whole simulation at one instant.
 
-    Each field has one or several columns of a trace: a `number` or `numbers` is recorded at each
-    control step, a `drawn` one at snapshots. The declaration computes it from a step (o, with the
-    session s after it), or the publisher of the snapshot sets it. Fields without columns describe
-    the instant only.
+    Most fields are quantities with one or several columns in a trace. A quantity of `number` or
+    `numbers` is recorded at each control step, a quantity of `drawn` at snapshots. The declaration
+    computes the value from a step o and the session s after the step; otherwise the publisher of
+    the snapshot sets the value. Fields without columns are not recorded.
     """
 
     t: Annotated[float, number("t_s", "float", lambda s, o: o.t)]
     """[s] simulated time since the last reset."""
     base_pose: Annotated[Array, numbers("base_{pose}", lambda s, o: o.truth.base_pose)]
-    """(3,) x, y [m], φ [rad]."""
+    """(3,) x, y [m] and heading φ [rad] of the base."""
     base_velocity: Annotated[Array, numbers("base_{velocity}", lambda s, o: o.truth.base_velocity)]
-    """(n_b,) [m/s or rad/s] true velocity along the base's axes: v, ω of a differential one."""
+    """(n_b,) [m/s or rad/s] true velocity along the base's axes; v and ω of a differential base."""
     base_velocity_command: Annotated[
         Array, numbers("command_{velocity}", lambda s, o: o.base_command)
     ]
@@ -331,17 +335,17 @@ class Snapshot:
     """(n_b,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does
     not use them."""
     wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
-    """(n_w,) [rad] angles of the base's `wheels`, for drawing: the right and the left side."""
+    """(n_w,) [rad] angles of the base's wheels, for drawing."""
     q_m: Annotated[Array, numbers("q_{joint}_{position}", lambda s, o: o.truth.q_m)]
     """(n_m,) [rad or m] joint positions of the arm."""
     u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.control.u_cmd)]
-    """(n_m,) [N m or N] arm torques."""
+    """(n_m,) [N m or N] commanded joint torques of the arm."""
     p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.p_ee)]
-    """(3,) [m] end-effector in the world."""
+    """(3,) [m] position of the end-effector in the world."""
     wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
-    """(4,) orientation of the end-effector as a quaternion."""
+    """(4,) orientation of the end-effector as a quaternion, w first."""
     pairs: Annotated[tuple[PairReading, ...], _pairs()]
-    """All link pairs, those of L_m first."""
+    """All link pairs; the pairs of L_m are first."""
     acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
     beta_m: Annotated[float, number("beta_m", "float", lambda s, o: float(o.control.beta_m))]
@@ -352,9 +356,10 @@ class Snapshot:
     ]
     """(3,) [m] target of the (first) person at the end-effector, or None."""
     hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", lambda s, o: o.hand_force)]
-    """(3,) [N] force on the end-effector: of all persons there, or of a door."""
+    """(3,) [N] force of all people on the end-effector, or of the end-effector on a held door."""
     ee_error: Annotated[float, number("ee_error_m", "float", lambda s, o: o.ee_error)]
-    """[m] distance of the end-effector from its reference or the person's target, otherwise 0."""
+    """[m] distance of the end-effector from its reference or the person's target; 0 if there is
+    neither."""
     in_contact: Annotated[bool, number("contact", "bool", lambda s, o: o.contacts.arm_base)]
     """Whether arm and base touch."""
     arm_in_contact: Annotated[bool, number("arm_contact", "bool", lambda s, o: o.contacts.arm_arm)]
@@ -364,22 +369,24 @@ class Snapshot:
     ]
     """Number of QPs without a solution since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us", "float")]
-    """[µs] mean duration of a control step over the last second."""
+    """[µs] mean duration of a control step in the last second."""
     realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
     """[-] ratio of simulated to real time in the last second."""
     overruns: Annotated[int, drawn("overruns", "int")]
-    """Control steps since the last reset that missed their period (1 ms over the speed): they took
-    longer, or started after its end."""
+    """Number of control steps since the last reset that took longer than their period (1 ms divided
+    by the speed), or started after its end."""
     paused: Annotated[bool, drawn("paused", "bool")]
+    """Whether the simulation is paused."""
     mode: Annotated[
         str, drawn("mode", "text", lambda s, o: "tracking" if o.control.tracking else "guiding")
     ]
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
+    """Name of the controller."""
     config: Annotated[Config, config_changes(lambda s, o: s.config)]
     """The configured parameters; a scenario may raise some stiffnesses."""
     d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
-    """[m] buffer distance in force, which approaches `config.border.d_b` slowly."""
+    """[m] present buffer distance, which slowly approaches `config.border.d_b`."""
     buffer: Annotated[BufferReading, _buffer()]
     """Whether d_b is sufficient for the arm's approach speed."""
     pulls: Annotated[
@@ -388,20 +395,20 @@ class Snapshot:
     ] = ()
     """All people who hold the robot; a scenario's person has the number -1."""
     ghosts: Annotated[tuple[GhostReading, ...], records("ghosts_json", GhostReading)] = ()
-    """Robots with the same input and other controllers, after the control step of `t`."""
+    """Compared robots, with the same input and other controllers, after the step at `t`."""
     scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
-    """Scores since the start of the comparison: this robot, then the ghosts; empty without
+    """Scores of this robot and the ghosts since the start of the comparison; empty without
     ghosts."""
     same: Annotated[str, drawn("ghosts_have_the_same", "text")] = ""
     """The common input of the ghosts, "path" or "force", or empty without ghosts."""
     scenario: Annotated[str, drawn("scenario", "text")] = ""
-    """Name of the scenario that moves the end-effector, or empty for free motion."""
+    """Name of the scenario that moves the end-effector; empty during free motion."""
     scenario_ends: Annotated[float | None, drawn("scenario_ends_s", "float", optional=True)] = None
-    """[s] simulated time at which the scenario ends, or None for free motion."""
+    """[s] simulated time at which the scenario ends; None during free motion."""
     door: Annotated[DoorView | None, _door()] = None
-    """The door that the end-effector holds, also after its scenario."""
+    """The door that the end-effector holds, also after the scenario."""
     speed: Annotated[float, drawn("speed", "float")] = 1.0
-    """[-] desired `realtime_factor`."""
+    """[-] desired ratio of simulated to real time."""
     qd_m: Annotated[
         Array | None, numbers("qd_{joint}_{speed}", lambda s, o: o.truth.qd_m, optional=True)
     ] = None
@@ -409,7 +416,7 @@ class Snapshot:
     activation: Annotated[
         float, number("activation", "float", lambda s, o: float(o.control.activation))
     ] = 0.0
-    """[-] largest activation of the controller's inserted rows, 0 without rows."""
+    """[-] largest activation of the rows that the controller has inserted; 0 without rows."""
     floor_contact: Annotated[
         bool, number("floor_contact", "bool", lambda s, o: o.contacts.arm_floor)
     ] = False
@@ -417,7 +424,7 @@ class Snapshot:
     given_up: Annotated[
         int, number("solver_given_up", "int", lambda s, o: int(o.control.given_up))
     ] = 0
-    """Steps since the last reset in which the base's QP had no solution."""
+    """Number of steps since the last reset in which the base's QP had no solution."""
     hand_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed)] = 0.0
     """[m/s] true speed of the end-effector."""
     people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls))] = 0
@@ -427,29 +434,30 @@ class Snapshot:
     )
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] bound of a person's force by the arm's torques, for a person inside a buffer."""
+    """[N] upper bound, from the arm's torques, of a person's force while a pair is in its
+    buffer."""
     run: int = 0
-    """Number of restarts before it."""
+    """Number of the run since the start of the loop."""
     busy: str = ""
-    """The preparation that pauses the simulation, or empty."""
+    """The operation for which the simulation pauses, or empty."""
     changing: str = ""
-    """The parameter that changes gradually for a smooth motion, or empty."""
+    """A text about a parameter that is changing gradually, or empty."""
     refusal: Refusal | None = None
-    """The newest command whose execution failed."""
+    """The newest failure of a command, or None."""
     case: RunCase | None = None
-    """Repeatable case of the run that just started, or of free pulls that just ended."""
+    """Case of the run that has just started, or of the free pulls that have just ended; or None."""
     explanation: Explanation | None = None
-    """The explanation of the robot's motion in the control step of `t`; None if not requested."""
+    """Explanation of the robot's motion in the control step at `t`; None if not requested."""
 
     def follows(self, before: "Snapshot") -> bool:
-        """Whether it continues an earlier published snapshot without a restart in between."""
+        """Whether no restart is between an earlier snapshot `before` and this snapshot."""
         return self.run == before.run and self.t >= before.t
 
     @property
     def border(self) -> BorderConfig:
-        """The border at the buffer distance in force, to 5 mm while d_b changes.
+        """The border at the present buffer distance, rounded to 5 mm while d_b changes.
 
-        The acting points are already those of the configured d_b.
+        The acting points already belong to the configured d_b.
         """
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP:
@@ -459,7 +467,7 @@ class Snapshot:
 
     @property
     def nearest(self) -> PairReading:
-        """The link pair of the smallest distance."""
+        """The link pair with the smallest distance."""
         return min(self.pairs, key=lambda pair: pair.d)
 
     @property
@@ -475,7 +483,7 @@ class Snapshot:
 
     @property
     def held(self) -> PullReading | None:
-        """The oldest present pull, or None if no person holds the robot."""
+        """The first of the present pulls, or None if no person holds the robot."""
         return self.pulls[0] if self.pulls else None
 
 
@@ -494,30 +502,30 @@ def make_snapshot(
     *,
     paused: bool,
     explained: bool = True,
-    **course: Any,
+    **fields: Any,
 ) -> Snapshot:
-    """The whole simulation at a control step, in separate, read-only memory.
+    """Make a snapshot in separate, read-only memory.
 
     Args:
-        session: After the step.
-        step: The last one.
-        pacer: Reports the real-time statistics; a run without a clock has none, and is then
-            reproducible.
+        session: The session after the step.
+        step: The last step.
+        pacer: Source of the real-time statistics; None for a run without a clock, whose snapshots
+            are reproducible.
         paused: Whether the simulation is paused.
-        explained: Whether it includes the explanation of the motion, which no file stores.
-        course: Further fields of `Snapshot`.
+        explained: Whether to include the explanation of the motion, which no file stores.
+        fields: Further fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
-    fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
+    computed = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
     why = (session.controller, step.control, session.config, step.base_command)
     return Snapshot(
-        **fields,
+        **computed,
         step_time_us=pacer.step_time_us if pacer else NAN,
         realtime_factor=pacer.realtime_factor if pacer else NAN,
         overruns=pacer.overruns if pacer else 0,
         paused=paused,
         explanation=explain(*why) if explained else None,
-        **course,
+        **fields,
     )
 
 

@@ -1,4 +1,4 @@
-"""The trace of a run: all quantities over time, and as snapshots."""
+"""The trace of a run: a table of all quantities over time, and snapshots."""
 
 from __future__ import annotations
 
@@ -34,29 +34,30 @@ Reason = Literal[
 ]
 
 SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
-SHORT = 1e-3  # [m] error of the end-effector that counts as stuck
-_RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
-_MOVING = 1e-3  # [m/s] speed towards the target that counts as moving
-_AT_LIMIT = 0.005  # [-] margin to a limit relative to a joint's range
-_AT_SPEED = 0.99  # [-] share of a joint's largest speed
-_STRETCHED = 0.05  # [-] smallest singular value of the arm's Jacobian
-_PUSHED = 0.01  # [m/s²] acceleration away from the target by the border's push on the base
+SHORT = 1e-3  # [m] error above which the end-effector counts as stuck
+_RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting reference
+_MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
+_AT_LIMIT = 0.005  # [-] distance from a limit, relative to a joint's range, that counts as at it
+_AT_SPEED = 0.99  # [-] share of a joint's largest speed that counts as at the limit
+_STRETCHED = 0.05  # [-] smallest singular value of the Jacobian below which the arm is stretched
+_PUSHED = 0.01  # [m/s²] acceleration of the hand, away from the target, by the border's push
 
 
 class Layout(NamedTuple):
-    """The place of each quantity in a trace's table."""
+    """The columns of each quantity in the table of a trace."""
 
     meta: TraceMeta
+    """The data of the run."""
     columns: tuple[Column, ...]
-    """The columns in order: all with a number at each control step."""
+    """The columns in order; all have a number at each control step."""
     slices: dict[str, slice | int]
-    """Index by quantity; a number for quantities with one column."""
+    """Index of each quantity's columns; a number for a quantity of a single number."""
     index: dict[str, int]
-    """Index by the columns' names."""
+    """Index of each column, by its name."""
 
     @classmethod
     def of(cls, meta: TraceMeta, names: Iterable[str] = QUANTITIES) -> Self:
-        """The layout for some quantities."""
+        """The layout of a table with some quantities."""
         columns: list[Column] = []
         slices: dict[str, slice | int] = {}
         for name in names:
@@ -72,22 +73,27 @@ class Trace:
     """A run over time."""
 
     def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
-        """Combine the table of a `Recorder` or a file with snapshots."""
+        """Combine a table (N, C), which has the columns of the layout, with snapshots."""
         self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
-        """The table (N, C) has a row for each recorded step, in order of time; snapshots exist for
-        some rows or for all."""
+        """The table (N, C) has a row for each recorded step, in order of time. Some or all rows
+        have a snapshot."""
         self._layout = layout
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot], **about: Any) -> Self:
-        """A trace with the rows of these snapshots.
+        """Make a trace with a row for each snapshot.
+
+        Args:
+            model: The robot.
+            snapshots: The snapshots.
+            about: Further fields of `TraceMeta`.
 
         Raises:
-            LogError: There is none, or one is not later than the previous one, or has other
-                pairs.
+            LogError: There are no snapshots, they are not in order of time, or their pairs
+                differ.
         """
         if not snapshots:
-            raise LogError("a log of no snapshots")
+            raise LogError("there are no snapshots for a log")
         first = snapshots[0]
         pairs = {pair.name: pair.mobile for pair in first.pairs}
         layout = Layout.of(TraceMeta.of(model, pairs, first.config, **about))
@@ -97,7 +103,7 @@ class Trace:
             if not s.t > last:
                 raise LogError(f"a snapshot at {s.t:g} s follows one at {last:g} s")
             if tuple(pair.name for pair in s.pairs) != layout.meta.pairs:
-                raise LogError(f"at {s.t:g} s the link pairs are not those of the log")
+                raise LogError(f"at {s.t:g} s the link pairs differ from the link pairs of the log")
             last = s.t
             cells = zip(columns, cells_of(s, layout.meta), strict=True)
             rows.append([float(cell) for column, cell in cells if column.often])
@@ -111,7 +117,7 @@ class Trace:
         return self.table[:, self._layout.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) a quantity of the table by its name, a field of `Snapshot`."""
+        """(N,) or (N, k) a quantity of the table by its name, which is a field of `Snapshot`."""
         return self.table[:, self._layout.slices[quantity]]
 
     def names(self, quantity: str) -> list[str]:
@@ -154,12 +160,12 @@ class Trace:
 
     @property
     def buffer(self) -> BufferReading:
-        """Whether d_b was sufficient, at the last row."""
+        """Whether d_b is sufficient for the approach speed, at the last row."""
         return BufferReading(*self.of("buffer")[-1].tolist())
 
     @property
     def angular(self) -> Array:
-        """(n_b,) whether an axis of the base is angular."""
+        """(n_b,) whether each axis of the base is angular."""
         return np.array([name.endswith("_radps") for name in self.meta.velocities])
 
     @property
@@ -169,7 +175,7 @@ class Trace:
 
     @property
     def each_step(self) -> bool:
-        """Whether it has a row for each control step."""
+        """Whether the trace has a row for each control step."""
         return bool((np.diff(self.t) < 1.5 * DT).all())
 
     def row_at(self, t: float) -> int:
@@ -196,31 +202,31 @@ class Recorder:
         drawn: bool = False,
         also: Iterable[int] = (),
     ) -> None:
-        """An empty recording.
+        """Start with no steps.
 
         Args:
-            scenario: The scenario that moves the end-effector during the whole run.
-            quantities: Recorded quantities, by the fields of `Snapshot`.
-            drawn: Whether to take a snapshot of each twentieth step too, including the first.
+            scenario: The scenario that moves the end-effector during the whole run, or None.
+            quantities: Names of the recorded quantities, which are fields of `Snapshot`.
+            drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
             also: Numbers of further control steps with a snapshot.
         """
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._names = list(quantities)
         self._rows: list[Take] = []
         self._layout: Layout | None = None
-        self._cells = array("d")  # a fifth of a list's memory, without garbage collection
+        self._cells = array("d")  # needs a fifth of a list's memory, and no garbage collection
         self._last: tuple[Session, Step] | None = None
         self._faults: dict[str, float] = {}
         self._farthest: Step | None = None  # step with the largest tracking error
         self.snapshots: list[Snapshot] = []
 
     def add(self, session: Session, step: Step) -> None:
-        """Record one control step, with the session after it."""
+        """Record one control step, with the session after the step."""
         if self._layout is None:
             self._begin(session, step)
         self._last = session, step
-        most = SHORT if self._farthest is None else self._farthest.ee_error
-        if step.reference is not None and step.ee_error > most:
+        largest = SHORT if self._farthest is None else self._farthest.ee_error
+        if step.reference is not None and step.ee_error > largest:
             self._farthest = step._replace(control=step.control.copy())
         if len(session.loop.reported) > len(self._faults):
             self._faults |= dict.fromkeys(session.loop.reported - self._faults.keys(), step.t)
@@ -232,21 +238,21 @@ class Recorder:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """The recording; its table shares the recorder's memory, so it must end here."""
+        """The recorded trace. Its table shares the recorder's memory, so no step may follow."""
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
         stuck, left, farthest = find_stuck(session.model, step), None, self._farthest
         if farthest is not None and farthest.reference is not None:
             left = _off_target(session.model, farthest, farthest.reference)
-        told = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
-        told["faults"] = self._faults
-        meta = self._layout.meta.model_copy(update=told)
+        results = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
+        results["faults"] = self._faults
+        meta = self._layout.meta.model_copy(update=results)
         table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
     def taken(self) -> Trace:
-        """The part recorded since the last call, and the row before it."""
+        """The rows since the last call, after the last row of the previous call."""
         assert self._layout is not None, "no step was recorded"
         wide = len(self._layout.columns)
         table = np.array(self._cells).reshape(-1, wide)
@@ -275,28 +281,28 @@ class Recorder:
         k = round(step.t / DT)
         if k % EVERY and k not in self._also:
             return
-        course: dict[str, Any] = {"explained": not self._rows}  # only pictures need explanations
+        fields: dict[str, Any] = {"explained": not self._rows}  # only pictures need explanations
         if self._scenario is not None:
-            course |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
-        self.snapshots.append(make_snapshot(session, step, None, paused=False, **course))
+            fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
+        self.snapshots.append(make_snapshot(session, step, None, paused=False, **fields))
 
 
 class History:
-    """A bounded record in order of time; a restart of the time clears it."""
+    """The newest snapshots in order of time; a restart removes the snapshots before it."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
-        """Empty; it stores the newest `kept` snapshots."""
+        """Start empty; `kept` is the largest number of stored snapshots."""
         self._kept: deque[Snapshot] = deque(maxlen=kept)
         self._latest: Snapshot | None = None
 
     @property
     def latest(self) -> Snapshot:
-        """The newest snapshot; there must be one."""
+        """The newest snapshot; the history must not be empty."""
         assert self._latest is not None, "start the loop first"
         return self._latest
 
     def add(self, snapshot: Snapshot) -> None:
-        """Append a snapshot; one of the same time as the newest replaces it."""
+        """Append a snapshot; it replaces the newest snapshot if both have the same time."""
         newest = self._latest
         if newest is not None and not snapshot.follows(newest):
             self._kept.clear()
@@ -321,15 +327,15 @@ def columns_of(meta: TraceMeta) -> list[Column]:
 
 
 def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
-    """All cells of a snapshot, in the columns' order."""
+    """All cells of a snapshot, in the order of the columns."""
     return [x for name, q in QUANTITIES.items() for x in q.cells(getattr(snapshot, name), meta)]
 
 
 class Stuck(NamedTuple):
-    """Place and reasons of an end-effector that is not at its target."""
+    """Position of an end-effector that is not at its target, and the reasons."""
 
     t_s: float
-    """[s] when."""
+    """[s] simulated time."""
     ee_error_m: float
     """[m] distance of the end-effector from its target."""
     hand_m: tuple[float, ...]
@@ -337,13 +343,16 @@ class Stuck(NamedTuple):
     target_m: tuple[float, ...]
     """(3,) [m] target, in the world."""
     reasons: tuple[Reason, ...]
-    """All reasons that apply; "unknown" if none does."""
+    """All reasons that apply, or "unknown"."""
     joints: tuple[str, ...]
     """Names of the joints at their position limits."""
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """Whether the end-effector stops short in this step; None for a moving or missing reference."""
+    """The state of an end-effector that does not reach a resting reference in a step.
+
+    It is None if the end-effector reaches the reference, or if the reference moves or is missing.
+    """
     reference = step.reference
     if reference is None or step.ee_error <= SHORT:
         return None
@@ -353,12 +362,13 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
 
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
-    """Position of the end-effector in this step, and the reasons of its error.
+    """Position of the end-effector in a step, and the reasons of its error.
 
     The reasons refer to the true robot and the controller's base motion. They are: joints at
-    their position or velocity limits; links of the arm within their own buffer, whose rows are
-    above the end-effector's task; a push of the border on the base that moves the end-effector away
-    from its target; a stretched arm, with a small singular value of the end-effector's Jacobian.
+    their position or velocity limits; links of the arm within their buffer, whose rows have a
+    higher priority than the end-effector's task; a push of the border on the base that moves the
+    end-effector away from its target; a stretched arm, for which a singular value of the
+    end-effector's Jacobian is small.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
@@ -369,14 +379,14 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
     w, speeds = step.control, np.abs(step.truth.qd_m) / model.qd_max
     pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ w.base_avoidance)
-    least_motion = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
+    smallest_singular = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
     found: dict[Reason, bool] = {
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
         "joint limits": bool(joints),
         "joint speeds": bool((speeds > _AT_SPEED).any()),
         "links too near": bool((w.B[n_b:][: len(w.pairs) - w.n_mob] > 0.0).any()),
         "border against hand": bool(pushed @ towards < -_PUSHED),
-        "full stretch": bool(least_motion < _STRETCHED),
+        "full stretch": bool(smallest_singular < _STRETCHED),
     }
     reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
     places = tuple(hand.tolist()), tuple(target.tolist())

@@ -1,4 +1,4 @@
-"""Words of a run, the same on the page, in reports and on the command line."""
+"""Words for the results of a run, the same on the page, in reports and on the command line."""
 
 import math
 from collections.abc import Sequence
@@ -17,16 +17,15 @@ METHOD_WORDS = {
 """Description of each controller, by its name."""
 
 _FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
-_NOTHING = 5e-7  # [-] a smaller number is rounding
+_NOTHING = 5e-7  # [-] numbers below this one count as rounding errors
 
 
 def body(name: str, chain: Sequence[str]) -> str:
-    """The name of a body by its place in the chain: base, shoulder, upper arm, forearm, hand.
+    """The displayed name of a body: base, shoulder, upper arm, forearm or hand, by its position.
 
     Args:
-        name: As in `lEE`.
-        chain: Names of all bodies, the mobile robot first, then outwards; a held door is called
-            `door`.
+        name: Name of the body, such as `lEE`.
+        chain: Names of all bodies, from the mobile base outwards; a held door is called `door`.
     """
     if name == chain[0]:
         return "base"
@@ -38,33 +37,37 @@ def body(name: str, chain: Sequence[str]) -> str:
 
 
 def pair(a: str, b: str, chain: Sequence[str]) -> str:
-    """A link pair, as in "hand – base"."""
+    """The displayed name of the link pair of bodies a and b, such as "hand – base"."""
     return f"{body(b, chain)} – {body(a, chain)}"
 
 
 def spoken(name: str, chain: Sequence[str]) -> str:
-    """A link pair by its name, such as `lm-lEE`."""
+    """The displayed name of a link pair with a name such as `lm-lEE`."""
     a, _, b = name.partition("-")
     return pair(a, b, chain)
 
 
 def outcome(least: float, *, touched: bool) -> Outcome:
-    """Classify a run by its smallest distance [m] and the contact that the plant reported.
+    """Classify a run.
 
-    Distances are between convex bodies that enclose the links, so bodies can overlap without
+    Distances are between convex bodies that enclose the links, so bodies can overlap without a
     contact.
+
+    Args:
+        least: [m] smallest distance of the run.
+        touched: Whether the plant reported a contact.
     """
     return "contact" if touched else "overlap" if least < 0.0 else "no contact"
 
 
 def millimetres(distance: float) -> str:
-    """A distance [m] with a true minus; never "−0 mm"."""
+    """A distance [m] as text in millimetres, with a typographic minus and without "−0 mm"."""
     text = f"{round(1000 * distance)}" if math.isfinite(distance) else "–"
     return f"{text} mm".replace("-", "−")
 
 
 def kept(least: float, *, touched: bool) -> str:
-    """The outcome with its distance [m], as in "no contact, least distance 105 mm"."""
+    """The outcome and the smallest distance [m], as in "no contact, least distance 105 mm"."""
     if least < 0.0:
         overlap = f"bodies overlap by {millimetres(-least)}"
         return f"contact, {overlap}" if touched else overlap
@@ -72,7 +75,7 @@ def kept(least: float, *, touched: bool) -> str:
 
 
 def number_text(value: Any, none: str = "–") -> str:
-    """A figure in readable form: three digits, 0 for rounding errors; `none` replaces None."""
+    """A figure as text: three digits, and 0 for rounding errors; `none` represents None."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {number_text(each)}" for name, each in value.items())
     if isinstance(value, (list, tuple)):
@@ -87,7 +90,7 @@ def number_text(value: Any, none: str = "–") -> str:
 
 
 def missing(key: str) -> str:
-    """The meaning of a figure without a value, by its key."""
+    """The text for a figure without a value, according to the figure's key."""
     if key.startswith(("stuck", "left_way")):
         return "no"
     return "never" if key.endswith("_s") else "not measured"

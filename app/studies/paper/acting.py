@@ -18,11 +18,11 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
 
 TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
-"""A step [m] that is always as large as its upper bound can be."""
+"""Parameters with which the step α is always 0.4 m, the largest valid bound."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
 _EVERY = 20  # rows of a log between two evaluations of the force
-_ZOOM = 0.30  # [m] around the acting point
+_ZOOM = 0.30  # [m] smallest side of a detail around the acting point
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 
 
@@ -30,11 +30,11 @@ class Force(NamedTuple):
     """The force at one instant of a run, while the end-effector is in its buffer."""
 
     t: float
-    """[s]"""
+    """[s] time."""
     q_m: Array
     """(n_m,) [rad or m] joint positions of the arm."""
     closest: ClosestPoints
-    """Of base and end-effector, in the base's frame."""
+    """Closest points of base and end-effector, in the base's frame."""
     acting: ActingPoint
     """The result of Algorithm 3."""
     f: Array
@@ -63,7 +63,7 @@ class Force(NamedTuple):
         }
 
     def measured(self) -> dict[str, float]:
-        """Magnitude of the force and of its components."""
+        """Figures of the force and its components."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
         return {
             "distance_m": self.closest.d,
@@ -78,7 +78,7 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in a row of an experiment's log, with its own or other parameters."""
+    """The force in row k of an experiment's log; default: with the experiment's parameters."""
     log = sources.runs[experiment].trace
     q_m = log.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
@@ -87,7 +87,7 @@ def force_at(
 
 
 def deepest(sources: Sources) -> int:
-    """The row of the lateral guiding in which the end-effector is deepest in its buffer."""
+    """Index of the row of the lateral guiding with the smallest distance of the end-effector."""
     return int(sources.runs[LATERAL].trace[f"d_{sources.pair.name}_m"].argmin())
 
 
@@ -141,10 +141,10 @@ def figure_7(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig8", "Figure 8: finding the acting point", LATERAL)
 def figure_8(sources: Sources) -> drawing.Drawing:
-    """(a) From the border's point nearest to the end-effector a step along the tangent leads
-    towards a better score; the acting point is the border's point nearest to the result. (b) With
-    too large a step the force may have no component along the line between the end-effector and the
-    border: the step is bounded.
+    """(a) The method starts at the border point nearest to the end-effector and steps along the
+    tangent towards a better score. The acting point is the border point nearest to the result. (b)
+    If the step is too large, the force may have no component along the line between the
+    end-effector and the border; therefore the step is bounded.
     """
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
@@ -169,14 +169,16 @@ def figure_8(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig10", "Figure 10: activation by distance")
 def figure_10(sources: Sources) -> drawing.Drawing:
-    """0 beyond the buffer distance of 0.15 m, 1 within 0.05 m, a cubic between."""
+    """The activation is 0 beyond the buffer distance of 0.15 m and 1 up to 0.05 m; between these
+    distances it is a cubic.
+    """
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
     table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
     figure = style.new_figure(3.6, 6.4)
     ax = figure.subplots()
     ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
-    for at, text in ((d_full, "task in full force"), (d_b, "buffer distance $d_b$")):
+    for at, text in ((d_full, "task fully active"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
         ax.annotate(
             text,
@@ -198,13 +200,13 @@ def figure_10(sources: Sources) -> drawing.Drawing:
 
 
 def _slice(sources: Sources, force: Force) -> drawing.Table:
-    """The border at the end-effector's height, with its score."""
+    """The border's points at the end-effector's height, with their scores."""
     points = sources.border.same_height(float(force.closest.p_b[2]))
     return drawing.points_table(points, score_m4prad4=sources.field.score(points))
 
 
 def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> PathCollection:
-    """Base, border, end-effector and force from above; returns the points for a colour bar."""
+    """Draw base, border, end-effector and force from above; return the points for a colour bar."""
     drawing.base_in_plan(ax, sources.model)
     score = border["score_m4prad4"]
     shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=style.SCORE_MAP, zorder=2)
@@ -222,7 +224,7 @@ def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> Pa
 
 
 def _points(ax: Axes, force: Force, *names: str) -> None:
-    """The points of Algorithm 3, or some of them, with their names."""
+    """Draw some points of Algorithm 3 with their names; without `names`, all points."""
     looks: dict[str, tuple[str, str, tuple[float, float]]] = {
         "p_n": ("$p_n$", style.INK, (-18, 8)),
         "p_t": ("$p_t$", style.SOFT, (8, 8)),

@@ -66,7 +66,7 @@ def figure_11(sources: Sources) -> drawing.Drawing:
 def figure_12(sources: Sources) -> drawing.Drawing:
     """(a) The distances fall below the buffer distance of 0.15 m, so that the avoidance task of
     each method is inserted continuously with top priority. (b) The repulsive method has a position
-    error, the proposed one has none.
+    error, the proposed method has none.
     """
     distances = [f"d_{pair}_m" for pair in _PAIRS]
     parts = _columns(sources, _TRACKED, "t_s", *distances, "ee_error_m")
@@ -106,8 +106,8 @@ def figure_12(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig13", "Figure 13: guiding of the end-effector towards the base", LATERAL, FRONT)
 def figure_13(sources: Sources) -> drawing.Drawing:
-    """(a) Laterally, a force on the base avoids the collision. (b) From the
-    front, the base moves back as the arm approaches.
+    """(a) In the lateral direction, a force on the base avoids the collision. (b) From the front,
+    the base moves back as the arm approaches.
     """
     strips = []
     for name, e in DIRECTIONS.items():
@@ -160,7 +160,9 @@ def figure_15(sources: Sources) -> drawing.Drawing:
     figure = style.new_figure(6.2)
     grid = figure.subplots(2, 2, sharex="col", sharey="row")
     for k, name in enumerate(DIRECTIONS):
-        parts = {m: _asked(sources.runs[GUIDING[m][name]], m) for m in reversed(GUIDING)}
+        parts = {
+            m: _avoidance_columns(sources.runs[GUIDING[m][name]], m) for m in reversed(GUIDING)
+        }
         for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
             unit = "mps2" if kind == "linear" else "radps2"
             drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
@@ -178,35 +180,35 @@ def figure_15(sources: Sources) -> drawing.Drawing:
         figure,
         {
             "": drawing.stacked(
-                {n: _asked(*run) for n, run in runs.items()}, "direction and controller"
+                {n: _avoidance_columns(*run) for n, run in runs.items()}, "direction and controller"
             )
         },
         {name: _smoothness(*run) for name, run in runs.items()},
         [
             "With the border as the paper's points the acting point jumps from point to point, "
             "and so do the accelerations. The controller here uses a surface through the points.",
-            "The repulsive method pushes the arm alone; its line is the commanded acceleration.",
+            "The repulsive method pushes only the arm; its curve is the commanded acceleration.",
         ],
     )
 
 
 def _smoothness(run: RunResult, method: str) -> dict[str, object]:
-    """Largest changes per control step, and sign changes, of the base acceleration of avoidance.
+    """Largest changes in a control step, and sign changes, of the base acceleration of avoidance.
 
-    The repulsive method has no such term: for it, the commanded base acceleration counts.
+    For the repulsive method, which has no such acceleration, the commanded acceleration counts.
     """
     inserted = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes")
-    asked = (
+    commanded = (
         "base_acceleration_jump_max",
         "base_acceleration_sign_changes",
         "torque_jump_max_nm",
         "torque_rate_sign_changes",
     )
-    keys = asked if method == "repulsive" else (*inserted, *asked)
+    keys = commanded if method == "repulsive" else (*inserted, *commanded)
     return {key: run.figures[key] for key in keys}
 
 
-def _asked(run: RunResult, method: str) -> drawing.Table:
+def _avoidance_columns(run: RunResult, method: str) -> drawing.Table:
     """Base acceleration of avoidance; for the repulsive method, the commanded base acceleration."""
     kind = "base" if method == "repulsive" else "avoidance"
     return {
@@ -235,9 +237,9 @@ def _columns(
 
 _DOORS = {"dbb": DOOR, "none": DOOR_NONE}
 
-_DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] of the snapshots: times that the paper mentions
-_DOOR_VIEW = 2.35  # [rad] from the closed door to the camera, on the free edge's side
-_DOOR_PITCH = 0.55  # [rad]
+_DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] times of the snapshots, which the paper mentions
+_DOOR_VIEW = 2.35  # [rad] angle from the closed door to the camera, on the side of the free edge
+_DOOR_PITCH = 0.55  # [rad] elevation of the camera
 _COLOURS: dict[str, Rgba] = {
     "case": (0.82, 0.85, 0.88, 1.0),
     "board": (0.93, 0.95, 0.97, 1.0),
@@ -304,7 +306,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
 @style.picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
 def figure_17(sources: Sources) -> drawing.Drawing:
     """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door
-    approaches. (b) Without it the door collides with the mobile robot at 30 s.
+    approaches. (b) Without avoidance the door collides with the mobile robot at 30 s.
     """
     view, strips = _door_view(_door()), []
     for name, experiment in _DOORS.items():
@@ -345,7 +347,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
 
 
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
-    """The refrigerator's body, its door and handle, in the pose of a row of the log."""
+    """The refrigerator's case, door and handle, in their poses in row k of the log."""
     parts = drawn_parts(_door(), float(run.trace["door_angle_rad"][k]))
     return [
         Solid(trimesh.creation.box(size, T.homogeneous), _COLOURS[name])
@@ -354,7 +356,7 @@ def refrigerator(run: RunResult, k: int) -> list[Solid]:
 
 
 def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
-    """The convex bodies of the controller at the start of the run, including the door's."""
+    """The controller's convex bodies at the start of the run, including the body of the door."""
     model, door, pose, q_m = (
         sources.model,
         _door(),
@@ -387,5 +389,5 @@ def _door() -> Door:
 
 
 def _door_view(door: Door) -> tuple[float, float]:
-    """[rad] yaw and pitch of the view of the door."""
+    """[rad] yaw and pitch of the camera that shows the door."""
     return door.yaw - door.side * _DOOR_VIEW, _DOOR_PITCH

@@ -1,4 +1,4 @@
-"""The paper's claims of §4.2 and §4.3, each compared with a measurement."""
+"""The paper's claims of §4.2 and §4.3, and the measurements that judge them."""
 
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
@@ -13,11 +13,14 @@ from app.studies.style import words_of
 
 
 class Threshold(NamedTuple):
-    """A bound for a measured number."""
+    """A bound of a measured number."""
 
     value: float
+    """The bound."""
     unit: str
+    """Unit of the bound."""
     source: str
+    """The source of the bound."""
 
     def __str__(self) -> str:
         return f"{self.value:g} {self.unit}".strip()
@@ -60,13 +63,13 @@ class Finding(NamedTuple):
     """One measurement for a claim."""
 
     measured: str
-    """The sentence, with its number and the threshold."""
+    """A sentence with the number and the bound."""
     holds: bool
-    """Whether it agrees with the claim."""
+    """Whether the measurement agrees with the claim."""
     values: dict[str, float | None]
-    """The measured numbers; keys end in their unit."""
+    """The measured numbers; keys end in the unit."""
     limits: tuple[Threshold, ...] = ()
-    """Their bounds."""
+    """The bounds."""
 
 
 def held(
@@ -77,40 +80,48 @@ def held(
     least: Threshold | None = None,
     most: Threshold | None = None,
 ) -> Finding:
-    """A finding of a number and its bounds; a missing number does not hold.
+    """Compare a number with its bounds; a missing number does not hold.
 
-    The key names the number among the values and ends in its unit.
+    Args:
+        text: Beginning of the sentence, before the number.
+        key: Key of the number, which ends in the unit.
+        value: The number, or None.
+        least: Lower bound, or None.
+        most: Upper bound, or None.
     """
     limits = tuple(limit for limit in (least, most) if limit is not None)
     if least is not None and most is not None:
-        asked = f"{least.value:g} to {most}"
+        bounds = f"{least.value:g} to {most}"
     else:
-        asked = f"at {'most' if least is None else 'least'} {limits[0]}"
+        bounds = f"at {'most' if least is None else 'least'} {limits[0]}"
     if value is None or not np.isfinite(value):
-        return Finding(f"{text}: never (asked: {asked})", False, {key: None}, limits)
+        return Finding(f"{text}: never (required: {bounds})", False, {key: None}, limits)
     holds = (least is None or value >= least.value) and (most is None or value <= most.value)
     number = f"{value:.3g} {limits[0].unit}".strip()
-    return Finding(f"{text} {number} (asked: {asked})", bool(holds), {key: float(value)}, limits)
+    return Finding(
+        f"{text} {number} (required: {bounds})", bool(holds), {key: float(value)}, limits
+    )
 
 
 Findings = Iterable[Finding]  # all findings must hold
 
 
 class Claim(NamedTuple):
-    """One claim of the paper."""
+    """A claim of the paper."""
 
     section: str
-    """Its section in the paper."""
+    """Section of the paper."""
     figure: str
-    """The figure that its judgement belongs to."""
+    """Name of the figure with which the claim is judged."""
     paper: str
-    """The claim in our words."""
+    """The claim in the project's words."""
     needs: tuple[Experiment, ...]
-    """The experiments that its judgement needs."""
+    """The experiments that the judgement needs."""
     measure: Callable[[Sources], Findings]
+    """Function that makes the measurements."""
 
     def judge(self, sources: Sources) -> dict[str, Any]:
-        """The judged claim as a row of the report."""
+        """Judge the claim, and return a row of the report."""
         findings = list(self.measure(sources))
         limits = dict.fromkeys(limit for finding in findings for limit in finding.limits)
         return {
@@ -128,15 +139,15 @@ CLAIMS: list[Claim] = []  # in the order of the paper
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:
-    """The claims that belong to these figures."""
-    wanted = set(figures)
-    return [claim for claim in CLAIMS if claim.figure in wanted]
+    """The claims that belong to some figures."""
+    names = set(figures)
+    return [claim for claim in CLAIMS if claim.figure in names]
 
 
 def claim(
     section: str, figure: str, *needs: Experiment
 ) -> Callable[[Callable[[Sources], Findings]], Claim]:
-    """Make a claim of the function that judges it; its docstring is the text, as in `Claim`."""
+    """Decorate a function that measures a claim; its docstring is the text of the claim."""
 
     def add(measure: Callable[[Sources], Findings]) -> Claim:
         CLAIMS.append(Claim(section, figure, words_of(measure), needs, measure))
@@ -146,7 +157,7 @@ def claim(
 
 
 def forward_motion(run: RunResult) -> float:
-    """[m] motion of the base along its initial heading."""
+    """[m] displacement of the base along the initial heading."""
     first, last = run.trace.of("base_pose")[[0, -1]]
     return float((last - first)[:2] @ [np.cos(first[2]), np.sin(first[2])])
 
@@ -192,7 +203,7 @@ DIRECTIONS = {
     "side": paper.TRACKING,
     "front": paper.FRONT,
 }
-"""By the direction of the approach; a tracking end-effector must also arrive."""
+"""Runs by the direction of the approach."""
 
 
 @claim("4.2.1", "fig12", paper.TRACKING)
@@ -330,8 +341,8 @@ def incomplete_knowledge(s: Sources) -> Findings:
 
 @claim("4.3", "fig15", *paper.GUIDING["points"].values())
 def smooth_on_points(s: Sources) -> Findings:
-    """The desired accelerations of the base are smooth (the method as printed, its border a cloud
-    of points).
+    """The desired accelerations of the base are smooth (the method as printed, with a border of
+    points).
     """
     return _smooth(s, paper.GUIDING["points"])
 
@@ -346,7 +357,7 @@ def smooth_on_the_surface(s: Sources) -> Findings:
 
 @claim("4.3", "fig15", *paper.COMPARED)
 def smoother_than_repulsive(s: Sources) -> Findings:
-    """Commands are free from chattering, unlike those of the repulsive method."""
+    """Commands are free from chattering, unlike the commands of the repulsive method."""
     own, repulsive = (
         max(s.runs[e].figures["torque_rate_sign_changes"] for e in paper.GUIDING[method].values())
         for method in ("dbb", "repulsive")
@@ -382,7 +393,7 @@ def trade_off(s: Sources) -> Findings:
 
 @claim("4.3", "density")
 def fast_enough(s: Sources) -> Findings:
-    """With 50,000 points a border the algorithm runs at 1 kHz."""
+    """With 50,000 points in each border the algorithm runs at 1 kHz."""
     figures = density.run_at_50_000(s)
     median, text = figures["step_p50_us"], "whole control step, 99th percentile"
     yield held(text, "step_p99_us", figures["step_p99_us"], most=CONTROL_STEP)

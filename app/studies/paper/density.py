@@ -1,4 +1,4 @@
-"""§4.3: a denser border of points has smaller jumps and a higher cost; a surface has none."""
+"""§4.3: a denser border of points causes smaller jumps at a higher cost; a surface has no jumps."""
 
 from dataclasses import replace
 from functools import cache
@@ -21,9 +21,9 @@ from app.studies.paper.experiments import GUIDING, LATERAL, Sources
 
 PAPERS_COUNT = 50_000  # [-] points of a border that the paper recommends
 COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
-"""Numbers of points of the thinned borders; the full one is the last."""
-FINER = 10  # [-] refinement of the path that separates jumps from motion
-LONGEST = 4.0  # [s] path for comparing points and surface
+"""Numbers of points of the thinned borders; the full border is added at the end."""
+FINER = 10  # [-] refinement of the path, which distinguishes jumps from motion
+LONGEST = 4.0  # [s] longest path for the comparison of points and surface
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
 _MIN_CHANGE = 1e-9  # [m] lower end of the logarithmic axis; smaller steps are drawn there
@@ -80,7 +80,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
 
 @cache
 def trade_off(sources: Sources) -> drawing.Table:
-    """For each number of points, and for the surface: jumps of p_act, and time of a search."""
+    """Jumps of p_act and time of a search, for each number of points and for the surface."""
     path, whole = hand_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
     finders = [("points", n, sources.points(thinned(sources.border, n))) for n in counts]
@@ -91,7 +91,10 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Figures of the lateral guiding with 50,000 points per border, alone because of the timing."""
+    """Figures of the lateral guiding with 50,000 points in each border.
+
+    The run is not in parallel with other runs, because its durations count.
+    """
     experiment = GUIDING["points"]["lateral"]
     clouds = {
         pair.name: thinned_cloud(
@@ -110,7 +113,7 @@ def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
 
 
 def thinned(border: Border, count: int) -> Border:
-    """A border of a fixed random choice of its points."""
+    """A border with `count` of its points, a fixed random choice."""
     chosen = _chosen(len(border), count)
     return replace(border, points=border.points[chosen], heights=border.heights[chosen])
 
@@ -120,7 +123,7 @@ def _chosen(total: int, count: int) -> Array:
 
 
 def hand_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """The closest points of the end-effector at each control step within its buffer."""
+    """The closest points of the end-effector at each control step in its buffer."""
     run = sources.runs[LATERAL]
     fine = np.arange(run.trace.t[0], run.trace.t[-1], DT)
     q_m = np.column_stack([np.interp(fine, run.trace.t, q) for q in run.trace.of("q_m").T])
@@ -131,7 +134,7 @@ def hand_in_buffer(sources: Sources) -> list[ClosestPoints]:
 def jump_and_cost(
     sources: Sources, finder: ActingPointFinder, path: list[ClosestPoints]
 ) -> tuple[float, float, float]:
-    """[m] largest and [m] 99th percentile of the jumps, [µs] median time of a search."""
+    """Largest jump [m], 99th percentile of the jumps [m], and median time [µs] of a search."""
     points, times = [], []
     for closest in path:
         begin = perf_counter()
@@ -145,8 +148,8 @@ def jump_and_cost(
 
 @style.picture("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> drawing.Drawing:
-    """Among points the acting point jumps from one to the next as the end-effector moves: a
-    trade-off against the cost of more points.
+    """With a border of points, the acting point jumps from point to point as the end-effector
+    moves. More points reduce the jumps and increase the cost.
     """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
     finders = {
@@ -187,11 +190,11 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s] and the closest points of the end-effector, while it is in its buffer.
+    """Times (N,) [s] and closest points of the end-effector during its longest time in the buffer.
 
-    The longest stretch in the buffer, at most `LONGEST`, as a spline through the log's rows.
-    Closest points computed at each step would include the collision library's tolerance, about 0.3
-    mm along an edge: more than the motion in a step.
+    The path is at most `LONGEST` long, and is a spline through the log's rows. Closest points that
+    are computed at each step would have the collision library's tolerance along an edge, about
+    0.3 mm, which exceeds the motion in a step.
     """
     log = sources.runs[LATERAL].trace
     outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b
@@ -212,10 +215,10 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """The acting point along the end-effector's path, and the base acceleration of its force.
+    """A table of the acting point along the end-effector's path, with a row for each time (N,) [s].
 
-    Each has its time t (N,) [s], the closest point p_b on the end-effector, the acting point, and
-    the acting point's motion in the previous step.
+    The columns are the time, the closest point p_b on the end-effector, the acting point, its
+    motion in the previous step, and the base acceleration that the force causes.
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
@@ -238,7 +241,9 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Largest steps of the acting point, their ratio on the finer path, and accelerations."""
+    """Largest steps of the acting point, their ratio to the finer path, largest changes of
+    acceleration.
+    """
     result: dict[str, Any] = {}
     for kind, along in found.items():
         largest, shrunk = (float(np.nanmax(p["p_act_step_m"])) for p in (along, finer[kind]))
@@ -264,7 +269,7 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
 
 
 def _base_and_hand(ax: Axes, sources: Sources, along: drawing.Table) -> None:
-    """The base's outline, the closest point's path, and the window around both paths."""
+    """Draw the base's outline and the closest point's path, and limit the axes to both paths."""
     drawing.base_in_plan(ax, sources.model)
     ax.plot(
         along["p_b_x_m"],

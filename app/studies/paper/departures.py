@@ -1,6 +1,6 @@
-"""The departures from (26) to (29), measured for the printed form and for ours.
+"""The departures from (26) to (29), measured for the printed form and for the project's form.
 
-Some rows solve both forms for q̈ at a state, others compare runs. Smaller numbers are better.
+Some rows solve both forms for q̈ at a state, other rows compare runs. Smaller numbers are better.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,32 +28,34 @@ from app.studies.paper.experiments import (
     Sources,
 )
 
-_STATES = 40  # of the lateral guiding, from the first one in the buffer to the last
+_STATES = 40  # number of states of the lateral guiding in the buffer, equally spaced
 _ENTERS = 1e-9  # [-] β of a newly inserted row
-_FAR = 1.0  # [m] distance of a target out of reach
-_LINE, _HALVINGS = 100, 20  # [-] postures on a line, and halvings of its steepest step
+_FAR = 1.0  # [m] distance of an unreachable target
+_LINE, _HALVINGS = 100, 20  # [-] number of postures on a line, and of halvings of a step
 
 
 Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 
 
 class Departure(NamedTuple):
-    """A measured row of the table of departures."""
+    """A row of the table of departures."""
 
     place: str
-    """The equation and its departure."""
+    """The equation and the departure."""
     key: str
-    """The key of the number, with its unit."""
+    """Key of the measured number, which ends in the unit."""
     printed: float
+    """The number for the printed form."""
     here: float
+    """The number for the project's form."""
 
 
 @style.picture(
     "departures", "(26) to (29) as printed and here", *AS_PRINTED, LATERAL, TRACKING, WHEEL_AXIS
 )
 def figure_departures(sources: Sources) -> drawing.Drawing:
-    """A hierarchy of strict levels (26), and its transition (29) with one reference q̈_2* for all
-    rows, whose control input is continuous.
+    """The paper solves a hierarchy of strict levels (26) and inserts rows by (29), with the same
+    reference q̈_2* for all rows; the control input is continuous.
     """
     rows = [*_of_states(sources), *_of_runs(sources)]
     table = drawing.table_of(("departure", "number", "printed", "here"), rows)
@@ -80,7 +82,10 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
 
 
 def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """A step at rest that tracks the present pose, or one higher by the given error [m]."""
+    """A control step at rest at a posture (n_m,) that tracks the present pose.
+
+    The reference is higher than the present pose by `error` [m].
+    """
     model = controller.state.model
     measured = at_rest(model, q_m)
     controller.state.update(measured)
@@ -91,13 +96,13 @@ def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of (29) as printed, with another diagonal of B; NaN without a solution."""
+    """q̈ (n,) of (29) as printed, with the diagonal B (k,); NaN without a solution."""
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of our law: the base's rows blended with rest, then the arm's QP without limits."""
+    """q̈ (n,) of the project's law: the base's blended rows, then the arm's QP without limits."""
     n_b = w.n_b
     rows = slice(n_b, len(B))
     H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.slack_weight, n_b)
@@ -110,19 +115,19 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B with these β of the base's rows and of a pair of L_m^c."""
+    """The diagonal of B with β = `base` for the base's rows and β = `link` for a pair of L_m^c."""
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B
 
 
 def nearest_links(w: ControlStep) -> int:
-    """The index of the nearest pair of L_m^c."""
+    """Index of the nearest pair of L_m^c."""
     return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] error of (29), with its reference on the left, relative to (26) at B = 0."""
+    """[rad/s²] deviation of (29) from (26) at B = 0, with the reference on the left side."""
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
     literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
@@ -158,11 +163,11 @@ def postures(sources: Sources) -> list[Array]:
 
 
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
-    """[rad/s²] the remaining change of q̈ at the steepest place of a line of postures.
+    """[rad/s²] jump of q̈ at the steepest point of a line of postures.
 
-    The base's rows and one between links are fully active, so that with T_2 there are as many rows
-    as axes. The line is halved repeatedly around the steepest step: a slope vanishes, a jump
-    does not. No solution counts as q̈ = 0.
+    The base's rows and a row between links are fully active, so that with T_2 there are as many
+    rows as axes. The steepest step of the line is halved repeatedly: the change of a continuous q̈
+    vanishes, a jump remains. If there is no solution, q̈ counts as 0.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
@@ -187,7 +192,7 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
 
 
 def _torque(w: ControlStep, qdd: Array) -> float:
-    """[N m] largest change of an arm torque for a change of q̈ (n,)."""
+    """[N m] largest change of a torque of the arm for a change `qdd` (n,) of q̈."""
     return float(np.abs(w.M[w.n_b :] @ qdd).max())
 
 

@@ -1,4 +1,4 @@
-"""A figure of the paper, its files, and the two kinds of panels: time curves and snapshots."""
+"""Figures of the paper: files, curves over time, and rows of snapshots."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
@@ -27,11 +27,11 @@ from app.studies.runs import write_table
 from app.system import write_whole
 
 Table = dict[str, Array]
-"""Columns of equal length of a figure; names of quantities end in their unit."""
+"""The data of a figure: columns of equal length, whose names end in the unit."""
 
 COLUMNS = 4
 _PIXELS = 460, 420
-_TALL = 1.35  # [m] objects above the arm may be cut off so that the robot is large
+_TALL = 1.35  # [m] height above which the picture may cut off objects, so that the robot is large
 _GRID, _AROUND = 0.25, 2.0  # [m] spacing and extent of the lines on the floor
 _CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
@@ -42,14 +42,14 @@ class Drawing:
 
     figure: Figure
     tables: dict[str, Table]
-    """The plotted data; the first table has no suffix, the others their key."""
+    """The plotted data, by the suffix of the file's name; the first suffix is empty."""
     measured: dict[str, Any] = field(default_factory=dict)
-    """Its measured figures; keys end in their unit."""
+    """Measured numbers; keys end in the unit."""
     remarks: Sequence[str] = ()
-    """Remarks on the measured figures, one sentence each."""
+    """Remarks on the measured numbers, one sentence each."""
 
     def write(self, folder: Path, name: str, title: str) -> list[Path]:
-        """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
+        """Write a PNG and CSV files into a folder; return the paths, the PNG first."""
         picture = folder / f"{name}.png"
         self.figure.suptitle(title, x=0.01, ha="left", fontsize=13)
         write_whole(picture, style.png_of(self.figure))
@@ -61,19 +61,19 @@ class Drawing:
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:
-    """One long table from several with the same columns; the column `kind` has their names."""
+    """One table from several tables with equal columns; the column `kind` has the tables' names."""
     names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
     columns = next(iter(parts.values()))
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
 
 
 def points_table(points: Array, prefix: str = "", **columns: Array) -> Table:
-    """Points (N, 3) [m] with further columns; the names of the coordinates may have a prefix."""
+    """A table of points (N, 3) [m] with further columns; the coordinates' names get a prefix."""
     return {f"{prefix}{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
 
 
 def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """A table of rows of cells."""
+    """A table from rows of cells, with the names of the columns."""
     return dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
 
 
@@ -85,7 +85,7 @@ def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) ->
 
 
 def base_corners(model: RobotModel) -> Array:
-    """(8, 3) [m] corners of a box around l_m in the base's frame; the first four on the floor."""
+    """(8, 3) [m] corners of a box around l_m, in the base's frame, the four on the floor first."""
     body = MobileBody(model)
     low, high = body.lower, body.upper
     plan = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
@@ -93,20 +93,27 @@ def base_corners(model: RobotModel) -> Array:
 
 
 def plan_axes(ax: Axes) -> None:
-    """Axes of a plan in the base's frame."""
+    """Label and scale axes that show the base's frame from above."""
     ax.set_aspect("equal")
     ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
 
 
 def base_in_plan(ax: Axes, model: RobotModel) -> None:
-    """The base from above, in its own frame, with its wheel axis."""
+    """Draw the base and its wheel axis from above, in the base's frame."""
     ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=style.SOFT))
     ax.axvline(0.0, color=style.SOFT, linewidth=1.0, linestyle=(0, (1, 2)), zorder=1)
     plan_axes(ax)
 
 
 def square_around(ax: Axes, points: Array, margin: float, least: float = 0.0) -> None:
-    """Show points (N, 3) [m] in plan in a square of a minimum size [m], with a margin [m]."""
+    """Limit the axes to a square around points (N, 3) [m] from above.
+
+    Args:
+        ax: The axes.
+        points: (N, 3) [m] the points.
+        margin: [m] distance of the points from the square's sides.
+        least: [m] smallest side of the square, without the margin.
+    """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(least, float((high - low).max())) / 2 + margin
     x, y = (low + high) / 2
@@ -116,7 +123,7 @@ def square_around(ax: Axes, points: Array, margin: float, least: float = 0.0) ->
 def placed_meshes(
     model: RobotModel, base_pose: Sequence[float] | Array, q_m: Array
 ) -> list[tuple[str, trimesh.Trimesh]]:
-    """The convex bodies at a posture, in the world, each with its name."""
+    """The names and meshes of the convex bodies at a posture, in the world."""
     data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
     q = model.configuration(base_pose, q_m)
     pin.updateGeometryPlacements(model.pin, data, model.geometry, placed, q)
@@ -133,7 +140,7 @@ def framed(
     points: Iterable[Array] = (),
     tallest: float = np.inf,
 ) -> Camera:
-    """The camera, moved to show bodies and points (N, 3) [m] up to a height [m]."""
+    """The camera, moved so that it shows meshes and points (N, 3) [m] up to a height [m]."""
     seen = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
     seen[:, 2] = np.minimum(seen[:, 2], tallest)
     return camera._replace(target=seen.mean(axis=0)).framing(seen, 0.05)
@@ -141,10 +148,10 @@ def framed(
 
 @dataclass(frozen=True)
 class Strip:
-    """One row of snapshots with the paths of base and end-effector."""
+    """A row of snapshots with the paths of base and end-effector."""
 
     name: str
-    """Its name in the CSV and among the measured figures."""
+    """Name in the CSV file and among the measured numbers."""
     text: str
     run: RunResult
     times: Sequence[float]
@@ -154,12 +161,15 @@ class Strip:
     aim: Array | None = None
     """(2, 3) [m] start and end of the end-effector's path, in the world, or None."""
     solids: Callable[[int], Sequence[Solid]] = lambda _: ()
-    """Objects beside the robot, for a row of the log."""
+    """Function that returns additional objects for a row of the log."""
     marks: Array | None = None
     """(N, 3) [m] a line on the floor, such as a door's arc, or None."""
 
     def paths(self, *columns: str, every: int = 10) -> Table:
-        """Positions of base and end-effector, and further columns, in every `every`-th row."""
+        """A table of the poses of base and end-effector and of further columns.
+
+        It has each `every`-th row of the log.
+        """
         log = self.run.trace
         table = {name: log[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
         table |= points_table(log.of("p_ee"), "hand_") | {name: log[name] for name in columns}
@@ -169,7 +179,7 @@ class Strip:
 def snapshot_figure(
     model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
 ) -> Figure:
-    """Rows of snapshots, (a), (b) and so on, with labels for the arrows and lines on the floor."""
+    """Draw rows of snapshots (a), (b) and so on, with labels for arrows and lines on the floor."""
     height = len(strips) * (style.WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
     rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]
@@ -194,7 +204,7 @@ def snapshot_figure(
 
 
 def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
-    """One camera for rows with the same viewing direction, which shows all of their motion."""
+    """The camera for rows with the same viewing direction, which shows their whole motion."""
     meshes: list[trimesh.Trimesh] = []
     for strip in strips:
         log = strip.run.trace
@@ -230,7 +240,7 @@ def _panel(
 
 
 def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
-    """A picture that fills the axes, with a grid on the floor around its centre."""
+    """Draw a picture that fills the axes, with a grid on the floor around the centre."""
     ax.imshow(picture.rgb, interpolation="antialiased")
     ax.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
     ax.set_axis_off()
@@ -242,7 +252,7 @@ def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
 
 
 def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> None:
-    """An arrow between two points of a plan, (2,) or more, which the layout ignores."""
+    """Draw an arrow between the first two coordinates of two points; the layout ignores it."""
     look = {"linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, **look}
     head: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, **look}
     head_at, tail_at = (end[0], end[1]), (start[0], start[1])
@@ -250,7 +260,7 @@ def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> Non
 
 
 def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:
-    """A line on the floor, hidden by objects in front of it."""
+    """Draw a line on the floor; objects in front of the line hide it."""
     share = np.linspace(0.0, len(corners) - 1.0, 60 * len(corners))
     at = np.arange(len(corners))
     points = np.column_stack([np.interp(share, at, column) for column in corners.T])

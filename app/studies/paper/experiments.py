@@ -1,4 +1,4 @@
-"""The paper's runs: each runs once, in parallel, for all figures and claims."""
+"""The runs of the paper's robot, each of which serves several figures and claims."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -30,23 +30,26 @@ ROBOT = "husky_panda"  # the paper's robot
 
 
 class Experiment(RunSpec):
-    """A run of the paper's robot, equal to one of `dbb run`."""
+    """A run of the paper's robot, as `dbb run` makes it."""
 
     __slots__ = ()
 
     @classmethod
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
-        """The run of a scenario by its name.
+        """The run of a scenario.
 
-        With `points` the border is the paper's points instead of the exact offset. `start` and
-        `move` [m] replace the end-effector's path of the scenario.
+        Args:
+            scenario: Name of the scenario.
+            controller: Name of the controller.
+            points: Whether the border consists of points, as in the paper.
+            line: (3,) [m] `start` and `move` that replace the scenario's path.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
 
     @property
     def name(self) -> str:
-        """As in `tracking, dbb`."""
+        """The run as a text, such as `tracking, dbb`."""
         scenario, start = self.scenario, ""
         if isinstance(scenario, LineScenario) and scenario.start != LINES[scenario.name].start:
             start = " from ({:g}, {:g}, {:g}) m".format(*scenario.start)
@@ -56,7 +59,7 @@ class Experiment(RunSpec):
     def aim(self) -> Array:
         """(2, 3) [m] start and end of the end-effector's path, in the world."""
         scenario = self.scenario
-        assert isinstance(scenario, LineScenario), f"{scenario.name} leads along no line"
+        assert isinstance(scenario, LineScenario), f"{scenario.name} has no line"
         return np.array([scenario.start, np.add(scenario.start, scenario.move)])
 
 
@@ -64,7 +67,7 @@ TRACKING = Experiment.of("tracking", "dbb")
 TRACKING_REPULSIVE = Experiment.of("tracking", "repulsive")
 TRACKING_NONE = Experiment.of("tracking", "none")
 WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
-"""An approach along the wheel axis, along which the base cannot move at once."""
+"""An approach along the wheel axis, in which direction the base cannot move immediately."""
 WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
 LATERAL = Experiment.of("guiding-lateral", "dbb")
 FRONT = Experiment.of("guiding-front", "dbb")
@@ -79,13 +82,13 @@ GUIDING = {
         "front": FRONT._replace(controller="repulsive"),
     },
 }
-"""By the method's name and the direction of the approach."""
+"""The guiding runs, by the name of the method and the direction of the approach."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
-"""Figure 15's experiments."""
+"""The runs of Figure 15."""
 AS_PRINTED = tuple(
     each._replace(controller="hqp") for each in (TRACKING, WHEEL_AXIS, LATERAL, FRONT)
 )
-"""The controller as printed in the paper."""
+"""Runs of the controller as printed in the paper."""
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 
@@ -99,18 +102,18 @@ class Sources:
     model: RobotModel
     data: BorderData
     config: Config
-    """Parameters of the runs that have none of their own."""
+    """Default parameters of the runs."""
     runs: Runs
     """The finished runs."""
 
     @property
     def pair(self) -> Pair:
-        """L_m(1): the base and the end-effector."""
+        """L_m(1), the pair of base and end-effector."""
         return self.data.pairs.mobile[0]
 
     @cached_property
     def border(self) -> Border:
-        """DBB_1, the border of that pair."""
+        """DBB_1, the border of L_m(1)."""
         return self.border_of(self.pair)
 
     @cached_property
@@ -134,16 +137,18 @@ class Sources:
         return ActingPointFinder(BorderSearch(self.offset), self.field)
 
     def points(self, border: Border) -> ActingPointFinder:
-        """Algorithm 3 on a border of that pair as points, as printed."""
+        """Algorithm 3 on a border of L_m(1) as points, as printed in the paper."""
         return ActingPointFinder(BorderSearch(self.offset, [border]), self.field)
 
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Acting point and force (3,) [N] for a closest point, by the controller's own functions.
+        """Compute acting point and force (3,) [N] with the controller's functions.
 
-        The closest point is in the base's frame; the default parameters of the force are those of
-        the runs.
+        Args:
+            finder: Algorithm 3 on a border.
+            closest: The closest points, in the base's frame.
+            force: Parameters of the force; default: those of the runs.
         """
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
@@ -163,12 +168,12 @@ class Sources:
     def figures(
         self, experiments: dict[str, Experiment], keys: Iterable[str]
     ) -> dict[str, dict[str, Any]]:
-        """Some figures of merit of each experiment, by their names."""
+        """The figures with some keys of each experiment, by the names of the experiments."""
         return {n: {k: self.runs[e].figures[k] for k in keys} for n, e in experiments.items()}
 
 
 def load_sources() -> Sources:
-    """The paper's robot with the default parameters, without runs."""
+    """Load the paper's robot with the default parameters, without runs."""
     model = RobotModel(load_robot(ROBOT))
     return Sources(model, load_border_data(model), Config(), {})
 
@@ -182,12 +187,12 @@ def run_experiments(
 ) -> Runs:
     """Run each experiment once, in parallel processes.
 
-    `on_progress` takes the simulated time of all finished ones [s] after each.
+    `on_progress` is called with the simulated time [s] of all finished runs after each run.
 
     Raises:
-        UnreachableError: The arm cannot reach the start of one of them.
+        UnreachableError: The arm cannot reach the start of an experiment.
     """
-    # The longest first, so that the processes end together.
+    # Longest first, so that all processes end at about the same time.
     todo = sorted(set(experiments), key=lambda e: (-e.scenario.duration, e.name))
     runs: Runs = {}
     with Workers(load_sources, min(processes, max(len(todo), 1))) as workers:
@@ -198,7 +203,7 @@ def run_experiments(
 
 
 def duration(experiments: Iterable[Experiment]) -> float:
-    """[s] total simulated time."""
+    """[s] total simulated time of some experiments."""
     return sum(e.scenario.duration for e in set(experiments))
 
 

@@ -22,10 +22,10 @@ from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import Sources
 
-_SHOWN = 12_000  # [-] points of a cloud in a picture; more would hide each other
+_SHOWN = 12_000  # [-] largest number of points in a picture; more points would hide each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-_MIN_SHARE = 0.02  # [-] share of the peak that counts as reached
-_SMOOTH = 1.0  # [-] lattice steps of the average, because each place has few samples
+_MIN_SHARE = 0.02  # [-] share of the peak above which a position counts as reached
+_SMOOTH = 1.0  # [-] width of the average in lattice steps, because a position has few samples
 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
@@ -65,8 +65,8 @@ def figure_3(sources: Sources) -> drawing.Drawing:
 @style.picture("fig5", "Figure 5: score of the end-effector's border")
 def figure_5(sources: Sources) -> drawing.Drawing:
     """(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. (b) The
-    reachability depends on the distance from the arm's mount alone. (c) Their product, signed by x,
-    has one global maximum, in front.
+    reachability depends only on the distance from the arm's mount. (c) The product of both, with
+    the sign of x, has one global maximum, in front.
     """
     border, field = sources.border, sources.field
     points = border.points[_some(len(border), np.random.default_rng(0))]
@@ -148,15 +148,15 @@ def figure_6(sources: Sources) -> drawing.Drawing:
             "positions": len(reach_map.points),
         },
         [
-            "The controller scores with the paper's coefficients.",
-            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, because few joint "
-            "positions lead to each place.",
+            "The controller uses the paper's coefficients.",
+            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, because few "
+            "random joint positions lead to each position.",
         ],
     )
 
 
 def _smoothed(reach_map: ReachMap) -> Array:
-    """(N,) the reachability at the map's positions, averaged over neighbouring positions."""
+    """(N,) the reachability at the map's positions, averaged with neighbouring positions."""
     steps = np.rint((reach_map.points - reach_map.p_base) / reach_map.spacing_m).astype(int)
     at = tuple((steps - steps.min(axis=0)).T)
     values = np.zeros(np.ptp(steps, axis=0) + 1)
@@ -184,7 +184,7 @@ def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
 
 
 def _some(count: int, rng: np.random.Generator) -> Array:
-    """Ascending indices of at most `_SHOWN` of the points."""
+    """Ascending random indices of at most `_SHOWN` of `count` points."""
     return np.sort(rng.choice(count, min(count, _SHOWN), replace=False))
 
 
@@ -194,7 +194,7 @@ def _scatter(ax: Any, points: dict[str, Array], **look: Any) -> PathCollection:
 
 
 def _view(ax: Any, model: RobotModel, points: drawing.Table, zoom: float) -> None:
-    """The box around l_m, with equal scales on all axes, around points and origin."""
+    """Draw the box around l_m, and scale all axes equally around the points and the origin."""
     faces = drawing.base_corners(model)[list(_FACES)]
     look: dict[str, Any] = {"facecolor": "#CBD2D9", "edgecolor": "#616E7C", "linewidth": 0.6}
     ax.add_collection3d(Poly3DCollection(list(faces), **look, alpha=0.5))

@@ -1,4 +1,4 @@
-"""The whole command: runs, figures, claims and the page, written into a folder."""
+"""The reproduction of the paper: it makes runs, figures, claims and a page in a folder."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -28,30 +28,30 @@ FIGURES = {
     for name, figure in pictures_in(vars(module)).items()
 }
 """The figures in the order of the paper, by their names."""
-_DRAWING = 5.0  # [s] simulated time of about the same cost as drawing a figure
+_DRAWING = 5.0  # [s] simulated time that costs about as much as drawing a figure
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """The named figures without repetition, in the order of the paper; all without names.
+    """The named figures without repetition, in the order of the paper; all if there are no names.
 
     Raises:
-        UnknownNameError: Lists the existing names.
+        UnknownNameError: A name does not exist; the message lists the names.
     """
-    asked = set(names)
-    for name in sorted(asked):
+    selected = set(names)
+    for name in sorted(selected):
         check_name("figure", name, FIGURES)
-    return [name for name in FIGURES if name in asked or not asked]
+    return [name for name in FIGURES if name in selected or not selected]
 
 
 def experiments_for(names: Sequence[str]) -> list[Experiment]:
-    """The runs that these figures and their claims need, each once."""
+    """The runs that some figures and their claims need, without repetition."""
     needs = [e for name in names for e in FIGURES[name].needs]
     needs += [e for claim in claims_of(names) for e in claim.needs]
     return list(dict.fromkeys(needs))
 
 
 def work(names: Sequence[str]) -> float:
-    """[s] simulated time of about the same cost as making these figures."""
+    """[s] simulated time that costs about as much as making some figures."""
     return duration(experiments_for(names)) + _DRAWING * len(names)
 
 
@@ -63,9 +63,14 @@ def reproduce(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Make figures with their data, judge the claims, and write everything.
+    """Make figures with their data, judge the claims, and write all files.
 
-    `on_progress` takes the finished part of `work` [s].
+    Args:
+        names: Names of the figures.
+        out: The folder.
+        seed: Seed of all runs.
+        processes: Number of processes.
+        on_progress: Called with the part of `work` [s] that is done.
 
     Returns:
         The content of `metrics.json`.
@@ -112,7 +117,7 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """`index.html`: all figures, then all claims from `Claim.judge`, with a sentence on top."""
+    """The HTML of `index.html`: figures, then claims from `Claim.judge`; `about` is in the lead."""
     hold = sum(bool(claim["holds"]) for claim in claims)
     tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
     lead = (
@@ -124,7 +129,10 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
 
 
 def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
-    """One figure, the first of its files, and the paper's statement beside the measurement."""
+    """The part of a page with a figure, the paper's statement and the measurement.
+
+    The first of `files` is the picture.
+    """
     measured = Part(
         "Measured here",
         tables=measured_grids(drawing.measured),

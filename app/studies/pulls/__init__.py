@@ -1,1 +1,1 @@
-"""Random pulls by the thousand (`dbb study`)."""
+"""Studies of many random pulls (`dbb study`)."""

@@ -1,6 +1,6 @@
-"""One case of a study as a row of its table: the drawn quantities, then the results.
+"""A case of a study as a row of a table: the random quantities, then the results.
 
-The drawn columns alone determine the case: the same values give the same run.
+The random quantities determine the case: equal quantities give equal runs.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ COLUMNS = {
     "stated_period": "stated_period_s",
     "fault_at": "fault_at_s",
 }
-"""The place of each drawn quantity in a row: the person's largest speed, times of the pull (None
-for events that do not happen), and parameters, by their names in `StudyRange`."""
+"""The column of each random quantity, by its name in `StudyRange`: the person's largest speed, the
+times of the pull (None for events that do not happen), and parameters."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _OF_TRACKING = {"stuck", "left_way"}
 _KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *TIMES, *_OF_TRACKING}
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
-    """The run of a case, from the drawn columns of its row.
+    """The run of a case, from the random quantities in its row.
 
-    Running it raises a `CaseError` on a robot with another arm.
+    The run raises a `CaseError` for a robot with another arm.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
@@ -72,13 +72,12 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
 
 
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
-    """The row of a case: the drawn quantities and the results.
+    """Run a case, and return its row with the random quantities and the results.
 
-    A run that stops with an error is a row too: `error` has the reason, and its figures are
-    missing.
+    If the run stops with an error, `error` has the reason, and the row has no figures.
 
     Raises:
-        AssetError: The robot's files are missing, for this case as for any other.
+        AssetError: The robot's files are missing.
     """
     # Imported here, because drawing cases does not need it.
     from app.simulation.run import run_from_spec
@@ -88,20 +87,20 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     except AssetError:
         raise
     except (DbbError, ValueError, ArithmeticError) as error:
-        return broken_off(drawn, f"{type(error).__name__}: {error}")
+        return stopped(drawn, f"{type(error).__name__}: {error}")
     figures = flat(result.figures)
     nan = not (result.trace.finite and all(map(_finite, figures.values())))
     kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
     return {**drawn, **kept, "nan": nan, "error": None}
 
 
-def broken_off(drawn: Row, why: str) -> Row:
-    """The row of a case without figures."""
-    return {**drawn, "nan": False, "error": why}
+def stopped(drawn: Row, reason: str) -> Row:
+    """The row of a case whose run stopped with an error."""
+    return {**drawn, "nan": False, "error": reason}
 
 
 def met_base(row: Row) -> bool:
-    """Whether arm and base met: in the plant, or by their convex bodies, which are larger."""
+    """Whether arm and base met, in the plant or as convex bodies, which are larger."""
     return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
 
 
@@ -111,19 +110,19 @@ def met_itself(row: Row) -> bool:
 
 
 def entered_buffer(row: Row) -> bool:
-    """Whether the arm came into the buffer of the base."""
+    """Whether the arm entered the buffer of the base."""
     distance = row.get("min_clearance_m")
     return distance is not None and distance < Config().border.d_b
 
 
 def failed(row: Row) -> bool:
-    """Whether a case failed: a contact, a QP without solution, a NaN, a run with an error."""
+    """Whether a case failed, by a contact, a QP without solution, a NaN or an error."""
     broken = row["nan"] or row["error"] or row.get("solver_failures")
     return bool(broken) or met_base(row) or met_itself(row)
 
 
 def flat(figures: Mapping[str, Any]) -> Row:
-    """A run's figures in columns, without those of the machine and those of the case."""
+    """The figures of a run by column, without machine-dependent figures and the case's data."""
     return flattened({key: value for key, value in figures.items() if key not in _KNOWN})
 
 

@@ -1,6 +1,6 @@
-"""Drawing a case, which depends on the study and the number of the case alone.
+"""Random draw of a case, which depends only on the study and the number of the case.
 
-The end-effector starts on a ray out of the base, in a direction of the whole sphere.
+The end-effector starts on a ray from the base, in any direction of the sphere.
 """
 
 import math
@@ -32,29 +32,29 @@ from app.studies.sweep.plan import point_of, way_out
 
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
-steeper than 45°, "below" is more than 10° downwards, the others divide the range between."""
+steeper than 45°, "below" is more than 10° downwards, the other sectors divide the rest."""
 
-_TRIES = 600  # most places that are drawn for a case
-_PATIENCE = 60  # most of these places in one sector
-_SEARCHES = 2  # for a posture, per pitch of the end-effector; another place is cheaper than a third
-_GAP = 0.22, 0.50  # [m] along the ray, from the base's box to the end-effector
-_INNER = 0.9  # [-] part of the base's plan that contains the targets
+_TRIES = 600  # largest number of positions that are drawn for a case
+_PATIENCE = 60  # largest number of consecutive positions in the same sector
+_SEARCHES = 2  # searches for a posture, for each pitch; another position is cheaper than a third
+_GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
+_INNER = 0.9  # [-] part of the base's length and width that contains the targets
 _STEEP, _FALLING = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _FRONT, _CORNER, _SIDE = math.radians(30.0), math.radians(60.0), math.radians(120.0)
-_SAMPLES = 4000  # postures for measuring the reach
-_SIDEWAYS = 0.5  # [-] largest sideways part of an end-effector's direction
-_UPWARDS = 0.26  # [-] largest upward part of that direction: the start solver's 15°
+_SAMPLES = 4000  # number of postures from which the reach is measured
+_SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
+_UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
 _SHELL = 0.02, 0.98  # quantiles of the end-effector's distance from the shoulder
-_ALONG = 0.15  # [-] share of the pulls that go along the base
-_ALONG_ANGLE = math.radians(45.0)  # largest angle of such a pull towards the base
-_LOWEST = 0.05  # [m] lowest end of a pull above the floor
-_TRAVEL = 0.15, 0.60  # [m] of a pull along the base; one towards it ends in it, up to 0.6 m
-_HOLD = 1.0  # [s] after the pull, during which a collision is still possible
-_PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean
-_RELEASE = 0.3, 1.0  # [-] share of the pull after which the person releases
-_MAX_FAULTS = 3
-_LATER = ("payload", *FAULTS)  # drawn from a stream of their own: pulls are the same without them
-_APART = 0.1, 0.9  # [-] share of the remaining time without a grip
+_ALONG = 0.15  # [-] share of the pulls along the base
+_ALONG_ANGLE = math.radians(45.0)  # [rad] largest angle of a pull along the base towards it
+_LOWEST = 0.05  # [m] smallest height of the end of a pull
+_TRAVEL = 0.15, 0.60  # [m] range of the length of a pull along the base; longest pull towards it
+_HOLD = 1.0  # [s] time after the pull, in which a collision is still possible
+_PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
+_RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's time
+_MAX_FAULTS = 3  # largest number of faults in a case
+_LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
+_APART = 0.1, 0.9  # [-] range of the time without a grip, as a share of the time after the pull
 
 
 class StudySources(NamedTuple):
@@ -63,9 +63,9 @@ class StudySources(NamedTuple):
     model: RobotModel
     data: BorderData
     lower: Array
-    """(3,) [m] lower corner of the mobile robot's box, in its own frame, on the floor."""
+    """(3,) [m] lower corner, on the floor, of a box around the mobile base, in the base's frame."""
     upper: Array
-    """(3,) [m] the opposite corner."""
+    """(3,) [m] upper corner of the box."""
     shoulder: Array
     """(3,) [m] the arm's second joint (the shoulder) in the base's frame."""
     near: float
@@ -80,9 +80,9 @@ class Start(NamedTuple):
     sector: str
     """One of `SECTORS`."""
     p: Array
-    """(3,) [m] the end-effector, in the base's frame."""
+    """(3,) [m] position of the end-effector, in the base's frame."""
     aim: Array
-    """(3,) [m] the target point in the base."""
+    """(3,) [m] target point inside the base, in the base's frame."""
 
     @property
     def outwards(self) -> Array:
@@ -93,10 +93,10 @@ class Start(NamedTuple):
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """The shared data, loaded once per process.
+    """Load the shared data, once for each process.
 
     Raises:
-        UnknownNameError: No such robot.
+        UnknownNameError: The robot does not exist.
         AssetError: The robot's URDF or a mesh is missing.
     """
     model = RobotModel(load_robot(robot))
@@ -108,7 +108,16 @@ def load_sources(robot: str) -> StudySources:
 def draw_start(
     sources: StudySources, heights: Interval, rng: np.random.Generator
 ) -> tuple[Start, Array, int]:
-    """A start, the arm's joint positions (n_m,) there, and the number of unreachable places before.
+    """Draw a start.
+
+    Args:
+        sources: The shared data.
+        heights: [m] range of the end-effector's height.
+        rng: Source of random numbers.
+
+    Returns:
+        The start, the arm's joint positions (n_m,) at the start, and the number of positions that
+        were drawn before and rejected.
 
     Raises:
         StudyError: The arm reaches no start at these heights.
@@ -134,7 +143,7 @@ def draw_start(
 
 
 def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start:
-    """A random place in that sector, whether reachable or not."""
+    """Draw a start in a sector; the arm may not be able to reach it."""
     lower, upper = sources.lower, sources.upper
     middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
     plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
@@ -157,7 +166,7 @@ def sector_of(direction: Array) -> str:
 
 
 def _direction(sector: str, rng: np.random.Generator) -> Array:
-    """(3,) a random unit vector, uniform over a sector of the sphere."""
+    """Draw a unit vector (3,), uniformly distributed in a sector of the sphere."""
     while True:
         v = rng.standard_normal(3)
         v /= np.linalg.norm(v)
@@ -166,7 +175,10 @@ def _direction(sector: str, rng: np.random.Generator) -> Array:
 
 
 def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
-    """Shoulder and reach, from random postures with the outward directions of the start solver."""
+    """Position of the shoulder (3,) [m], and the radii `near` and `far` [m] of `StudySources`.
+
+    The radii come from random postures whose end-effector points outwards, as in the start solver.
+    """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
     ready = np.array(model.description.arm.ready_position)
@@ -186,11 +198,11 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
 
 
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
-    """The drawn quantities of the case with that number, by the columns of the study's table.
+    """Draw the random quantities of a case, by the columns of the study's table.
 
-    Each case has its own stream of random numbers, so it depends on the study and its number
-    alone, not on the process or the order. If the arm cannot reach a start with all of its pairs
-    outside their buffers, another one is drawn from the same stream.
+    Each case has its own stream of random numbers, so it depends only on the study and the number
+    of the case, and not on the process or the order. If the arm cannot reach a start with all pairs
+    outside their buffers, another start is drawn from the same stream.
 
     Raises:
         StudyError: The arm reaches no start at these heights.
@@ -222,7 +234,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
 
 
 def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float:
-    """A random value of a quantity, by its name in `StudyRange`."""
+    """Draw the value of a quantity with a name in `StudyRange`."""
     low, high = getattr(ranges, name)
     if name not in LOGARITHMIC:
         return float(rng.uniform(low, high))
@@ -230,7 +242,7 @@ def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float
 
 
 def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
-    """(3,) [m] the pull, and whether it goes along the base instead of into it."""
+    """Draw the displacement (3,) [m] of a pull, and whether it is along the base, not into it."""
     travel, along = rng.uniform(*_TRAVEL), rng.random() < _ALONG
     way, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
     o = start.outwards
@@ -244,7 +256,17 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """The pull, shortened if it takes too long, the run's duration [s] and the share of pulling."""
+    """Compute the times of a pull.
+
+    Args:
+        move: (3,) [m] displacement of the pull.
+        speed: [m/s] largest speed of the hand.
+        longest: [s] longest run.
+
+    Returns:
+        The displacement (3,) [m], shortened if the pull takes too long; the duration [s] of the
+        run; and the ratio [-] of the pull's time to the duration.
+    """
     hold = min(_HOLD, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
     if pulling > longest - hold:
@@ -254,7 +276,7 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
 
 
 def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
-    """The payload, and at most three of `FAULTS`; `pulling` [s] is how long the person pulls."""
+    """Draw the payload and the faults, at most three; `pulling` [s] is the time of the pull."""
     drawn = {name: draw_value(name, ranges, rng) for name in _LATER}
     count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
     for name in rng.permutation(list(FAULTS))[count:]:
@@ -265,7 +287,7 @@ def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -
 def _draw_release(
     ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
 ) -> tuple[float | None, float | None]:
-    """[s] times of release and renewed grip, or None."""
+    """Draw the times [s] of release and new grasp, each of which may be None."""
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
     release = duration * moving * rng.uniform(*_RELEASE)
     regrasp = release + duration * (1.0 - moving) * rng.uniform(*_APART)

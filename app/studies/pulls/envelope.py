@@ -1,4 +1,4 @@
-"""The envelope of safety: the largest force of a person within intervals of everything else."""
+"""The envelope of safety: the largest force of a person, for intervals of all other quantities."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,24 +19,24 @@ from app.studies.runs import Row
 STATED = Path(__file__).with_name("envelope.toml")
 """The envelope that the project states, with its source."""
 
-RESERVE = NEAR  # [m] a case that comes nearer counts as failed here
-MARGIN = 0.9  # [-] ratio of the envelope to the weakest failure's force
+RESERVE = NEAR  # [m] distance below which a case counts as failed for the envelope
+MARGIN = 0.9  # [-] ratio of the envelope's force to the force of the weakest failure
 FORCE = "hand_force_clear_max_n"
 """Column of a row with the force that the person exerted before two bodies were near."""
-_CONFIDENCE = 0.95  # [-] confidence of the bound of a rate
+_CONFIDENCE = 0.95  # [-] confidence of the bound of a failure rate
 
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """Forces up to F* are inside if everything else is within its interval.
+    """A case is inside if its force is at most F* and each other quantity is within its interval.
 
-    The intervals belong to the quantities of a `StudyRange` with the same names. The force is the
-    largest that acted on the end-effector before two bodies were near, not the spring's limit.
+    The intervals have the names of the quantities in `StudyRange`. The force of a case is the
+    largest force on the end-effector before two bodies were near, not the spring's limit.
     """
 
     force: NonNegative
-    """[N] F*; 0 means that nothing is inside."""
+    """[N] F*; 0 means that no case is inside."""
     speed: Interval
     """[m/s] largest speed of the person's hand."""
 
@@ -45,7 +45,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
         """The envelope that the project states.
 
         Raises:
-            StudyError: Its file is damaged.
+            StudyError: The file is damaged.
         """
         try:
             content = from_toml(STATED.read_text(encoding="utf-8"))
@@ -53,28 +53,28 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
         except ValidationError as error:
             raise StudyError(f"{STATED}: {explain(error, cls)}") from None
         except (OSError, ValueError, KeyError) as error:
-            raise StudyError(f"{STATED}: no envelope can be read ({error})") from None
+            raise StudyError(f"{STATED}: the envelope cannot be read ({error})") from None
 
     def narrowed(self, ranges: StudyRange) -> StudyRange:
-        """The parts of a study's ranges that are inside.
+        """The parts of a study's ranges that are inside the envelope.
 
         Raises:
-            StudyError: A range has no part inside.
+            StudyError: A range has no part inside the envelope.
         """
         found = {}
         stated = {name: getattr(self, name) for name in _INTERVALS}
-        for name, (least, most) in {**stated, "hand_f_max": (0.0, self.force)}.items():
+        for name, (lower, upper) in {**stated, "hand_f_max": (0.0, self.force)}.items():
             low, high = getattr(ranges, name)
-            found[name] = max(low, least), min(high, most)
-            if low > most or high < least:
+            found[name] = max(low, lower), min(high, upper)
+            if low > upper or high < lower:
                 raise StudyError(
-                    f"--{name.replace('_', '-')}: no statement from {low:g} to {high:g}, "
-                    f"only from {least:g} to {most:g}; --inside needs a part of that"
+                    f"--{name.replace('_', '-')}: {low:g} to {high:g} is outside of the envelope, "
+                    f"{lower:g} to {upper:g}; --inside needs a range that overlaps the envelope"
                 )
         return ranges.model_copy(update=found)
 
     def holds(self, row: Row) -> bool:
-        """Whether a case is inside, by its row and its exerted force."""
+        """Whether a case is inside the envelope."""
         intervals = ((row[COLUMNS[name]], *getattr(self, name)) for name in _INTERVALS)
         within = all(low <= value <= high for value, low, high in intervals)
         return within and exerted(row) <= self.force and self.force > 0.0
@@ -86,17 +86,18 @@ _INTERVALS = tuple(name for name in Envelope.model_fields if name != "force")
 def exerted(row: Row) -> float:
     """[N] the person's largest force in a case before two bodies were near.
 
-    For a run that stopped with an error it is the spring's limit.
+    For a run that stopped with an error, it is the spring's limit.
     """
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
 
 def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
-    """The largest force without a failure or a distance below 10 mm, minus a margin.
+    """Fit an envelope to cases.
 
-    F* is 0.9 of the force of the weakest failure, but not above the strongest successful case,
-    rounded down to 1 N; 0 without a successful case.
+    Cases that failed, or came nearer than 10 mm, count as failures. F* is 0.9 times the force of
+    the weakest failure, or the force of the strongest successful case if this is lower; it is
+    rounded down to 1 N. F* is 0 without a successful case.
     """
     good: list[float] = []
     bad: list[float] = []
@@ -110,17 +111,17 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 
 
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
-    """Number of cases and of failures, and the 95 % bound of the failure rate."""
+    """Number of cases, number of failures, and the 95 % bound of the failure rate."""
     failures = sum(map(failed, rows))
     bound = rate_bound(failures, len(rows))
     return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """Results of the cases inside of an envelope that was fitted without them.
+    """Results of the cases inside an envelope that was fitted to other cases.
 
-    The even cases are compared with the envelope of the odd ones, and vice versa: a
-    bound from the cases of the fit itself would be meaningless.
+    The even cases are compared with the envelope of the odd cases, and vice versa. A bound from
+    the same cases as the fit would be meaningless.
     """
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
@@ -131,7 +132,10 @@ def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
 
 
 def rate_bound(failures: int, cases: int) -> float:
-    """[-] upper 95 % bound of a rate (Clopper and Pearson); about 3 / cases without a failure."""
+    """[-] upper 95 % bound of a failure rate (Clopper and Pearson).
+
+    Without a failure it is about 3 divided by the number of cases.
+    """
     from scipy.stats import beta
 
     if failures >= cases:

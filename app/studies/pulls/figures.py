@@ -16,13 +16,13 @@ from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_i
 _CLEARANCES = 0.0, 0.15  # [m] ends of the colour scale
 _SHADE = "#DCEBF5"
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
-_BEYOND = 1.15  # [-] end of the picture relative to the largest speed
+_BEYOND = 1.15  # [-] end of the force axis relative to the largest force
 
 
 @picture("envelope", "Envelope of safety")
 def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """Each point is a case. The envelope of these cases is below the black line: 0.9 of the force
-    of the weakest case that failed, or came nearer than 10 mm.
+    """Each point is a case. The envelope of these cases is below the black line, which is 0.9 times
+    the force of the weakest case that failed or came nearer than 10 mm.
     """
     figure = new_figure(4.6)
     axes = figure.subplots()
@@ -52,14 +52,16 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set_xlabel("speed of the person's hand [m/s]")
     axes.set_xlim(low - 0.02, high + 0.02)
-    axes.set_ylabel("force exerted until near [N]")
+    axes.set_ylabel("force before two bodies were near [N]")
     axes.set_ylim(0.0, _BEYOND * max([row[FORCE] for row in known] + [envelope.force, 1.0]))
     return figure
 
 
 @picture("clearance", "Smallest distance between arm and base")
 def draw_clearance(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """The smallest true distance of each run; at the red line they touch. The grey line is d_b."""
+    """The smallest true distance between arm and base in each run. At the red line arm and base
+    touch; the grey line is d_b.
+    """
     figure = new_figure(4.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("min_clearance_m") is not None]
@@ -76,7 +78,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope) -> Figure:
     )
     for value in (0.0, Config().border.d_b):
         left.axvline(value, color=TARGET if value == 0.0 else SOFT, linewidth=1.2)
-    left.set_xlabel("smallest distance between arm and base [m]; the last bar has all larger ones")
+    left.set_xlabel("smallest distance between arm and base [m]; the last bar includes all above")
     left.set_ylabel("cases")
     left.legend(title="envelope", loc="upper center")
     _strips(right, known, "min_clearance_m")
@@ -89,7 +91,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope) -> Figure:
 @picture("errors", "Final error of the end-effector")
 def draw_errors(rows: Sequence[Row], _: Envelope) -> Figure:
     """The arm resists a pull in a direction in which the base cannot move away, such as down onto
-    its top, and the end-effector ends far from the target: this is intended.
+    the base. The end-effector then intentionally ends far from the target.
     """
     figure = new_figure(3.8)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
@@ -120,7 +122,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
 
 
 def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
-    """One row of points for each kind, spread evenly to separate them."""
+    """Draw the cases of each kind as a row of points, which are spread vertically."""
     kinds = sorted({row["kind"] for row in rows}, reverse=True)
     for y, kind in enumerate(kinds):
         here = [row for row in rows if row["kind"] == kind]
@@ -132,4 +134,4 @@ def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
     axes.grid(visible=False, axis="y")
 
 
-PICTURES = pictures_in(globals())  # each takes the cases and their envelope
+PICTURES = pictures_in(globals())  # arguments of `draw`: rows of cases and their envelope

@@ -1,4 +1,4 @@
-"""The identity of a study: its robot, controller and plant, and its random intervals."""
+"""The parameters of a study: robot, controller, plant, and intervals of the random quantities."""
 
 import hashlib
 from functools import cache
@@ -12,7 +12,7 @@ from app.errors import ConfigError
 from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
-Interval = tuple[float, float]  # smallest and largest value; equal ones fix the value
+Interval = tuple[float, float]  # smallest and largest value; equal ends fix the value
 
 FAULTS = {
     "sensor_delay": "lag",
@@ -21,8 +21,9 @@ FAULTS = {
     "unknown_load": "load",
     "stated_period": "period",
 }
-"""Disturbances that the controller has to report, one to three in a case that has any; each with
-the fault (`app.control.readings.FAULTS`) as which it does."""
+"""Disturbances that the controller must report, and the fault (one of
+`app.control.readings.FAULTS`) that it reports for each. A case has none of them, or one to
+three."""
 
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
@@ -36,10 +37,10 @@ PARAMETERS = {
     "payload": "payload.mass",
     **{name: f"disturbance.{name}" for name in FAULTS},
 }
-"""Paths of the configuration's parameters among the intervals."""
+"""The configuration's parameter for each random quantity that is one, by its path."""
 
 LOGARITHMIC = ("hand_stiffness",)
-"""Intervals with equal probability for equal factors, not for equal differences."""
+"""Names of the quantities whose logarithm is uniformly distributed."""
 
 _OWN = {
     "speed": (0.01, 1.5, "m/s"),
@@ -55,7 +56,7 @@ _MODULES = ("case", "draw", "parameters")
 
 
 class StudyRange(Strict):
-    """The intervals, each with a uniform distribution except for those in `LOGARITHMIC`."""
+    """The intervals of the random quantities, with uniform distributions except `LOGARITHMIC`."""
 
     speed: Interval = (0.1, 1.2)
     """[m/s] largest speed of the person's hand."""
@@ -72,7 +73,7 @@ class StudyRange(Strict):
     hand_f_max: Interval = (30.0, 100.0)
     """[N] largest force of the person's spring and damper."""
     hand_stiffness: Interval = (300.0, 3000.0)
-    """[N/m] stiffness of that spring."""
+    """[N/m] stiffness of the person's spring."""
     hand_mass: Interval = (0.0, 2.0)
     """[kg] mass of the person's hand and forearm."""
     height: Interval = (0.12, 0.90)
@@ -82,30 +83,33 @@ class StudyRange(Strict):
     sensor_delay: Interval = (0.0, 0.02)
     """[s] age of all readings."""
     sensor_period: Interval = (0.0, 0.033)
-    """[s] interval between new readings."""
+    """[s] time between new readings."""
     dropped: Interval = (0.0, 0.5)
     """[-] share of the readings that are lost."""
     unknown_load: Interval = (0.0, 3.0)
     """[kg] load at the end-effector that the controller does not include."""
     stated_period: Interval = (0.0005, 0.005)
-    """[s] control period that the controller assumes; the true one is 0.001."""
+    """[s] control period that the controller assumes; the true period is 0.001 s."""
     faulty: float = 0.5
-    """[-] share of the cases with one to three of these five; the others have none."""
+    """[-] share of the cases with one to three faults: sensor_delay, sensor_period, dropped,
+    unknown_load, stated_period; the other cases have no fault."""
     fault_at: Interval = (0.0, 0.5)
-    """[-] share of the pull's time after which these begin; the period is wrong from the start."""
+    """[-] time at which the faults begin, as a share of the pull's time; a wrong stated_period acts
+    from the start."""
     duration: float = 8.0
-    """[s] longest run of a case; a slow pull is shortened to fit."""
+    """[s] longest run of a case; a slow pull is shortened."""
     released: float = 0.3
-    """[-] share of the pulls that the person releases early."""
+    """[-] share of the pulls in which the person releases the end-effector early."""
     regrasped: float = 0.5
-    """[-] share of these in which the person takes hold again."""
+    """[-] share of the released pulls in which the person grasps the end-effector again."""
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        """Refuse impossible ranges, in the words of the options of `dbb study`.
+        """Check all ranges.
 
         Raises:
-            ConfigError: Names the option and its range.
+            ConfigError: A range is invalid; the message names the option of `dbb study` and the
+                valid range.
         """
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
@@ -123,27 +127,28 @@ class StudyRange(Strict):
 
 
 class StudyParameters(Strict):
-    """Everything that determines the cases; the number of cases is no part of it."""
+    """All parameters that determine the cases; the number of cases is not one of them."""
 
     seed: int = 0
-    """Seed of the study; case k depends on it and k alone."""
+    """Seed of the study, which together with the number k determines case k."""
     robot: str = "husky_panda"
-    """Name of the robot; `dbb robots` lists them."""
+    """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb, hqp (the paper's controller as printed; slower), a compared method
-    (repulsive, barrier), or none: the same controller without avoidance."""
+    """dbb; hqp (the paper's controller as printed, slower); repulsive or barrier (methods for
+    comparison); or none (the same controller without avoidance)."""
     physics: str = Field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
     ranges: StudyRange = StudyRange()
+    """Intervals of the random quantities."""
     inside: bool = False
-    """Draw only cases inside of the envelope that the project states."""
+    """Whether to draw only cases inside the envelope that the project states."""
 
 
 @cache
 def code_digest() -> str:
-    """16 hexadecimal digits of all code that a case's figures depend on.
+    """A digest, 16 hexadecimal digits, of all code on which a case's figures depend.
 
-    Remote workers, and a study that continues, must have the same code.
+    Remote workers must have the same code, and so must a study that is continued.
     """
     here = Path(__file__).parent
     root = here.parent.parent

@@ -41,12 +41,12 @@ _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MAX_FAILURES = 200  # rows of the table of failures
-_SOON = 0.2  # [s] from a fault's begin; later reports are late
+_SOON = 0.2  # [s] longest time from the beginning of a fault to a report in time
 
 _COLUMNS = {
     "case": "case",
     "kind": "from",
-    "hand_force_clear_max_n": "force until near [N]",
+    "hand_force_clear_max_n": "force before near [N]",
     "hand_force_max_n": "largest force [N]",
     "speed_mps": "speed [m/s]",
     "hand_stiffness_npm": "spring [N/m]",
@@ -67,7 +67,7 @@ _COLUMNS = {
 
 
 def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[str, Any], Envelope]:
-    """Figures of one or more cases, and their fitted envelope; keys end in their unit."""
+    """The summary of one or more cases, whose keys end in the unit, and the fitted envelope."""
     stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
     whole = tally(rows)
@@ -103,7 +103,7 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
 
 
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
-    """How many cases have one of `FAULTS`, in how many it was reported, and in how many soon."""
+    """Number of cases with a fault, of cases with a report, and of cases with a report in time."""
     none, column = parameter(PARAMETERS[name]).default, COLUMNS[name]
     having = [row for row in rows if row.get(column, none) != none]
     waits = [
@@ -116,7 +116,7 @@ def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
 
 
 def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
-    """Results by the force [N] that the person exerted before two bodies were near."""
+    """Results of the cases with a force from `low` to `high` [N] before two bodies were near."""
     here = [row for row in rows if low <= exerted(row) < high]
     return {
         "from_n": low,
@@ -127,7 +127,7 @@ def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
 
 
 def _fared(rows: Sequence[Row], *events: str) -> dict[str, Any]:
-    """Number of cases, frequency of each event, and the smallest distance."""
+    """Number of cases, number of cases with each event, and the smallest distance."""
     least = min(_known(rows, "min_clearance_m"), default=None)
     return {"cases": len(rows), **_counts(rows, *events), "least_clearance_m": least}
 
@@ -155,7 +155,7 @@ def report_html(
     envelope: Envelope,
     pictures: Mapping[str, bytes],
 ) -> str:
-    """The page, from the result of `summary_of` and PNG pictures by their names."""
+    """The report's page, from the results of `summary_of` and PNG pictures by name."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     said, forces = outcome(summary)
     parts = [
@@ -163,34 +163,34 @@ def report_html(
         *(Part(each.title, name, [each.words], pictures[name]) for name, each in PICTURES.items()),
         _envelope(envelope),
         forces,
-        _counted("By where the pull comes from", "from", summary["by_kind"]),
-        _counted("Faults, and when they were reported", "fault", summary["faults"]),
+        _counted("By the direction of the pull", "from", summary["by_kind"]),
+        _counted("Faults and their reports", "fault", summary["faults"]),
         _failures(rows),
     ]
     return page_html(title, _lead(parameters), parts)
 
 
 def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
-    """The results of the cases, in words and by the exerted force."""
+    """The results of the cases as a text, and as a table by the exerted force."""
     return Part(text=_verdict(summary)), _forces(summary)
 
 
 def _lead(parameters: StudyParameters) -> str:
     ranges = parameters.ranges.model_dump()
-    told = ", ".join(
+    intervals = ", ".join(
         f"{name.replace('_', ' ')} {_number(v[0])} to {_number(v[1])}"
         for name, v in ranges.items()
         if isinstance(v, tuple)
     )
-    inside = " Only cases inside of the stated envelope were drawn." if parameters.inside else ""
+    inside = " Only cases inside the stated envelope were drawn." if parameters.inside else ""
     return (
         f"A person pulls the end-effector towards the base from random starts around and "
         f"above it. Robot {parameters.robot}, plant {parameters.physics}, seed "
-        f"{parameters.seed}; {told} (SI units); the stiffness has a logarithmic, everything else a "
-        f"uniform distribution; {_percent(parameters.ranges.faulty)} of the cases have one to "
-        f"three of {', '.join(FAULTS)}, the others none; {_percent(parameters.ranges.released)} of "
-        f"the pulls end early, in {_percent(parameters.ranges.regrasped)} of these the person "
-        f"takes hold again.{inside}"
+        f"{parameters.seed}. Ranges in SI units: {intervals}. The stiffness has a logarithmic "
+        f"distribution, all other quantities a uniform one. {_percent(parameters.ranges.faulty)} "
+        f"of the cases have one to three of the faults {', '.join(FAULTS)}. In "
+        f"{_percent(parameters.ranges.released)} of the cases the person releases the end-effector "
+        f"early, and in {_percent(parameters.ranges.regrasped)} of these grasps it again.{inside}"
     )
 
 
@@ -200,19 +200,20 @@ def _verdict(summary: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{s['failed']} of {s['cases']} cases failed. "
         f"{s['contact']} of {s['cases']} runs had a contact between arm and base in the plant; in "
-        f"{s['bodies_overlap']} the convex bodies met, which are larger than the links and count "
-        f"as failures here. Within the arm: {s['arm_contact']} and {s['arm_bodies_overlap']}. "
-        f"In {s['solver_failure']} a QP had no solution; "
-        f"{s['nan']} gave NaN; {s['error']} stopped with an error.",
+        f"{s['bodies_overlap']} the convex bodies met, which are larger than the links; this "
+        f"counts as a failure. The same numbers within the arm are {s['arm_contact']} and "
+        f"{s['arm_bodies_overlap']}. In {s['solver_failure']} runs a QP had no solution, "
+        f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error.",
         _exerted(s),
         f"Smallest distance between arm and base: {_number(least['0_%'])} m; at least "
         f"{_number(least['50_%'])} m in half of the runs, {_number(least['5_%'])} m in 95 of 100."
         if least
         else "",
-        f"Of {halves['cases']} cases inside of an envelope fitted without them {halves['failed']} "
-        f"failed: the rate is below {_percent(halves['rate_bound_95'])} with 95 % confidence."
+        f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
+        f"{halves['failed']} failed: the rate is below {_percent(halves['rate_bound_95'])} with "
+        "95 % confidence."
         if halves["cases"]
-        else "No case is inside of an envelope fitted without it.",
+        else "No case is inside an envelope that was fitted to other cases.",
         _stated(s["stated_envelope"]),
     ]
     return [line for line in lines if line]
@@ -233,11 +234,11 @@ def _exerted(s: Mapping[str, Any]) -> str:
 def _stated(stated: Mapping[str, Any]) -> str:
     inside, outside = stated["inside"], stated["outside"]
     if not inside["cases"]:
-        return "No case is inside of the envelope that the project states."
+        return "No case is inside the envelope that the project states."
     return (
-        f"Inside of the envelope that the project states {inside['failed']} of {inside['cases']} "
-        f"cases failed (95 % bound {_percent(inside['rate_bound_95'])}), outside of it "
-        f"{outside['failed']} of {outside['cases']}."
+        f"Inside the envelope that the project states, {inside['failed']} of {inside['cases']} "
+        f"cases failed (95 % bound {_percent(inside['rate_bound_95'])}); outside, "
+        f"{outside['failed']} of {outside['cases']} cases failed."
     )
 
 
@@ -254,11 +255,11 @@ def _forces(summary: Mapping[str, Any]) -> Part:
         low, high, *_ = counts.values()
         name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
         found[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
-    return _counted("By the exerted force", "force until near [N]", found)
+    return _counted("By the exerted force", "force before near [N]", found)
 
 
-def _counted(title: str, what: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
-    head = [what, *map(label, next(iter(found.values())))]
+def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
+    head = [group, *map(label, next(iter(found.values())))]
     body = [[name, *map(_number, counts.values())] for name, counts in found.items()]
     return Part(title, tables=[Grid(head, body, numbers=True)])
 
@@ -269,10 +270,11 @@ def _failures(rows: Sequence[Row]) -> Part:
         return Part("Failures", text=["No case failed."])
     bad.sort(key=exerted)
     body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
-    more = f" The weakest {_MAX_FAILURES} of {len(bad)}." if len(bad) > _MAX_FAILURES else ""
+    cut = len(bad) > _MAX_FAILURES
+    more = f" The table has {_MAX_FAILURES} of {len(bad)} failures." if cut else ""
     text = (
-        f"Weakest first.{more} `dbb run --case failures/case-NNNNN.json` repeats one, "
-        "`dbb serve --case` shows it."
+        f"The failures with the smallest forces are first.{more} "
+        "`dbb run --case failures/case-NNNNN.json` repeats a case, `dbb serve --case` shows it."
     )
     grid = Grid(list(_COLUMNS.values()), body, numbers=True)
     return Part("Failures", text=[text], tables=[grid])

@@ -1,7 +1,7 @@
-"""The whole study: the remaining cases, then table, failures, summary and report.
+"""A study: it runs the missing cases, and writes the table, the failures, the summary, the report.
 
-A journal has one line for each finished case, written at once. Processes of this machine do the
-work, or the workers of a running dask scheduler.
+A journal gets one line as soon as a case is finished. The cases run in processes of this machine,
+or on the workers of a running dask scheduler.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
-from app.studies.pulls.case import broken_off, failed, play_case, spec_of
+from app.studies.pulls.case import failed, play_case, spec_of, stopped
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-_AT_ONCE = 1000  # cases sent to the workers together: each waiting one takes memory
+_AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
-_PATIENCE = 10.0  # [s] timeout of a scheduler
-_WORKERS_PATIENCE = 30.0  # [s] timeout of its first worker
+_PATIENCE = 10.0  # [s] timeout of the connection to a scheduler
+_WORKERS_PATIENCE = 30.0  # [s] time to wait for the scheduler's first worker
 
 
 def study(
@@ -51,19 +51,19 @@ def study(
     """Run the missing cases of a study, and write its results into its folder.
 
     Args:
-        parameters: Everything that determines the cases.
-        cases: Number of cases, from number 0 on; a folder with fewer is continued.
+        parameters: All parameters that determine the cases.
+        cases: Number of cases; a folder with fewer cases is continued.
         out: An existing folder.
         scheduler: Address of a dask scheduler, or None for processes on this machine.
-        processes: Number of these processes.
-        on_progress: Takes the number of finished cases.
+        processes: Number of processes on this machine.
+        on_progress: Called with the number of finished cases.
 
     Returns:
         The content of `study.json`.
 
     Raises:
-        StudyError: The folder has another study, the scheduler does not answer, or the ranges
-            have no part inside of the stated envelope.
+        StudyError: The folder has another study, the scheduler does not answer, or a range has no
+            part inside the stated envelope.
         DbbError: The robot cannot be loaded, or no case is possible.
     """
     if parameters.inside:
@@ -79,7 +79,7 @@ def study(
 
 
 def identity_of(parameters: StudyParameters) -> dict[str, Any]:
-    """The parameters that identify the study of a folder."""
+    """The data that identify the study in a folder: the parameters and the code."""
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
@@ -91,7 +91,7 @@ def _do(
     journal: Journal,
     on_progress: Callable[[float], None],
 ) -> None:
-    """Run the cases of these numbers; the journal stores each result at once."""
+    """Run the cases with the numbers `todo`; the journal stores each result immediately."""
     load = partial(load_sources, parameters.robot)
     load()  # samples a missing border once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
@@ -111,9 +111,9 @@ def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row
 
 
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
-    """The row of a case that ended its process in each attempt."""
+    """The row of a case whose process has ended in each attempt."""
     drawn = draw_case(parameters, number, load_sources(parameters.robot))
-    return broken_off(drawn, "its process was killed each time")
+    return stopped(drawn, "the process was killed in each attempt")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file of each failed case for `--case`, and remove older ones."""
+    """Write a file for each failed case, for `--case`, and remove the files of other cases."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -163,19 +163,21 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 
 
 class Journal(AbstractContextManager["Journal"]):
-    """Rows of a study in a folder, by the number of their case.
+    """The stored rows of a study, by the number of the case.
 
-    Each row is one line of JSON, on the disk before `add` returns. A line that is incomplete
-    because the process was killed is removed, and its case runs again.
+    Each row is one line of JSON, which is on the disk before `add` returns. An incomplete line of a
+    killed process is removed, and the case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open the journal of an existing folder, or start one; use it in a `with`.
+        """Open or start the journal in an existing folder; use it in a `with`.
 
-        The identity is the JSON form of everything that determines the cases.
+        Args:
+            folder: The folder.
+            identity: The data that identify the study, as JSON.
 
         Raises:
-            StudyError: The folder has another study, another process works on it, or a row
+            StudyError: The folder has another study, another process uses the folder, or a row
                 cannot be read.
         """
         self.rows: dict[int, Row] = {}
@@ -185,7 +187,8 @@ class Journal(AbstractContextManager["Journal"]):
         try:
             if not claim(self._file):
                 raise StudyError(
-                    f"--out: another dbb study works in {folder}; wait for it, or choose another"
+                    f"--out: another dbb study uses {folder}; wait until it ends, or choose "
+                    "another folder"
                 )
             self._claim(identity)
             self._read()
@@ -206,7 +209,7 @@ class Journal(AbstractContextManager["Journal"]):
         self.rows[row["case"]] = row
 
     def _claim(self, identity: dict[str, Any]) -> None:
-        """Write the identity of this study, or check that it is the same."""
+        """Write the identity of this study, or check that the folder has the same identity."""
         path = self._folder / _HEAD
         if not path.exists():
             write_json(path, identity)
@@ -217,8 +220,8 @@ class Journal(AbstractContextManager["Journal"]):
             raise StudyError(f"--out: {path} is damaged; choose another folder") from None
         if kept != identity:
             raise StudyError(
-                f"--out: {self._folder} holds another study ({_difference(kept, identity)}); "
-                "continue it with its own options, or choose another folder"
+                f"--out: {self._folder} has another study ({_difference(kept, identity)}); "
+                "continue that study with its own options, or choose another folder"
             )
 
     def _read(self) -> None:
@@ -233,17 +236,17 @@ class Journal(AbstractContextManager["Journal"]):
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 raise StudyError(
-                    f"line {number} of {self._folder / _LINES} is damaged; remove it, and its case "
-                    "runs again"
+                    f"line {number} of {self._folder / _LINES} is damaged; remove the line, and "
+                    "the case runs again"
                 ) from None
         self._file.truncate(whole)  # writing continues at the end, because it is open to append
 
 
 def _difference(kept: Any, wanted: dict[str, Any]) -> str:
-    """The parts that differ, as in `seed 1, not 2`."""
+    """The differences between two identities as a text, such as `seed: 1, not 2`."""
     if not isinstance(kept, dict):
         return "its parameters cannot be read"
-    if kept.get("code") != wanted.get("code"):  # then everything else may differ too
+    if kept.get("code") != wanted.get("code"):  # then other parts may differ too
         return f"code of another version: {kept.get('code')}, not {wanted.get('code')}"
     parts = []
     for key in sorted({*kept, *wanted}):
@@ -258,20 +261,23 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
 
 
 class Cluster(AbstractContextManager["Cluster"]):
-    """Runs jobs as `app.jobs.pool.Workers` does, on a dask scheduler; use it in a `with`.
+    """Runs jobs on the workers of a dask scheduler, as `app.jobs.pool.Workers` does in processes.
 
-    It does not end the scheduler. `tls://` addresses take their certificates from dask's own
-    configuration.
+    Use it in a `with`, which does not end the scheduler. The certificates for `tls://` addresses
+    come from dask's configuration.
     """
 
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
-        """Connect to a scheduler's address, as in `tls://10.0.0.7:8786`.
+        """Connect to a scheduler.
 
-        `make_context` returns the data that the jobs share; each job calls it, so it must cache the
-        data.
+        Args:
+            scheduler: Address, such as `tls://10.0.0.7:8786`.
+            make_context: Returns the data that the jobs share; each job calls this function, so it
+                must cache the data.
 
         Raises:
-            StudyError: No scheduler answers, it has no workers, or they have other code.
+            StudyError: No scheduler answers, the scheduler has no workers, or the workers have
+                other code.
         """
         for name in ("distributed", "tornado"):  # their errors arrive as exceptions
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -293,9 +299,9 @@ class Cluster(AbstractContextManager["Cluster"]):
         *,
         lost: Callable[[Job], Result],
     ) -> Iterator[Result]:
-        """The results of all jobs, in the order in which they end.
+        """Execute the jobs, and yield the results in the order in which the jobs end.
 
-        If a job ends its worker's process in each attempt, `lost` makes its result.
+        If the worker's process ends in each attempt at a job, `lost` makes the result.
         """
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
@@ -332,7 +338,7 @@ def _connected(scheduler: str) -> Client:
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Refuse a cluster without workers, or with workers that have other code than this process."""
+    """Check that a cluster has workers, and that their code is the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:

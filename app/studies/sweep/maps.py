@@ -1,4 +1,4 @@
-"""The pictures of a sweep: the results of the paths by direction around the base or on it."""
+"""The maps of a sweep: results of the paths by direction around the base, or by point on it."""
 
 import math
 from collections.abc import Sequence
@@ -21,14 +21,14 @@ from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 Colour = tuple[float, float, float, float]
 
 _GOOD, _BAD = colormaps["Blues"], colormaps["YlOrRd"]
-_PALE, _DEEP = 0.45, 0.95  # [-] of a colour map
-_WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # of the legend
+_PALE, _DEEP = 0.45, 0.95  # [-] used range of a colour map
+_WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # colours in the legend
 _NEVER: dict[str, Any] = {"facecolor": "white", "edgecolor": "#B10026", "hatch": "////"}
 _UNREACHABLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DAE0", "hatch": "////"}
 _INNER, _OUTER = 0.80, 1.60  # [-] inner and outer radius of the bars; the footprint is inside
 _MIN_BAR = 0.06  # [-] length of a bar at the start of the scale
-_AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] and [deg] of the dots of paths along the wheel axis
-_AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # of the dots, by p_b's place [m]
+_AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] radius, [deg] step of the dots for the wheel axis
+_AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # order of the dots by |x| of p_b [m]
 _EDGE = 1.98  # [-] radius of a panel
 _PANEL = 3.35  # [in] side of a panel
 _MARKS_AT = 132.0  # [deg] direction of the texts of the scale: behind the base
@@ -36,27 +36,27 @@ _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
 class Quantity(NamedTuple):
-    """One row of the maps."""
+    """A quantity that the maps show."""
 
     key: str
-    """Key among a path's figures."""
+    """Key in the rows of paths."""
     title: str
     """Label with its unit."""
     scale: Normalize
-    """The scale, for values [m or s] within its ends."""
+    """Scale of the values [m or s]."""
     limit: float | None
     """[m or s] boundary between good and bad, or None."""
     marks: tuple[tuple[float, str], ...]
-    """Values with their texts, drawn as circles."""
+    """Values that are drawn as circles, with their texts."""
     more_is_better: bool = False
-    """Which side of the limit is good."""
+    """Whether values above the limit are good."""
 
     def share(self, value: float) -> float:
         """[-] position of a value on the scale, within 0 and 1."""
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[-] end of a bar; if more is better, a bad value's bar extends to the limit in red."""
+        """[-] radius at which a value's bar ends; the limit for bad values if more is better."""
         lacks = self.limit is not None and self.more_is_better and value < self.limit
         share = self.share(self.limit if lacks and self.limit is not None else value)
         return _INNER + (_OUTER - _INNER) * max(share, _MIN_BAR)
@@ -68,7 +68,7 @@ class Quantity(NamedTuple):
         return value >= self.limit if self.more_is_better else value <= self.limit
 
     def colour(self, value: float) -> Colour:
-        """Blue if good, yellow to red if bad; darker with the distance from the limit."""
+        """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
         room = limit if good is not self.more_is_better else 1.0 - limit
@@ -77,7 +77,7 @@ class Quantity(NamedTuple):
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest clearance and time, with scales that include these paths."""
+    """Final error, smallest distance and time, with scales that include the rows of paths."""
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
@@ -112,10 +112,16 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 
 
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
-    """One figure: a column per controller; final error, smallest clearance and time as rows.
+    """Draw the horizontal paths of a sweep, with a column of panels for each controller.
 
-    A single controller has them side by side. It shows the paths of a `sweep` result at a height
-    [m] and a speed [m/s].
+    The rows of panels are final error, smallest distance and time. For a single controller these
+    panels are side by side.
+
+    Args:
+        result: The result of `sweep`.
+        height: [m] height of the drawn paths.
+        speed: [m/s] speed of the drawn paths.
+        model: The robot.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
@@ -158,10 +164,13 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """One figure: the base in plan, with a square for each place; panels as in the polar map."""
+    """Draw the paths from above, as squares on the base seen from above.
+
+    The panels and arguments are those of `polar_map`.
+    """
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
     closed = [row for row in result["unreachable"] if row["kind"] == "above"]
-    sides = [_least_step([*rows, *closed], key) for key in ("place_x_m", "place_y_m")]
+    sides = [_smallest_step([*rows, *closed], key) for key in ("place_x_m", "place_y_m")]
     body = MobileBody(model)
     lower, upper = body.lower, body.upper
     title = (
@@ -195,9 +204,14 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
-    """A figure for these controllers, and each panel with its controller and quantity.
+    """Make a figure, and its panels with their controllers and quantities.
 
-    The scales include all shown rows; `panel` [in] is the height of a panel.
+    Args:
+        title: Title of the figure.
+        names: Names of the controllers.
+        rows: The rows that the scales must include.
+        panel: [in] height of a panel.
+        projection: Projection of the panels.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -238,7 +252,15 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Its outline, the wheel axis from one y to another, and the arm's mount with a radius [m]."""
+    """Draw the base's outline, the wheel axis and the arm's mount.
+
+    Args:
+        ax: The axes.
+        model: The robot.
+        mount: [m] radius of the mount's circle.
+        axis: [m] y of both ends of the wheel axis.
+        style: Options of the outline.
+    """
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
     place = {"transform": style.pop("transform", ax.transData)}
@@ -249,7 +271,7 @@ def _base(
 
 
 def _scale(ax: Any, quantity: Quantity) -> None:
-    """Circles at the marks of a quantity, its limit dashed, and the directions around the base."""
+    """Draw circles at a quantity's marks, dashed at the limit, and label the directions."""
     marks = {_INNER + (_OUTER - _INNER) * quantity.share(v): text for v, text in quantity.marks}
     marks.setdefault(_OUTER, "")
     ax.set_rgrids(list(marks), list(marks.values()), angle=_MARKS_AT, fontsize=7.5, color="#52606D")
@@ -270,13 +292,13 @@ def _scale(ax: Any, quantity: Quantity) -> None:
 
 
 def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
-    """A bar from the inner circle outwards, in a path's direction, with a width [deg]."""
+    """Draw a bar in a path's direction, from the inner circle to a radius, with a width [deg]."""
     middle, style = math.radians(row["direction_deg"]), {"zorder": 2, **style}
     ax.bar(middle, radius - _INNER, math.radians(width), _INNER, **style)
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """A path along the wheel axis; ordered by p_b's place, not to scale."""
+    """Draw a path along the wheel axis as a dot; the dots are in the order of p_b, not to scale."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
@@ -295,12 +317,12 @@ def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
 
 
 def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
-    """A contact, at a place in the axes' own coordinates."""
+    """Draw a cross at a place in the coordinates of the axes if a path had a contact."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
 
 
-def _least_step(rows: Sequence[Row], key: str) -> float:
-    """[m] smallest step between two places along an axis."""
+def _smallest_step(rows: Sequence[Row], key: str) -> float:
+    """[m] smallest difference between two values of a column."""
     values = sorted({float(row[key]) for row in rows})
     return min((b - a for a, b in pairwise(values)), default=1.0)

@@ -1,4 +1,4 @@
-"""The plan of a sweep: straight paths towards the base, their speeds, controllers and plant."""
+"""The plan of a sweep: straight paths towards the base, with speeds, controllers and plant."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 
 ERROR_LIMIT = 0.001  # [m] largest final error of a completed path
 CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a safe path
-CLEAR = 0.02  # [m] default distance of the start beyond the buffer
-MORE_THAN_BUFFER = 0.005  # [m] smallest distance of a start beyond the buffer
+CLEAR = 0.02  # [m] distance of a start outside the buffer, by default
+MORE_THAN_BUFFER = 0.005  # [m] smallest distance of a start outside the buffer
 _RANGES = {
     "heights": (0.02, 2.0, "m"),
     "speeds": (0.001, 1.0, "m/s"),
@@ -41,23 +41,24 @@ _RANGES = {
 }
 _FARTHEST = 0.5  # [m] largest distance of a start from the base
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
-"""Options of `dbb sweep` whose names differ from their field."""
+"""Options of `dbb sweep` whose names differ from the field's name."""
 
 
 @dataclass(frozen=True)
 class Approach:
-    """One straight path of the end-effector towards the base at the origin, which faces +x."""
+    """A straight path of the end-effector towards the base, which is at the origin and faces +x."""
 
     kind: Kind
-    """Along a ray to the base's centre at one height, parallel to the wheel axis, or down."""
+    """"side": horizontally towards the base's centre; "wheel_axis": parallel to the wheel axis;
+    "above": down."""
     height: float = 0.0
-    """[m] height of the end-effector's origin; None for paths from above."""
+    """[m] height of the end-effector's origin, for horizontal paths."""
     direction_deg: float = 0.0
     """[deg] direction of the start, counter-clockwise from the front."""
     offset: float = 0.0
-    """[m] initial x of the closest point p_b, on the paths along the wheel axis."""
+    """[m] x of the closest point p_b at the start, for paths along the wheel axis."""
     place: tuple[float, float] = (0.0, 0.0)
-    """[m] x and y of the end-effector's origin, on the paths from above."""
+    """[m] x and y of the end-effector's origin, for paths from above."""
 
     @property
     def inwards(self) -> Array:
@@ -71,7 +72,7 @@ class Approach:
 
     @property
     def name(self) -> str:
-        """As in `from 35°, height 0.3 m`."""
+        """The path as a text, such as `from 35°, height 0.3 m`."""
         if self.kind == "above":
             return "from above at ({:g}, {:g}) m".format(*self.place)
         text = f"from {self.direction_deg:g}°, height {self.height:g} m"
@@ -80,7 +81,7 @@ class Approach:
         return text
 
     def where(self) -> dict[str, object]:
-        """The values that distinguish it from others of its kind; keys end in their unit."""
+        """The values that distinguish this path from others of its kind; keys end in the unit."""
         if self.kind == "above":
             return {"place_x_m": self.place[0], "place_y_m": self.place[1]}
         found: dict[str, object] = {"height_m": self.height, "direction_deg": self.direction_deg}
@@ -88,7 +89,7 @@ class Approach:
 
 
 def point_of(p: Array) -> Point:
-    """A vector (3,) in the form of records."""
+    """A vector (3,) as a tuple."""
     x, y, z = p.tolist()
     return x, y, z
 
@@ -109,9 +110,12 @@ def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
 
 
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
-    """Paths down onto the base, over a grid on its footprint that includes its rim.
+    """Paths down onto the base, at the points of a grid on the base's footprint.
 
-    `lower` and `upper` (2,) [m] are its corners; the spacing of the grid is at most `spacing` [m].
+    Args:
+        lower: (2,) [m] lower corner of the footprint, which is a point of the grid.
+        upper: (2,) [m] upper corner of the footprint, which is a point of the grid.
+        spacing: [m] largest spacing of the grid.
     """
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower[:2], upper[:2], counts, strict=True))
@@ -121,7 +125,10 @@ def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]
 
 
 def way_out(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] from a point in a box, (2,) or (3,), along a direction to the surface of the box."""
+    """[m] distance from a point inside a box to the box's surface, along a direction.
+
+    All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
+    """
     with np.errstate(divide="ignore", over="ignore"):
         ways = np.where(direction > 0.0, upper - p, lower - p) / direction
     return float(np.min(np.where(direction == 0.0, np.inf, ways)))
@@ -132,29 +139,29 @@ class SweepPlan:
     """The paths of a sweep and their execution."""
 
     robot: str = "husky_panda"
-    """Name of the robot; `dbb robots` lists them."""
+    """Name of the robot; `dbb robots` lists all names."""
     controllers: tuple[str, ...] = ("dbb",)
     """One or several of dbb, hqp, repulsive, barrier and none, separated by blanks or commas."""
     heights: tuple[float, ...] = (0.3,)
-    """[m] height of the end-effector on the paths from the side, one or several."""
+    """[m] heights of the end-effector on horizontal paths, one or several."""
     speeds: tuple[float, ...] = (0.025,)
-    """[m/s] mean speed of the end-effector, one or several."""
+    """[m/s] mean speeds of the end-effector, one or several."""
     step: float = 5.0
-    """[deg] between two directions."""
+    """[deg] angle between two directions."""
     mode: Mode = "tracking"
     """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
     wheel_axis: bool = True
-    """Paths along the wheel axis too."""
+    """Include paths along the wheel axis."""
     above: bool = False
-    """Paths down onto the base too, over a grid of places."""
+    """Include paths down onto the base, at the points of a grid."""
     above_spacing: float = 0.15
-    """[m] largest spacing of these places."""
+    """[m] largest spacing of the grid."""
     length: float = 0.2
     """[m] length of each path."""
     hold: float = 3.0
-    """[s] duration of the hold at the end."""
+    """[s] duration of the rest at the end of each path."""
     start_distance: float | None = None
-    """[m] distance between arm and base at the start; default: 0.02 beyond the buffer."""
+    """[m] distance between arm and base at the start; default: 0.02 more than d_b."""
     physics: str = field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
     seed: int = 0
@@ -163,11 +170,11 @@ class SweepPlan:
     """Parameters."""
 
     def __post_init__(self) -> None:
-        """Refuse impossible values, in the words of the options.
+        """Check all values; messages name the options.
 
         Raises:
-            ConfigError: A number out of its range.
-            UnknownNameError: No such controller or plant.
+            ConfigError: A number is out of its range.
+            UnknownNameError: A controller or the plant does not exist.
         """
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
@@ -181,20 +188,20 @@ class SweepPlan:
             if not getattr(self, name):
                 raise ConfigError(f"--{OPTIONS[name]}: needs one or several values")
         if self.start_distance is not None:
-            least = self.config.border.d_b + MORE_THAN_BUFFER
-            check_range("--start-distance", self.start_distance, least, _FARTHEST, "m")
+            smallest = self.config.border.d_b + MORE_THAN_BUFFER
+            check_range("--start-distance", self.start_distance, smallest, _FARTHEST, "m")
         if abs(360.0 / self.step - round(360.0 / self.step)) > 1e-9:
             raise ConfigError(f"--step: 360° is not a multiple of {self.step:g}°")
 
     @property
     def distance(self) -> float:
-        """[m] between arm and base at the start."""
+        """[m] distance between arm and base at the start."""
         return (
             self.config.border.d_b + CLEAR if self.start_distance is None else self.start_distance
         )
 
     def approaches(self, model: RobotModel) -> list[Approach]:
-        """All paths, each once for all speeds and controllers."""
+        """All paths, without repetition for speeds and controllers."""
         # Imported here, so that a plan is checked before slow imports.
         from app.border.mobile import MobileBody
 
@@ -207,13 +214,13 @@ class SweepPlan:
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[Trial]:
-        """All runs from these starts."""
+        """All runs for some starts."""
         for controller in self.controllers:
             for speed in self.speeds:
                 yield from (Trial(start, controller, speed) for start in starts if not start.reason)
 
     def spec(self, trial: Trial) -> RunSpec:
-        """The run of one trial."""
+        """The run of a trial."""
         start, moving = trial.start, self.length / trial.speed
         line = StartedLine(
             start.approach.name,
@@ -233,21 +240,23 @@ class Start(NamedTuple):
 
     approach: Approach
     q_m: tuple[float, ...] = ()
-    """(n_m,) joint positions [rad or m] of the arm, empty without a clear start."""
+    """(n_m,) [rad or m] joint positions of the arm; empty without a start."""
     p_ee: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] the end-effector's origin."""
+    """(3,) [m] position of the end-effector's origin."""
     p_b: Point = (0.0, 0.0, 0.0)
-    """(3,) [m] closest point to the base on the arm."""
+    """(3,) [m] the arm's closest point to the base."""
     clearance: float = 0.0
-    """[m] distance of that point to the base."""
+    """[m] distance of the closest point from the base."""
     reason: str = ""
-    """The reason why there is no clear start, or an empty string."""
+    """The reason why there is no start, or empty."""
 
 
 class Trial(NamedTuple):
-    """One run: a start with its speed and controller."""
+    """A run of a sweep: a start with a speed and a controller."""
 
     start: Start
+    """The start of the path."""
     controller: str
+    """Name of the controller."""
     speed: float
     """[m/s] mean speed of the end-effector."""

@@ -1,4 +1,4 @@
-"""The starts of the paths: a clear posture of the arm, just outside of its buffer."""
+"""Search for the starts of the paths: postures of the arm just outside all buffers."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -19,27 +19,28 @@ from app.studies.sweep.plan import Approach, Start, point_of, way_out
 
 _Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joint positions
 
-_GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)  # [m] from end-effector to the base's outline, best first
+_GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)  # [m] distances from the base's outline, best first
 _SEARCHES = tuple(
     (float(np.radians(turn)), k)
     for turn, k in ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
 )
-"""[rad] rotation of the end-effector from straight outwards, and seed offset; best first."""
-_TRIES = 4  # starting points of a search per pitch of the end-effector
-_MAX_POSTURES = 6  # attempts for one path
-_SLIDE = 0.02  # [m] from one posture to the next towards the desired distance
-_FARTHEST_SLIDE = 0.25  # [m]
-_DISTANCE_TOLERANCE = 1e-4  # [m] of the distance at the start
-_OFFSET_TOLERANCE = 1e-7  # [m] of p_b along the base, about that of the distances
-_OFFSET_TRIES = 40
-_NEARLY = 1e-4  # [m]
+"""[rad] horizontal angle of the end-effector from the outward direction, and offset of the seed;
+best first."""
+_TRIES = 4  # starting points of a search for each pitch of the end-effector
+_MAX_POSTURES = 6  # largest number of postures that are tried for a path
+_SLIDE = 0.02  # [m] first step of the end-effector towards the desired distance
+_FARTHEST_SLIDE = 0.25  # [m] largest sum of these steps
+_DISTANCE_TOLERANCE = 1e-4  # [m] tolerance of the distance at the start
+_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of p_b along the base, similar to that of distances
+_OFFSET_TRIES = 40  # largest number of corrections of p_b
+_NEARLY = 1e-4  # [m] error of p_b below which joint steps replace the search of postures
 
 
 class StartFinder:
     """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
-        """Prepare for a robot and a buffer distance [m]."""
+        """Prepare the search for a robot, its border data and a buffer distance `d_b` [m]."""
         self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
         self._state = RobotState(model)
@@ -50,7 +51,14 @@ class StartFinder:
         self._flaws: Counter[str] = Counter()
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
-        """The start of a path with a distance [m] between arm and base, exactly or nearly."""
+        """Find the start of a path.
+
+        Args:
+            approach: The path.
+            distance: [m] desired distance between arm and base; the start has this distance, or the
+                nearest one that the arm can reach.
+            seed: Seed of the search.
+        """
         refused: Counter[str] = Counter()
         for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
             try:
@@ -66,16 +74,16 @@ class StartFinder:
         return Start(approach, reason=_summary(refused or self._flaws))
 
     def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
-        """Postures for a path; all paths along the wheel axis try the same ones first."""
-        asked = replace(approach, offset=0.0), seed
-        if asked != self._searched:
-            self._searched, self._flaws = asked, Counter()
+        """Postures for a path; paths along the wheel axis that differ only in p_b share them."""
+        key = replace(approach, offset=0.0), seed
+        if key != self._searched:
+            self._searched, self._flaws = key, Counter()
             self._found = self._search(approach, seed, self._flaws)
-        self._found, postures = tee(self._found)  # reuses earlier results of the search
+        self._found, postures = tee(self._found)  # keeps the results of the search for later paths
         return postures
 
     def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
-        """Clear postures with the end-effector beside the base; counts the reasons of failures."""
+        """Search postures outside all buffers; `flaws` counts the reasons of failures."""
         places = [self._place(approach, gap) for gap in _GAPS]
         reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
         if len(reached) < len(places):
@@ -89,7 +97,7 @@ class StartFinder:
             yield p_ee, q_m
 
     def _place(self, approach: Approach, gap: float) -> Array:
-        """(3,) [m] place of the end-effector at a gap from the base's outline, or above its top."""
+        """(3,) [m] position of the end-effector at a gap [m] from the base's outline or top."""
         lower, upper = self._body.lower, self._body.upper
         if approach.kind == "above":
             return np.array([*approach.place, upper[2] + gap])
@@ -101,7 +109,11 @@ class StartFinder:
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move along the path's line to the posture with the distance nearest to that."""
+        """Move the end-effector along the path's line to the desired distance [m].
+
+        Returns:
+            Position (3,) [m] of the end-effector and joint positions (n_m,) of the arm.
+        """
         gap = self._closest(q_m).d - distance
         step, gone = np.sign(gap) * _SLIDE, 0.0
         while abs(gap) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
@@ -121,10 +133,17 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """(n_m,) the posture moved along the base until p_b has the given x.
+        """Find joint positions (n_m,) for which the arm's closest point p_b is at a given x.
+
+        The end-effector moves along the base's x axis.
+
+        Args:
+            p_ee: (3,) [m] present position of the end-effector.
+            q_m: (n_m,) present joint positions.
+            x: [m] desired x coordinate of p_b in the base's frame.
 
         Raises:
-            UnreachableError: The arm cannot reach it.
+            UnreachableError: The arm cannot reach such a posture.
         """
         nearest = np.inf
         for _ in range(_OFFSET_TRIES):
@@ -140,15 +159,15 @@ class StartFinder:
                 joint = self._state.model.body_joints[closest.pair.b]
                 along = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
                 q_m = q_m - along * off / (along @ along)
-        raise UnreachableError(f"p_b comes no nearer to its place than {nearest:.1e} m")
+        raise UnreachableError(f"p_b remains at least {nearest:.1e} m away from its position")
 
     def _closest(self, q_m: Array) -> ClosestPoints:
-        """The closest points of the nearest pair of L_m; leaves the state at that posture."""
+        """The closest points of the nearest pair of L_m at a posture, which the state then has."""
         self._state.update(at_rest(self._state.model, q_m))
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
 
 
 def _summary(flaws: Counter[str]) -> str:
-    """The reasons of the failures, the most frequent first."""
+    """The most frequent reasons of failures, as a text."""
     ordered = sorted(flaws.items(), key=lambda item: (-item[1], item[0]))
     return "; ".join(f"{flaw} ({count} tries)" for flaw, count in ordered[:3])

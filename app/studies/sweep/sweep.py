@@ -1,6 +1,6 @@
-"""Paths of the end-effector towards the base, from all directions, with each controller.
+"""A sweep: paths of the end-effector towards the base from all directions, with each controller.
 
-Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
+The results are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
 
 from functools import lru_cache, partial
@@ -33,9 +33,9 @@ from app.studies.sweep.plan import (
 from app.studies.sweep.starts import StartFinder
 from app.system import write_whole
 
-START_SHARE = 0.25  # [-] share of the search for starts in the progress
+START_SHARE = 0.25  # [-] share of the work that the search for starts takes
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
-"""The key of the JSON for the paths of each kind."""
+"""The JSON key of the paths of each kind."""
 _KEPT = (
     "ee_error_final_m",
     "ee_error_max_m",
@@ -66,7 +66,7 @@ _FIRST = (
 
 @lru_cache(maxsize=1)
 def load(robot: str, d_b: float) -> StartFinder:
-    """A robot's finder of starts, cached per process. `d_b` [m]: buffer distance."""
+    """The search for starts of a robot with a buffer distance `d_b` [m], cached in each process."""
     model = RobotModel(load_robot(robot))
     data = load_border_data(model, progress=False)
     return StartFinder(model, data, d_b)
@@ -75,16 +75,20 @@ def load(robot: str, d_b: float) -> StartFinder:
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
     """Run all paths of a plan.
 
-    Starts are searched once for all controllers and speeds. The result, except for its times, does
-    not depend on the number of processes. `on_progress` takes the share of the work that is done,
-    0 to 1.
+    Each start is searched once for all controllers and speeds. The result, except for times, does
+    not depend on the number of processes.
+
+    Args:
+        plan: The paths.
+        processes: Number of processes.
+        on_progress: Called with the share of the work that is done, 0 to 1.
 
     Returns:
-        The content of `sweep.json`; keys end in their unit.
+        The content of `sweep.json`; keys end in the unit.
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
-    # Paths along the wheel axis start with the same search for a posture.
+    # Paths along the wheel axis that differ only in p_b share a search for postures.
     same = attrgetter("kind", "height", "direction_deg", "place")
     approaches = plan.approaches(make_context().model)
     groups = [tuple(group) for _, group in groupby(approaches, same)]
@@ -145,14 +149,21 @@ def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
 def arrival(t: Array, off: Array) -> float | None:
     """[s] time from which the end-effector stays within 1 mm of its target; None if never.
 
-    `off` (N,) [m] is its distance from the target at the times t (N,) [s].
+    Args:
+        t: (N,) [s] times.
+        off: (N,) [m] distances of the end-effector from its target at these times.
     """
     arrived = np.append(0, np.flatnonzero(off > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
 
 
 def passes(figures: Row, error_limit: float = ERROR_LIMIT) -> bool:
-    """Whether the end-effector arrived within a limit [m] without contact or small distances."""
+    """Whether the end-effector reached its target without contact and with sufficient distance.
+
+    Args:
+        figures: Figures of the run.
+        error_limit: [m] largest final error of the end-effector.
+    """
     clearance = figures["min_clearance_m"]
     flaws = (figures[key] for key in ("contacts", "arm_contacts", "solver_failures"))
     arrived = figures["ee_error_final_m"] <= error_limit
@@ -160,7 +171,7 @@ def passes(figures: Row, error_limit: float = ERROR_LIMIT) -> bool:
 
 
 def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
-    """The worst values, and the number of unreachable starts, by controller and kind of path."""
+    """Worst values and number of unreachable starts, for each controller and kind of path."""
     begun = {kind: [start for start in starts if start.approach.kind == kind] for kind in KINDS}
     return {
         controller: {
@@ -203,7 +214,7 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
 
 
 def write_sweep(result: Row, out: Path) -> list[str]:
-    """Write the result of a sweep into an existing folder; returns the names of the files."""
+    """Write the result of a sweep into an existing folder, and return the names of the files."""
     # Imported here: matplotlib would delay the start of the dashboard.
     from app.studies.style import png_of, styled
     from app.studies.sweep.maps import above_map, polar_map
