@@ -33,20 +33,25 @@ class Held(NamedTuple):
     held_s: float
 
 
-def pulls(options: Options, count: int = 24, held: float = 1.5, first: int = 0) -> Report:
-    """Pull the end-effector hard towards the base.
+def pulls(
+    options: Options, count: int = 24, held: float = 1.5, first: int = 0, column: float = 0.0
+) -> Report:
+    """Pull the end-effector hard towards the base or into the arm's own column.
 
     Args:
         options: See `Options`.
         count: Random pulls, besides the audit's four.
         held: [s] how long the end-effector is held at its end.
         first: Number of the first random pull; the audit's come with 0 only.
+        column: [-] share of the random pulls that are aimed at the arm's own column.
     """
-    rows = played(play, cases(options, count, held, first), options.jobs, "pulls")
+    rows = played(play, cases(options, count, held, first, column), options.jobs, "pulls")
     return Report("pulls", rows, _summary(rows))
 
 
-def cases(options: Options, count: int, held: float, first: int = 0) -> list[Held]:
+def cases(
+    options: Options, count: int, held: float, first: int = 0, column: float = 0.0
+) -> list[Held]:
     """The audit's pulls, then random ones."""
     found = [
         Held(
@@ -60,7 +65,13 @@ def cases(options: Options, count: int, held: float, first: int = 0) -> list[Hel
     for k in range(first, first + count):
         rng = np.random.default_rng([options.seed, k])
         pull = random_pull(
-            options, k, rng, f_max=(30.0, 100.0), stiffness=(300.0, 3000.0), above=_ABOVE
+            options,
+            k,
+            rng,
+            f_max=(30.0, 100.0),
+            stiffness=(300.0, 3000.0),
+            above=_ABOVE,
+            column=column,
         )
         found.append(Held(pull, held))
     return found
