@@ -236,7 +236,7 @@ FIGURES: dict[str, Figure] = {
         "Largest force until two bodies first came nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
-        "Smallest bound of a person's force (at 50 Hz) in a buffer, or null.",
+        "Smallest bound (at 50 Hz) up to which the arm holds a person's force, or null.",
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
-from app.control.limits import force_bound
+from app.control.limits import force_bound, steady_torques
 from app.control.quantities import ControlStep
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
@@ -283,21 +283,24 @@ def _force_bound() -> Quantity:
 
 
 def _least_force_bound(session: Session, step: Step) -> float:
-    """[N] smallest bound of the pairs in their buffers, and of the pull itself.
+    """[N] smallest bound of all pairs in their buffers, and of the pull itself.
 
-    Within the latter the torques can balance the pull, so that no joint exceeds its speed limit. It
-    is NaN without a person, or without a pair in its buffer.
+    Within the latter each joint can hold its speed against the pull, so that none exceeds its
+    limit. It is NaN without a person, and for the fallback command, which holds no limit.
     """
     w, tau_max = step.control, session.model.tau_max
-    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
-    if not (step.pulls and near):
+    if not (step.pulls and w.solved):
         return NAN
-    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, w.g, tau_max) for i in near]
+    qdd = w.qdd.copy()
+    qdd[w.n_b :] += w.x_est[2]
+    load = steady_torques(w.M, w.h, qdd)
+    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
+    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, load, tau_max) for i in near]
     force = step.person.hand
     if size := math.hypot(*force.tolist()):
         against = -(force / size) @ w.J_ee[:3]
-        found.append(force_bound(math.inf, against, 0.0, w.M, w.g, tau_max))
-    return min(found)
+        found.append(force_bound(math.inf, against, 0.0, w.M, load, tau_max))
+    return min(found, default=NAN)
 
 
 @dataclass(frozen=True)
@@ -426,7 +429,7 @@ class Snapshot:
     )
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] bound of a person's force by the arm's torques, for a person inside a buffer."""
+    """[N] bound of a person's force by the arm's torques, while a person pulls."""
     run: int = 0
     """Number of restarts before it."""
     busy: str = ""
