@@ -190,16 +190,12 @@ def _nearest_within(
         below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
     K = np.diag(compliances(slack_weight, length))
     for i in range(m):
-        for j in range(i + 1):
-            both = 0.0
-            for k in range(n):
-                both += a[i, k] * a[j, k]
-            K[i, j] += both
-            K[j, i] = K[i, j]
+        for j in range(m):
+            K[i, j] += (a[i] * a[j]).sum()
     y, kept = np.zeros(m), np.empty(m, np.int64)
     size, found = 0, False
     for _ in range(10 * m):
-        s = times(K, y)
+        s = (K * y).sum(axis=1)
         miss = np.maximum(below - s, s - above)
         miss[kept[:size]] = 0.0
         p = int(miss.argmax())
