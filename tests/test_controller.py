@@ -15,7 +15,7 @@ from app.control.admittance import response
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
 from app.control.tasks import Reference, free_arm_torque, reaction_torque
-from app.errors import UnknownNameError
+from app.errors import MeasurementError, UnknownNameError
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
@@ -358,16 +358,17 @@ def test_a_failed_qp_gives_the_safe_command_and_is_counted(
     assert (output.a_base_cmd * m.base_velocity < 0).all()
 
 
-def test_a_reference_that_is_not_finite_gives_the_safe_command(
+def test_a_reference_that_is_not_finite_is_refused_and_changes_nothing(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    controller = Controller(robot, border_data, Config())
+    spoiled_one, other = (Controller(robot, border_data, Config()) for _ in range(2))
     m = measured(robot, np.array(robot.description.arm.ready_position))
-    spoiled = reference_at(robot, m)._replace(velocity=np.full(6, np.nan))
-    output = controller.step(m, spoiled)
-    assert not output.solved
-    assert output.failures == 1
-    np.testing.assert_allclose(output.u_cmd, free_torque(robot, output))
+    reference = reference_at(robot, m)
+    with pytest.raises(MeasurementError, match="finite"):
+        spoiled_one.step(m, reference._replace(velocity=np.full(6, np.nan)))
+    np.testing.assert_array_equal(
+        spoiled_one.step(m, reference).u_cmd, other.step(m, reference).u_cmd
+    )
 
 
 def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(

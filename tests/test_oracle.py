@@ -36,8 +36,9 @@ STILL = 1e-3
 """[m/s, m/s²] of the base that count as much as one that moves: at rest all is rounding."""
 
 NOT_COMPARED = {"q_pin", "v_pin"} | {q.name for q in QUANTITIES if q.name.startswith("qp_")}
-NOT_COMPARED |= {q.name for q in QUANTITIES if q.source == "readings"} - {"valid"}
-"""Pinocchio's own coordinates, the rescue of a QP, and the age of readings that have none."""
+NOT_COMPARED |= {q.name for q in QUANTITIES if q.source in ("readings", "references")} - {"valid"}
+"""Pinocchio's own coordinates, the rescue of a QP, and the history of readings and references that
+arrive in every step."""
 TRACKING_ONLY = {"x_ref", "v_ref", "a_ref", "e_ee", "b_ee", "lm_damping"}
 ACTIVE_ONLY = {"tangent", "alpha"}
 OF_BASE = {"a_base_free", "a_base_des", "a_base_cmd", "a_base_meas", "a_sum", "v_cmd", "v_before"}

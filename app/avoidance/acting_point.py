@@ -90,7 +90,8 @@ def find_acting_point(
     if math.isnan(p_n[0]):
         return p_n, p_n, p_n, t, math.nan
     value, gradient = score_at(score, p_n)
-    alpha = step_size(d, value / score[2], gain, alpha_min, alpha_max)
+    unit = score[2]
+    alpha = step_size(d, value / unit, gain, alpha_min, alpha_max)
     p_t = p_n + tangential_step(gradient, t, alpha)
     p_act, _ = nearest_border(border, pair, p_t)
     return p_n, p_t, p_act, t, alpha

@@ -19,7 +19,7 @@ from app.compiled import compiled
 from app.config import BorderConfig
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
-from app.structs import assemble, struct_type
+from app.structs import assemble, make_struct, struct_type
 
 _f8, _c16, _i8 = types.f8, types.c16, types.i8
 _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
@@ -84,8 +84,9 @@ def nearest_sample(
 def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
     """The border's point nearest to p (3,) [m] at its height, and the unit tangent there.
 
-    It belongs to a border as points if its height has some; otherwise to the exact
-    offset of l_m. NaN if l_m has no border at all.
+    It is one of the pair's sampled points if the border consists of points and has some at this
+    height. Otherwise it belongs to the surface, the exact offset of l_m, which is the same for all
+    pairs. NaN if l_m has no border at all.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -123,7 +124,8 @@ class BorderSearch:
         points = np.concatenate([np.empty((0, 3)), *(border.points for border in borders)])
         sampled = np.cumsum([0, *map(len, borders)])
         eps = borders[0].eps if borders else 0.0
-        self.struct = _make(_Values(*table, bool(borders), points, sampled, eps))
+        values = _Values(*table, bool(borders), points, sampled, eps)
+        self.struct = make_struct(_make, values)
         """`BORDER` of it."""
 
     def nearest(self, p: Array) -> Foot | None:

@@ -74,7 +74,7 @@ class ScoreField:
         """(…) [unit of the base's measure; m⁴/rad⁴ of a differential one] S, with its sign.
 
         It is positive where the base moves the point well; for the paper's base in front of the
-        axis.
+        axis. A control step computes it with `score_at`.
 
         Paper: Eq. (10).
         Paper: Eq. (11).
@@ -134,7 +134,7 @@ def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C
 
 @compiled()
 def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
-    """S and ∇S (3,) at one point (3,) [m], with `ScoreField.coefficients`."""
+    """S of (10) and (11), and ∇S (3,), at one point (3,) [m], with `ScoreField.coefficients`."""
     constant, quadratic = coefficients[0], coefficients[1]
     measure = (constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0]), 0.0)
     A, B, C = coefficients[6], coefficients[7], coefficients[8]

@@ -24,12 +24,11 @@ def next_command(
     a_max: Array,
     v_max: Array,
 ) -> Array:
-    """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a q̈_b, solved
-    exactly.
+    """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a a, solved exactly.
 
-    The input is the commanded acceleration times the virtual mass, not the base's part of u, which
-    is not zero at q̈_b = 0 and would let the base drift. It is the mean over the period, so that
-    no command of the 1 kHz controller is lost between two commands.
+    The input a is the mean of `a_base_cmd` in the command period, so that no command of the 1 kHz
+    controller is lost between two velocity commands. The base's part of u is not zero while the
+    base is at rest, and would let it drift.
 
     Args:
         acceleration: (n_b,) [m/s² or rad/s²] mean of the commanded acceleration.

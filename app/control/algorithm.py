@@ -4,9 +4,13 @@ Comments name the line of the paper's Algorithm 2; a number in brackets is an eq
 table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
 only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
+There are no levels: each problem is one strictly convex QP, in which a task is a weight, and a row
+of T_sca is a spring whose stiffness follows its activation β. A row with β = 0 has no effect, so
+lines 12 and 16 to 18, which leave out what is inactive, need no branch.
+
 Two problems are solved, one after the other, because the base follows its commands late.
 
-**The base** (`command_base`), with gains slow enough for its 10 Hz:
+**The base** (`command_base`), with task gains slow enough for its 10 Hz:
 
 1. `set_up_free_base`: a_free minimises over q̈ of base and arm the posture and T_ee, with the rows
    between links as springs, subject to the limits of joints, torques and base accelerations. A
@@ -15,7 +19,8 @@ Two problems are solved, one after the other, because the base follows its comma
 3. `undragged`: the acceleration nearest to a_des, in the metric of the base's inertia, that does
    not drag the end-effector along where the arm cannot compensate.
 4. `set_up_room`, only while tracking: the smallest change of it with which the arm fulfils T_ee
-   within its limits: joints, torques, distances of L_m and buffers of the arm's links.
+   within its limits: joints and torques, and for the method `dbb` the distances of L_m and the
+   buffers of the arm's links.
 
 **The arm** (`accelerate_arm`) minimises the tasks with the rows of T_sca as springs against them,
 (29), subject to its limits, for the acceleration that the base has meanwhile (`assume_base`). The
@@ -61,7 +66,8 @@ from app.control.limits import (
 )
 from app.control.qp import cholesky, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
-from app.control.readings import take_readings
+from app.control.readings import JUMP, LOCALISATION, take_readings
+from app.control.references import forget_reference
 from app.control.tasks import (
     add_base_rest_task,
     add_tracking,
@@ -126,6 +132,8 @@ def update_estimate(
     w.d_b[()] += min(max(gains.d_b - w.d_b[()], -way), way)
     fill(w.qp_tried, 0.0)
     take_readings(robot, gains, w, base_pose, base_velocity, q_m, qd_m, drive)
+    if w.valid[()] == 0.0 or w.faults[JUMP] != 0.0 or w.faults[LOCALISATION] != 0.0:
+        forget_reference(w)
     if w.valid[()] == 0.0:
         return
     qd, q_pin, v_pin = coordinates(
@@ -140,6 +148,10 @@ def algorithm_2(
     robot: Any, gains: Any, slow: Any, border: Any, w: Any, base_source: int, tracking: bool
 ) -> None:
     """Self-collision avoidance: one control step.
+
+    Without valid readings the kinematics of the last valid step stay, no QP is solved, and
+    `put_commands` gives the fallback command. A step can be repeated up to `put_commands`, which
+    alone writes memory: this happens after ProxQP has solved one of its QPs.
 
     Paper: Algorithm 2.
 
@@ -170,13 +182,13 @@ def algorithm_2(
     accelerate_arm(robot, gains, w)                  # line 15, (29) of the arm
     if w.qp_open[()] != 0.0:
         return
-    put_commands(robot, gains, w)                    # line 15, (26), §4.1
+    put_commands(robot, gains, w, base_source)       # line 15, (26), §4.1
     # fmt: on
 
 
 @compiled()
 def activate_pairs(gains: Any, w: Any) -> None:
-    """The activation of each pair by its distance (Fig. 10)."""
+    """The activation of each pair, a function of its distance alone, not of time (Fig. 10)."""
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
 
@@ -195,9 +207,9 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
             p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
             n = times(w.R_base.T, w.normal[i])
             p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(  # line 5, Algorithm 3
-                border,
+                border,  # the exact surface, or the paper's points
                 i,
-                robot.scores[i],
+                robot.score_coefficients[i],
                 p_b,
                 w.d[i],
                 gains.alpha_gain,
@@ -289,7 +301,7 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
         T = w.oMi[robot.body_joints[k]]
         put_rows(placed[4 * k : 4 * k + 3], T[:3].T)
         put(placed[4 * k + 3], T[3])
-    points = mean_nearest(
+    points = mean_nearest(  # lines 4 and 9
         robot.shapes,
         robot.triangles,
         robot.nodes,
@@ -311,14 +323,22 @@ def update_kinematics(robot: Any, gains: Any, w: Any) -> None:
 
 
 @compiled()
+def link_accelerations(robot: Any, gains: Any, w: Any) -> Array:
+    """ẍ_r − J̇_r q̇ (k,) of the pairs of L_m^c."""
+    b_r = np.empty(len(w.beta) - robot.n_mob)
+    for j in range(len(b_r)):  # line 8
+        i = robot.n_mob + j
+        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  # line 10, (20)
+    return b_r
+
+
+@compiled()
 def stack_avoidance_task(robot: Any, gains: Any, w: Any) -> None:
     """T_sca: the base's rows, those between links, and T_rep of the compared method."""
     n_mob, n_b, links = robot.n_mob, robot.n_b, len(w.beta) - robot.n_mob
-    b_r, beta_r = np.empty(links), np.zeros(links)
-    for j in range(links):  # line 8, L_m^c
-        i = n_mob + j
-        b_r[j] = generate_rep_acc(w.d_dot[i], gains.k_p, gains.k_v) - w.Jdqd[i]  # line 10, (20)
-        beta_r[j] = w.beta[i] if gains.link_rows else 0.0
+    b_r, beta_r = link_accelerations(robot, gains, w), np.zeros(links)
+    if gains.link_rows:
+        put(beta_r, w.beta[n_mob:])
     J_r = w.J[n_mob : n_mob + links]
     beta_m = w.beta_m[()] if gains.moves_base else 0.0
     generate_avoidance_task(
@@ -371,6 +391,8 @@ def tracking_task(gains: Any, w: Any) -> tuple[Array, float]:
 @compiled()
 def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     """The tasks below T_sca, and the torques of this step."""
+    if not tracking and w.tracking[()] != 0.0:
+        forget_reference(w)
     w.tracking[()] = tracking
     put(w.u_free, free_arm_torque(w.g, w.qd, robot.joint_damping))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a
@@ -416,7 +438,8 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         which: The problem. All have the limits of joints and torques. ARM: the torques of this
             step, with external forces, and no joint demands more than its own torque can achieve;
             and a barrier of each pair's distance. FREE_BASE: these barriers if the method's base
-            has them. ROOM: barriers of L_m and the buffers of the arm's links.
+            has them. ROOM: for methods with a lookahead (`dbb`), barriers of L_m and the buffers of
+            the arm's links.
     """
     barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
@@ -471,9 +494,15 @@ def assume_base(robot: Any, w: Any, base_source: int) -> None:
 
 @compiled()
 def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """Set up the QP of a_free: base and arm together, without the base's rows; returns its limits.
+    """Set up the QP of a_free: base and arm together, without the base's rows.
 
-    It includes the rows between links with slow gains.
+    Minimise ½ q̈ᵀ H_low q̈ + c_lowᵀ q̈ + ½ w ‖J_ee q̈ − b_ee‖², with the rows between links as
+    springs; b_ee and these rows have slow gains. Subject to −τ_max ≤ u(q̈) ≤ τ_max, the bounds of
+    the joints at their full rates, and |J_m q̈_b| ≤ a_max. A method whose base takes part in the
+    barriers moves its base to rest in place of T_ee, and has the barriers of all pairs.
+
+    Returns:
+        The number of its limits.
     """
     n_b, links = robot.n_b, len(w.beta) - robot.n_mob
     if w.tracking[()] != 0.0:  # no damping by a remaining error: the base drives to the target
@@ -484,12 +513,8 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
         H, c = add_base_rest_task(
             w.H_low, w.c_low, w.L_aa, w.qd, slow.base_weight, slow.base_damping, n_b
         )
-    b = np.empty(links)
-    for j in range(links):
-        i = robot.n_mob + j
-        b[j] = generate_rep_acc(w.d_dot[i], slow.k_p, slow.k_v) - w.Jdqd[i]
-    rows = slice(n_b, n_b + links)
-    H, c = insert_rows(H, c, w.J_sca[rows], b, w.B[rows], slow.slack_weight, 0)
+    rows, b_r = slice(n_b, n_b + links), link_accelerations(robot, slow, w)
+    H, c = insert_rows(H, c, w.J_sca[rows], b_r, w.B[rows], slow.slack_weight, 0)
     put_qp(w, H, c)
     m = write_limits(robot, gains, w, FREE_BASE)
     for i in range(n_b):
@@ -500,7 +525,11 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
-    """The base acceleration nearest to a_des that does not drag the end-effector along."""
+    """The base acceleration nearest to a_des that does not drag the end-effector along.
+
+    Minimise (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖², `limit_ee_drag`, with
+    |a_des| ≤ a_max; at β_m = 0 it is a_des.
+    """
     if not w.B[0] > 0.0:
         return w.a_base_des.copy()
     gain = gains.response_gain
@@ -516,14 +545,18 @@ def undragged(robot: Any, gains: Any, w: Any) -> Array:
 
 @compiled()
 def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
-    """Set up the QP that makes room for the arm; returns the number of its limits.
+    """Set up the QP that makes room for the arm.
 
-    Its solution is the smallest change of the commanded acceleration with which the arm fulfils
-    T_ee within its limits. The cost is that of base and arm without limits, with a far higher
-    weight of T_ee, and with the base's rows in proportion to their activation. The limits are all
-    constraints of the arm above T_ee: joints, distances, and the buffers of its own links. Their
-    approach rates match the base's slow response, so the base reacts early: a wrist that nears its
-    limit turns the base in time.
+    Minimise ‖q̈ − q̈_0‖ in the metric H, with q̈_0 the optimum of the cost for the base's response
+    to its present command: the smallest change with which the arm fulfils T_ee within its limits.
+    The cost is that of base and arm, with a far higher weight of T_ee, and with the base's rows in
+    proportion to their activation. Subject to all constraints of the arm above T_ee: torques,
+    joints, and for methods with a lookahead the distances of L_m and the buffers of the arm's
+    links. Their approach rates match the base's slow response, so the base reacts early: a wrist
+    that nears its limit turns the base in time.
+
+    Returns:
+        The number of its limits.
     """
     b_ee, lm_damping = tracking_task(slow, w)
     velocity, weight = slow.ee_damping * w.qd, slow.base_weight * slow.ee_weight
@@ -538,7 +571,14 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
-    """Set up the QP of the arm, for the base's assumed acceleration; returns its limits."""
+    """Set up the QP of the arm, for the base's assumed acceleration.
+
+    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. Subject to
+    the torques of this step, the bounds of the joints and the barriers of distances.
+
+    Returns:
+        The number of its limits.
+    """
     n_b = robot.n_b
     rows = slice(n_b, len(w.B))
     H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], w.B[rows], gains.slack_weight, n_b)
@@ -574,10 +614,14 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
 
 @compiled()
 def update_command(robot: Any, gains: Any, w: Any) -> None:
-    """The admittance law's velocity command, renewed once a period (§4.1)."""
+    """The admittance law's velocity command, renewed once a command period, at 10 Hz (§4.1).
+
+    For a kind of base whose axes depend on each other, `Controller` then replaces the command by an
+    admissible one.
+    """
     put(w.a_sum, w.a_sum + w.a_base_cmd * gains.dt)
     w.t_sum[()] += gains.dt
-    w.command_due[()] = w.t_sum[()] >= gains.period - gains.dt / 2
+    w.command_due[()] = w.t_sum[()] >= gains.command_period - gains.dt / 2
     if w.command_due[()] != 0.0:
         put(w.v_before, w.v_cmd)
         v = next_command(
@@ -595,7 +639,7 @@ def update_command(robot: Any, gains: Any, w: Any) -> None:
 
 
 @compiled()
-def put_commands(robot: Any, gains: Any, w: Any) -> None:
+def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
     """Torques and base velocity from q̈, or the fallback command without a solution."""
     for which in (FREE_BASE, ROOM):
         if w.qp_tried[which] != 0.0 and math.isnan(w.qp_x[which, 0]):
@@ -605,10 +649,11 @@ def put_commands(robot: Any, gains: Any, w: Any) -> None:
     else:  # the fallback command: gravity compensation and damping, and a base that brakes
         w.failures[()] += 1.0
         u = w.u_free
-        moving = (
-            w.base_velocity if w.valid[()] != 0.0 else w.v_cmd
-        )  # without a reading: as commanded
-        put(w.a_base_cmd, -gains.base_damping * moving)
+        # Without a reading the base moves as commanded.
+        v = w.base_velocity if w.valid[()] != 0.0 else w.v_cmd
+        put(w.a_base_cmd, -gains.base_damping * v)
+        if base_source == BASE_AS_COMMANDED:
+            put(w.a_base_meas, w.a_base_cmd)
         fill(w.qdd, math.nan)
     put(w.u_cmd, clip(u, w.u_min, w.u_max))
     if not math.isnan(w.q_posture[0]):  # without a measured pose the torques are not stored
@@ -618,7 +663,9 @@ def put_commands(robot: Any, gains: Any, w: Any) -> None:
 
 @compiled()
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Line 15 as printed: the first call asks `app.control.hqp` for q̈, the second one uses it."""
+    """Line 15 as printed: the first call leaves the problem to `app.control.hqp`, the second one
+    uses its q̈.
+    """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0
         return
@@ -630,7 +677,7 @@ def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
         put(w.a_base_des, times(robot.J_m, w.qdd[: robot.n_b]))
     put(w.a_base_cmd, clip(w.a_base_des, -robot.a_max, robot.a_max))
     assume_base(robot, w, base_source)
-    put_commands(robot, gains, w)
+    put_commands(robot, gains, w, base_source)
 
 
 run_algorithm_2 = compiled(

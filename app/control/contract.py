@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 
-from app.compiled import compiled, direct
 from app.config import Config, sections
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
@@ -17,7 +15,7 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
-_ROUNDING = 1e-4  # [-] tolerance of a rotation matrix in single precision
+_FLOAT = np.dtype(float)
 _FASTEST = 0.6  # [-] largest product of gain [1/s] and control period
 
 
@@ -108,42 +106,27 @@ class JointOrder:
         return q[places], qd[places] if qd.size else np.full(len(places), np.nan)
 
 
-@compiled("b1(f8[:,:], f8[:], f8[:], f8[:])")
-def is_motion(R: Array, p: Array, velocity: Array, acceleration: Array) -> bool:
-    """Whether R (3, 3) is a rotation, and p (3,) and both (6,) are finite numbers."""
-    if not math.isfinite(p.sum() + velocity.sum() + acceleration.sum()):
-        return False
-    for i in range(3):
-        for j in range(3):
-            product = R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j]
-            if not abs(product - (1.0 if i == j else 0.0)) < _ROUNDING:
-                return False
-    return True
-
-
-_usable = direct(is_motion)
-
-
 def checked_reference(reference: Reference) -> Reference:
     """The reference with arrays of floats.
 
     Raises:
-        MeasurementError: It is not a reference, or has a wrong shape or an entry that is not
-            finite; the message names the field.
+        MeasurementError: It is not a reference, or has a wrong shape; the message names the field.
     """
     if not isinstance(reference, Reference):
         raise MeasurementError(
             "reference must be a Reference(pose, velocity, acceleration) or None, was "
             f"{type(reference).__name__}"
         )
-    pose, *motion = reference
+    pose, v, a = reference
     if not isinstance(pose, pin.SE3):
         raise MeasurementError(
             f"reference.pose must be a pinocchio.SE3, was {type(pose).__name__}; "
             "SE3(T) makes one of a 4x4 matrix"
         )
+    if type(v) is type(a) is Array and v.dtype == a.dtype == _FLOAT and v.shape == a.shape == (6,):
+        return reference
     found = []
-    for name, each in zip(Reference._fields[1:], motion, strict=True):
+    for name, each in zip(Reference._fields[1:], (v, a), strict=True):
         try:
             values = np.asarray(each, dtype=float)
         except (TypeError, ValueError):
@@ -151,9 +134,12 @@ def checked_reference(reference: Reference) -> Reference:
         if values.shape != (6,):
             raise MeasurementError(f"reference.{name} must be 6 numbers, was {each!r}")
         found.append(values)
-    if not _usable(pose.rotation, pose.translation, *found):
-        finite = np.isfinite([*pose.translation, *pose.rotation.ravel(), *np.concatenate(found)])
-        if finite.all():
-            raise MeasurementError("reference.pose: its rotation is no rotation matrix")
-        raise MeasurementError("reference: an entry is not a finite number")
     return Reference(pose, *found)
+
+
+def no_motion(reference: Reference) -> MeasurementError:
+    """The error for a reference without a rotation, or with an entry that is not finite."""
+    pose, v, a = reference
+    if np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
+        return MeasurementError("reference.pose: its rotation is no rotation matrix")
+    return MeasurementError("reference: an entry is not a finite number")

@@ -8,11 +8,10 @@ import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
-from app.control.contract import JointOrder, checked_reference
+from app.control.contract import JointOrder
 from app.control.controller import Controller
 from app.control.quantities import ControlStep
-from app.control.readings import FAULTS, JUMP, LOCALISATION
-from app.control.references import References
+from app.control.readings import FAULTS
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
@@ -72,7 +71,7 @@ class ControlLoop:
             config: Parameters; default: those of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
-            interpolate: Whether references that leap are interpolated, as in `References`.
+            interpolate: Whether references that leap are interpolated (`app.control.references`).
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -81,12 +80,16 @@ class ControlLoop:
         """
         config = config or model.description.config
         self.controller = Controller(
-            model, data or load_border_data(model), config, name=name, dt=dt
+            model,
+            data or load_border_data(model),
+            config,
+            name=name,
+            dt=dt,
+            interpolate=interpolate,
         )
         """Algorithm 2."""
         self.reported: set[str] = set()
         """Names of all faults of the readings since `reset`."""
-        self._references = References(dt) if interpolate else None
 
     def joint_order(self, names: Sequence[str]) -> JointOrder:
         """Sort the joint states of a driver that has its own order of joints, and further joints.
@@ -104,11 +107,6 @@ class ControlLoop:
         """
         self.controller.reset()
         self.reported.clear()
-        self._end_reference()
-
-    def _end_reference(self) -> None:
-        if self._references is not None:
-            self._references.reset()
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
@@ -125,25 +123,11 @@ class ControlLoop:
             MeasurementError: A reading or the reference has a wrong number of entries, or the
                 first reading is that of another pose or unit.
         """
-        if reference is not None:
-            reference = self._reference(checked_reference(reference))
-        elif self.controller.last.tracking:
-            self._end_reference()
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
         if np.count_nonzero(step.faults):
             self._report(command)
-            if step.faults[JUMP] or step.faults[LOCALISATION] or not step.valid:
-                self._end_reference()
         return command
-
-    def _reference(self, sent: Reference) -> Reference:
-        """The reference of this step: interpolated, unless that is disabled."""
-        if self._references is None:
-            return sent
-        self._references.dt = self.controller.dt
-        speed = self.controller.config.task.ee_speed
-        return self._references.next(sent, speed)
 
     def _report(self, command: Command) -> None:
         """Log each fault of the readings once until `reset`."""

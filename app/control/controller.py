@@ -26,11 +26,20 @@ from app.control.algorithm import (
     run_algorithm_2,
     update_estimate,
 )
-from app.control.contract import LONGEST, SHORTEST, check_gains, checked_period, implausible
+from app.control.contract import (
+    LONGEST,
+    SHORTEST,
+    check_gains,
+    checked_period,
+    checked_reference,
+    implausible,
+    no_motion,
+)
 from app.control.hqp import solved_by_hierarchy
 from app.control.inputs import METHODS, gains_struct, robot_struct
 from app.control.quantities import QUANTITIES, ControlStep
 from app.control.readings import IMPLAUSIBLE, PERIOD
+from app.control.references import take_reference
 from app.control.rescue import OpenQP, changed_by_proxqp, solved_by_proxqp
 from app.control.tasks import Reference
 from app.errors import check_name
@@ -46,10 +55,11 @@ from app.robot.state import (
 )
 from app.strict import Array
 
+_take = direct(take_reference)
 _estimate, _law = direct(update_estimate), direct(run_algorithm_2)
 
 _MEMORY = tuple(each.name for each in QUANTITIES if each.meaning.startswith("memory"))
-_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading")  # NaN until known
+_UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading", "x_sent")  # NaN until known
 
 
 class Controller:
@@ -67,18 +77,19 @@ class Controller:
         *,
         name: str = "dbb",
         dt: float = 0.001,
+        interpolate: bool = False,
     ) -> None:
         """Prepare the controller.
 
-        `name` is one of `CONTROLLERS`, `dt` [s] the control period; `configure` changes the
-        parameters.
+        `name` is one of `CONTROLLERS`, `dt` [s] the control period, and `interpolate` says whether
+        references that leap are interpolated (`references`); `configure` changes the parameters.
 
         Raises:
             UnknownNameError: The controller does not exist.
             ConfigError: The period is invalid, or too long for a gain.
         """
         self._model, self._data, self._config = model, data, config
-        self._dt = checked_period(dt)
+        self._dt, self._interpolate = checked_period(dt), interpolate
         self._base = model.description.base
         self._distances = PairDistances(model, data.pairs.all)
         self.state = RobotState(model)
@@ -143,7 +154,8 @@ class Controller:
     def reset(self) -> None:
         """Start again: the next reading is the robot's present state, at rest.
 
-        It forgets posture, torques, estimate, commands and the counts of failures.
+        It forgets posture, torques, estimate, commands and the counts of failures. A measured
+        period stays in use.
         """
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0
@@ -174,8 +186,8 @@ class Controller:
             arm's ready posture), and a base that brakes.
 
         Raises:
-            MeasurementError: A reading has a wrong number of entries, or the first one is that of
-                another pose or unit.
+            MeasurementError: A reading or the reference has a wrong number of entries, or the
+                first reading is that of another pose or unit.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, BASE_AS_COMMANDED)
@@ -204,6 +216,11 @@ class Controller:
         self, measurement: Measurement, reference: Reference | None, base_source: int
     ) -> ControlStep:
         w, robot, gains, data = self.last, self._robot, self._gains, self.state.data
+        if reference is not None:
+            pose, v, a = reference = checked_reference(reference)
+            R, p = pose.rotation, pose.translation
+            if not _take(gains, w.struct, R, p, v, a, self._interpolate):
+                raise no_motion(reference)
         measurement = checked(measurement, self._model)
         _estimate(robot, gains, w.struct, *measurement)
         if w.faults[PERIOD]:
@@ -216,9 +233,6 @@ class Controller:
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
         self._distances.write_distances(w.d)
-        if reference is not None:
-            pose, w.v_ref[:], w.a_ref[:] = reference
-            w.x_ref[:3], w.x_ref[3] = pose.rotation.T, pose.translation
         tracking = reference is not None
         problem = robot, gains, self._slow, self._border, w.struct, base_source
         _law(*problem, tracking)

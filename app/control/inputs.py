@@ -16,7 +16,7 @@ from app.config import Config
 from app.control.admittance import largest_command, response, virtual_damping, virtual_mass
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
-from app.structs import assemble, struct_type
+from app.structs import assemble, make_struct, struct_type
 
 _FLOAT, _FLAG = types.f8, types.b1
 _VECTOR, _MATRIX = types.Array(types.f8, 1, "C"), types.Array(types.f8, 2, "C")
@@ -52,7 +52,7 @@ _ROBOT: dict[str, Any] = {
     "pair_joints": _TABLE,  # (n_r, 2) joints that carry l_a and l_b
     "convex": _INTS,  # (n_c,) rows of distances to a convex body each
     "n_convex_mob": types.i8,  # the first ones of them, of L_m
-    "scores": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
+    "score_coefficients": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
 }
 _Robot: Any = NamedTuple("_Robot", [(each, Any) for each in _ROBOT])  # type: ignore[misc]
 ROBOT = struct_type(_Robot, _ROBOT)
@@ -93,7 +93,7 @@ _GAINS: dict[str, Any] = {
     "velocity_noise": _FLOAT,
     "noise_window": _FLOAT,
     "delay": _FLOAT,
-    "period": _FLOAT,
+    "command_period": _FLOAT,  # [s] of the base's velocity command
     "virtual_mass": _VECTOR,  # (n_b,) [kg, kg m²] M_a
     "virtual_damping": _VECTOR,  # (n_b,) [N s/m, N m s] D_a
     "largest_command": _VECTOR,  # (n_b,) [m/s, rad/s]
@@ -157,11 +157,11 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
         "p_tip": tip.translation,
         "convex": np.array([k for each in rows for k in each], dtype=int),
         "n_convex_mob": sum(map(len, rows[: len(mobile)])),
-        "scores": np.array(scores).reshape(-1, 9),
+        "score_coefficients": np.array(scores).reshape(-1, 9),
         **smooth.arrays(),
     }
     values = _Robot(**{name: own.get(name, getattr(model, name, None)) for name in _ROBOT})
-    return _make_robot(_contiguous(values, _ROBOT))
+    return make_struct(_make_robot, _contiguous(values, _ROBOT))
 
 
 def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
@@ -203,7 +203,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         velocity_noise=c.estimate.velocity_noise,
         noise_window=c.estimate.noise_window,
         delay=c.estimate.delay,
-        period=c.admittance.period,
+        command_period=c.admittance.period,
         virtual_mass=virtual_mass(base, c.admittance),
         virtual_damping=virtual_damping(base, c.admittance),
         largest_command=largest_command(base, c.admittance),
@@ -217,7 +217,7 @@ def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
         lookahead=method.get("lookahead", False),
         hierarchy=method.get("hierarchy", False),
     )
-    return _make_gains(_contiguous(values, _GAINS))
+    return make_struct(_make_gains, _contiguous(values, _GAINS))
 
 
 def _contiguous(values: Any, fields: Mapping[str, Any]) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.compiled import compiled
 from app.strict import Array
+from app.structs import put
 
 _EPS = 1e-12  # tolerance relative to a bound
 _MISSED = 1e-10  # tolerance of the limits
@@ -71,20 +72,31 @@ def _minimum(L: Array, c: Array) -> Array:
 
 
 @compiled()
+def dot(a: Array, b: Array) -> float:
+    """aᵀ b."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+@compiled()
 def times(A: Array, x: Array) -> Array:
     """A x, with sums in a fixed order, because those of BLAS depend on memory addresses."""
-    found = np.zeros(len(A))
+    found = np.empty(len(A))
     for i in range(len(A)):
-        for j in range(len(x)):
-            found[i] += A[i, j] * x[j]
+        found[i] = dot(A[i], x)
     return found
 
 
 @compiled()
 def _holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
     """Whether l ≤ C x ≤ u within a tolerance; false for NaN."""
-    reached = times(C, x)
-    return bool((np.maximum(l - reached, reached - u) <= tolerance).all())
+    for i in range(len(l)):
+        reached = dot(C[i], x)
+        if not (l[i] - reached <= tolerance and reached - u[i] <= tolerance):
+            return False
+    return True
 
 
 @compiled()
@@ -114,13 +126,13 @@ def _activate_row(
         if size > 0:
             turn[active] = -side * _within(K, active, K[active, p])
         turn[p] = side
-        rise = side * (K[p] * turn).sum()  # towards the bound, per unit of y_p
+        rise = side * dot(K[p], turn)  # towards the bound, per unit of y_p
         step = miss / rise if rise > _EPS * K[p, p] else np.inf
         blocking = -1
         for k in range(size):
             i = active[k]
             if y[i] * turn[i] < 0.0 and -y[i] / turn[i] < step:
-                step, blocking = -y[i] / turn[i], k
+                step, blocking = float(-y[i] / turn[i]), k
         if not step < np.inf:
             return size, False
         y += step * turn
@@ -156,6 +168,21 @@ def compliances(slack_weight: Array, length: Array) -> Array:
 
 
 @compiled()
+def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple[int, float]:
+    """The row whose value s leaves its bounds the most, and by how much; active rows count as 0.
+
+    NaN comes first, as in `np.argmax`.
+    """
+    miss = np.empty(len(s))
+    for i in range(len(s)):
+        miss[i] = np.maximum(below[i] - s[i], s[i] - above[i])
+    for i in active:
+        miss[i] = 0.0
+    p = int(miss.argmax())
+    return p, miss[p]
+
+
+@compiled()
 def _nearest_within(
     x: Array, L: Array, C: Array, l: Array, u: Array, slack_weight: Array
 ) -> tuple[Array, bool]:
@@ -183,34 +210,33 @@ def _nearest_within(
     n, m = len(x), len(l)
     a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
     for i in range(m):
-        a[i] = forward(L, C[i])
-        length[i] = math.sqrt((a[i] ** 2).sum()) + 1e-12
-        a[i] /= length[i]
-        reached = (C[i] * x).sum()
+        put(a[i], forward(L, C[i]))
+        length[i] = math.sqrt(dot(a[i], a[i])) + 1e-12
+        for j in range(n):
+            a[i, j] /= length[i]
+        reached = dot(C[i], x)
         below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
     K = np.diag(compliances(slack_weight, length))
     for i in range(m):
         for j in range(m):
-            K[i, j] += (a[i] * a[j]).sum()
+            K[i, j] += dot(a[i], a[j])
     y, kept = np.zeros(m), np.empty(m, np.int64)
     size, found = 0, False
     for _ in range(10 * m):
-        s = (K * y).sum(axis=1)
-        miss = np.maximum(below - s, s - above)
-        miss[kept[:size]] = 0.0
-        p = int(miss.argmax())
-        if not miss[p] > _EPS * (1.0 + abs(s[p])):
-            found = math.isfinite(miss[p])
+        s = times(K, y)
+        p, miss = _most_violated(s, below, above, kept[:size])
+        if not miss > _EPS * (1.0 + abs(s[p])):
+            found = math.isfinite(miss)
             break
         side = 1.0 if s[p] < below[p] else -1.0
-        size, reached_it = _activate_row(p, side, miss[p], K, y, kept, size)
+        size, reached_it = _activate_row(p, side, miss, K, y, kept, size)
         if not reached_it:
             break
-    z = (a.T * y).sum(axis=1)
+    z = times(a.T, y)
     # A soft row's multiplier, of order 1/ε, hides a hard row's in rounding, but not z.
     hard = kept[:size][slack_weight[kept[:size]] == 0.0]
     bound = np.where(y > 0.0, below, above)
-    z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
+    z += times(a[hard].T, _within(K, hard, bound[hard] - times(a[hard], z)))
     found_x = x + backward(L, z)
     return found_x, bool(found and np.isfinite(found_x).all())
 

@@ -3,10 +3,14 @@
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
 them; logs, the explanation, studies and tests read them under the same names. All stay until the
 next step overwrites them; "memory" marks those that it builds on and that `reset` clears. The
-estimate also reads M, h, L_aa and a_base_meas of the last step.
+estimate also reads M, h, L_aa, J_ee, base_velocity and a_base_meas of the last step, and in a step
+without valid readings all kinematics are those of the last valid one.
 
-Frames: `world` has its floor at z = 0; `base` is fixed to the base's centre on the floor, x ahead;
-`axes` are the base's velocity axes ν, v and ω of a differential base; `joints` are the arm's.
+Frames: `world` has its floor at z = 0; `base` is fixed to the base's reference point on the floor,
+x ahead. Coordinates: `axes` are the base's velocity axes ν, which are fixed to it: v and ω of a
+differential base; an acceleration is the derivative of these components. `joints` are the arm's.
+`reduced` are (q̇_b, q̇_m): the base's own coordinates, wheel speeds of a differential base, then the
+arm's joints.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from typing_extensions import Self
 from app.compiled import compiled
 from app.robot.link_pairs import ClosestPoints, Pair, with_parts
 from app.strict import Array
-from app.structs import assemble, struct_type
+from app.structs import assemble, make_struct, struct_type
 
 
 class Quantity(NamedTuple):
@@ -62,19 +66,19 @@ DIMENSIONS = {
 
 _TABLE = """
 # The robot and its dynamics
-base_pose | (x, y, φ) | 3 | m, m, rad | world | §2.1 | measured base pose
-base_velocity | ν | n_b | m/s, rad/s | axes | §2.1 | measured base velocity
+base_pose | (x, y, φ) | 3 | m, m, rad | world | §2.1 | present base pose
+base_velocity | ν | n_b | m/s, rad/s | axes | §2.1 | present base velocity
 q_m | q_m | n_m | rad, m | joints | estimate | estimated joint positions
 qd_m | q̇_m | n_m | rad/s, m/s | joints | estimate | estimated joint velocities
-qd | q̇ | n | rad/s, m/s | joints | §2.1 | reduced velocity (q̇_b, q̇_m)
+qd | q̇ | n | rad/s, m/s | reduced | §2.1 | reduced velocity (q̇_b, q̇_m)
 q_pin | | n_q | m, 1, rad | world | | pinocchio's configuration
 v_pin | | n_v | m/s, rad/s | base | | pinocchio's velocity
-M | M | n n | kg m², kg | joints | (26) | inertia matrix
-h | C q̇ + g | n | N m, N | joints | (26) | Coriolis and gravity terms
-g | g | n | N m, N | joints | (26) | gravity terms
+M | M | n n | kg m², kg | reduced | (26) | inertia matrix
+h | C q̇ + g | n | N m, N | reduced | (26) | Coriolis and gravity terms
+g | g | n | N m, N | reduced | (26) | gravity terms
 L_aa | L | n_m n_m | | joints | | Cholesky factor of the arm's part of M
 R_base | R | 3 3 | 1 | world | | rotation of the base
-p_o | p_o | 3 | m | world | Fig. 3 | centre of the base on the floor
+p_o | p_o | 3 | m | world | Fig. 4 | centre of the base on the floor
 R_ee | | 3 3 | 1 | world | | rotation of the end-effector
 p_ee | | 3 | m | world | | position of the end-effector
 J_ee | J_2 | 6 n | m/rad, 1 | world | (26) | end-effector Jacobian
@@ -128,7 +132,7 @@ p_a | p_a | n_r 3 | m | world | line 4 | closest points on l_a
 p_b | p_b | n_r 3 | m | world | line 4 | closest points on l_b
 normal | n | n_r 3 | 1 | world | (21) | signed normals from l_a to l_b
 core | | n_r 3 | m | world | (21) | points of the core of l_b behind p_b
-J | J_r | n_r n | m/rad, 1 | joints | (21) | Jacobians of the distances
+J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Fig. 10 | activation of each pair
@@ -150,23 +154,33 @@ x_ref | x_d | 4 3 | 1, m | world | (26) |
     reference pose: three columns of the rotation, then the position
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
+x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
+v_sent | | 6 | m/s, rad/s | world | references | memory: its velocity
+a_sent | | 6 | m/s², rad/s² | world | references | memory: its acceleration
+x_origin | | 4 3 | 1, m | world | references | memory: first pose of the interpolating polynomial
+way | | 6 6 | m, rad | world | references | memory: its coefficients, by power of the time
+way_time | | | s | | references | memory: time since its beginning
+way_duration | | | s | | references | memory: its duration; 0 without a polynomial
+way_continues | | | 1 | | references | memory: 1 if it does not end at rest
+since_sample | | | s | | references | memory: time since the newest sample of a planner
+sample_interval | | | s | | references | memory: mean time between samples; 0 without a motion
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
 b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_ee
-lm_damping | λ | | m² | | tracking_objective | Levenberg-Marquardt damping of T_ee
+lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T_ee
 q_posture |  | n_m | rad, m | joints | posture_objective |
     memory: posture, that of the first valid measurement; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
-H_low | H | n n | | joints | (26) | Hessian of the lowest task: posture, or guided arm
-c_low | c | n | | joints | (26) | its linear term
-H | H | n n | | joints | (26) | Hessian of all tasks below T_sca
-c | c | n | | joints | (26) | its linear term
+H_low | H | n n | | reduced | (26) | Hessian of the lowest task: posture, or guided arm
+c_low | c | n | | reduced | (26) | its linear term
+H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
+c | c | n | | reduced | (26) | its linear term
 # Limits, the base, the arm
 u_min | | n_m | N m, N | joints | torque_range | smallest torque of this step
 u_max | | n_m | N m, N | joints | torque_range | largest torque of this step
 C | C | n_l n | | | limits.py | rows of the limits l ≤ C q̈ ≤ u
 l | l | n_l | | | limits.py | lower limits
 u | u | n_l | | | limits.py | upper limits
-slack_weight | ε | n_l | 1 | | limits.py | softness of each limit; 0 is hard
+slack_weight | ε | n_l | 1 | | limits.py | a limit with a larger one is softer; 0 is hard
 n_limits | | | 1 | | limits.py | rows of C in the arm's QP
 a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without the base's rows
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
@@ -174,7 +188,7 @@ a_base_cmd |  | n_b | m/s², rad/s² | axes | algorithm.py |
     commanded base acceleration, input of the admittance law
 a_base_meas | | n_b | m/s², rad/s² | axes | algorithm.py |
     base acceleration in the arm's QP: by the drive's model, by the caller, or as commanded
-qdd | q̈ | n | rad/s², m/s² | joints | (29) |
+qdd | q̈ | n | rad/s², m/s² | reduced | (29) |
     solution of the arm's QP; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
 u_a | u | n_m | N m, N | joints | (26) |
@@ -185,15 +199,15 @@ given_up | | | 1 | | | memory: steps in which the base's QP had no solution
 a_sum | | n_b | m/s, rad/s | axes | §4.1 | memory: a_base_cmd summed over the command period
 t_sum | | | s | | §4.1 | memory: time since the last velocity command
 command_due | | | 1 | | §4.1 | 1 if the velocity command is new
-v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command before it
+v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last command period
 v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: velocity command in force
-# A QP that ProxQP has to solve
+# A problem that Python has to solve, by ProxQP
 qp_open | | | 1 | | | 1 to 4: the problem for Python to solve; 0 none
-qp_x | | 4 n | | joints | | solutions of these problems by ProxQP; NaN: none
+qp_x | | 4 n | | reduced | | solutions of these problems by ProxQP; NaN: none
 qp_tried | | 4 | 1 | | | 1 where ProxQP was tried
-qp_H | | n n | | joints | | Hessian of the open QP
-qp_c | | n | | joints | | its linear term
-qp_fixed | | n_b | | joints | | its fixed first entries
+qp_H | | n n | | reduced | | Hessian of the open QP
+qp_c | | n | | reduced | | its linear term
+qp_fixed | | n_b | | reduced | | its fixed first entries
 qp_rows | | | 1 | | | rows of its limits in C, l, u, slack_weight
 """
 """Of each quantity: name | symbol | shape | unit | frame | source | meaning."""
@@ -268,7 +282,8 @@ class ControlStep:
         for each, shape, part in zip(QUANTITIES, shapes, parts, strict=True):
             setattr(self, each.name, part.reshape(shape))
         self.__dict__.update(pinocchio)
-        self.struct = _make(_Values(**{name: getattr(self, name) for name in _Values._fields}))
+        values = _Values(**{name: getattr(self, name) for name in _Values._fields})
+        self.struct = make_struct(_make, values)
         """The same memory for compiled functions."""
 
     def __getattr__(self, name: str) -> Array:  # for type checkers, and for a clear error

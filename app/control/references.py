@@ -1,160 +1,212 @@
-"""Interpolation of a planner's references, which arrive in steps, at 10 or 30 Hz with jitter.
+"""The reference of each control step, and the interpolation of a planner's samples.
 
-A reference whose pose leaps, in comparison with its own velocity, is a sample. At each sample a
-polynomial of fifth degree starts from the present reference position, velocity and acceleration.
-It ends at the sample, with the mean velocity since the previous one, after two mean intervals
-of samples: a steady motion stays steady, and jitter has no effect. Without a further sample it
-comes to rest at the last one. A sample that is farther away than the correction speed allows, such
-as the first one after a stall, is approached at that speed. The first reference, and references
-without leaps, pass unchanged: the law itself limits the correction speed towards them.
+A planner's references arrive in steps, at 10 or 30 Hz with jitter. A reference whose pose leaps, in
+comparison with its own velocity, is a sample. At each sample a polynomial of fifth degree starts
+from the present reference position, velocity and acceleration. It ends at the sample, with the mean
+velocity since the previous one, after two mean intervals of samples: a steady motion stays steady,
+and jitter has no effect. Without a further sample it comes to rest at the last one. A sample that
+is farther away than the correction speed allows, such as the first one after a stall, is approached
+at that speed. The first reference, and references without leaps, pass unchanged: the law itself
+limits the correction speed towards them. A repeated reference is no sample.
 """
 
-from __future__ import annotations
+import math
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
+from numba import types
+from numba.core.typing.templates import Signature
 
-from app.compiled import compiled, direct
-from app.control.tasks import Reference, pose_error
+from app.compiled import compiled
+from app.control.inputs import GAINS
+from app.control.quantities import STEP
+from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
+from app.structs import fill, put, put_rows
 
 _LEAP = 10.0  # [m/s² and rad/s²] acceleration in one period above which a reference is a sample
 _RATE = 0.3  # [-] weight of the newest interval in the mean time between samples
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _LATE = 1.75  # [-] mean intervals after which no further sample is expected
 _PEAK = 1.875  # [-] ratio of largest to mean speed of the polynomial from rest to rest
-_POWERS = np.arange(6)
+_ROUNDING = 1e-4  # [-] tolerance of a rotation matrix in single precision
+
+_VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 
 
-@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")
-def way_between(
-    R_a: Array, p_a: Array, R_b: Array, p_b: Array, velocity: Array, dt: float
-) -> tuple[Array, bool]:
-    """The way from pose a to pose b, and whether a velocity does not explain it.
+@compiled()
+def forget_reference(w: Any) -> None:
+    """The next reference is the first one."""
+    fill(w.x_sent[3], math.nan)
+    w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
 
-    Args:
-        R_a: (3, 3) rotation of a in the world.
-        p_a: (3,) [m] origin of a in the world.
-        R_b: (3, 3)
-        p_b: (3,)
-        velocity: (6,) linear [m/s] over angular [rad/s].
-        dt: [s] time in which the way is covered.
 
-    Returns:
-        (6,) linear [m] over angular [rad], in axes of the world; and whether b is a leap.
-    """
-    way, leaps = pose_error(p_a, R_a, p_b, R_b), False
+@compiled()
+def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
+    """Whether R (3, 3) is a rotation, and p (3,), v and a (6,) are finite numbers."""
+    if not math.isfinite(p.sum() + v.sum() + a.sum()):
+        return False
+    for i in range(3):
+        for j in range(3):
+            product = R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j]
+            if not abs(product - (1.0 if i == j else 0.0)) < _ROUNDING:
+                return False
+    return True
+
+
+@compiled()
+def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
+    """Whether a reference differs from the last one that was sent."""
+    for i in range(3):
+        if p[i] != w.x_sent[3, i]:
+            return True
+        for j in range(3):
+            if R[j, i] != w.x_sent[i, j]:
+                return True
+    differs = False
     for i in range(6):
-        leaps = leaps or abs(way[i] - dt * velocity[i]) > _LEAP * dt**2
-    return way, leaps
+        differs = differs or v[i] != w.v_sent[i] or a[i] != w.a_sent[i]
+    return differs
 
 
-_way_between = direct(way_between)
+@compiled()
+def _leaps(way: Array, v: Array, dt: float) -> bool:
+    """Whether the velocity v (6,) does not explain the way (6,) since the last reference."""
+    leaps = False
+    for i in range(6):
+        leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
+    return leaps
 
 
-class References:
-    """The reference of each control step, from a planner's references."""
-
-    def __init__(self, dt: float) -> None:
-        """No reference; `dt` [s] is the control period."""
-        self.dt = dt
-        self.reset()
-
-    def reset(self) -> None:
-        """Start again: the next reference is the first one."""
-        self._raw: Reference | None = None  # the previous one that was sent
-        self._way: Array | None = None  # (6, 6) coefficients of the polynomial, while it is in use
-        self._since, self._interval = 0.0, 0.0
-
-    def next(self, sent: Reference, speed: float) -> Reference:
-        """The reference of this step.
-
-        Args:
-            sent: The newest one.
-            speed: [m/s and rad/s] largest speed towards a sample that is far away.
-        """
-        last, self._raw = self._raw, sent
-        self._since += self.dt
-        if last is None or (last is sent and self._way is None):
-            return sent
-        way, leaps = _way(last.pose, sent.pose, sent.velocity, self.dt)
-        if leaps:
-            between, self._since = self._since, 0.0
-            if self._way is None:
-                self._begin(last)
-            if between > _LONGEST:  # the first sample of a motion
-                self._interval = 0.0
-                self._aim(sent, np.zeros(6), speed)
-            else:
-                mean = self._interval or between
-                self._interval = mean + _RATE * (between - mean)
-                own = sent.velocity.any()
-                self._aim(sent, sent.velocity if own else way / between, speed)
-        elif self._way is None:
-            return sent
-        return self._now(sent, speed)
-
-    def _begin(self, at: Reference) -> None:
-        """Start a polynomial at a reference."""
-        self._origin = at.pose.copy()
-        self._way = np.zeros((6, 6))
-        self._way[1], self._way[2] = at.velocity, at.acceleration / 2.0
-        self._t, self._end, self._moves_on = 0.0, np.inf, False
-
-    def _aim(self, sent: Reference, velocity: Array, speed: float) -> None:
-        """Continue from the present reference to a sample, with the final velocity (6,)."""
-        state = self._state(self._t)
-        self._origin = _moved(self._origin, state[0])
-        goal, _ = _way(self._origin, sent.pose, sent.velocity, self.dt)
-        far = max(np.linalg.norm(goal[:3]), np.linalg.norm(goal[3:]))
-        duration = max(2.0 * self._interval, 2.0 * self.dt)
-        slow = _PEAK * far / speed
-        if slow > 2.0 * duration or not velocity.any():
-            velocity, duration = np.zeros(6), max(slow, duration)
-        self._moves_on = bool(velocity.any())
-        self._way = _quintic(state[1], state[2], goal, velocity, duration)
-        self._t, self._end = 0.0, duration
-
-    def _state(self, t: float) -> Array:
-        """(3, 6) displacement from the origin, velocity and acceleration of the polynomial."""
-        if self._way is None:
-            return np.zeros((3, 6))
-        p = t**_POWERS
-        v = _POWERS[1:] * p[:5]
-        a = _POWERS[2:] * _POWERS[1:5] * p[:4]
-        return np.array([p @ self._way, v @ self._way[1:], a @ self._way[2:]])
-
-    def _now(self, sent: Reference, speed: float) -> Reference:
-        """The reference on the polynomial, which comes to rest without a further sample."""
-        self._t += self.dt
-        if self._moves_on and self._since > _LATE * self._interval:
-            self._aim(sent, np.zeros(6), speed)
-            self._t = self.dt
-        if self._t > self._end:
-            self._way, self._interval = None, 0.0
-            return sent
-        way, v, a = self._state(self._t)
-        return Reference(_moved(self._origin, way), v, a)
+@compiled()
+def _take_sample(gains: Any, w: Any, way: Array) -> None:
+    """Aim at the newest sample, which is a way (6,) from the last one."""
+    between = w.since_sample[()]
+    w.since_sample[()] = 0.0
+    if between > _LONGEST:  # the first sample of a motion
+        w.sample_interval[()] = 0.0
+        _aim(gains, w, np.zeros(6))
+        return
+    mean = w.sample_interval[()] if w.sample_interval[()] > 0.0 else between
+    w.sample_interval[()] = mean + _RATE * (between - mean)
+    own = False
+    for i in range(6):
+        own = own or w.v_sent[i] != 0.0
+    _aim(gains, w, w.v_sent if own else way / between)
 
 
-def _way(a: pin.SE3, b: pin.SE3, velocity: Array, dt: float) -> tuple[Array, bool]:
-    """`way_between` of two poses."""
-    return _way_between(a.rotation, a.translation, b.rotation, b.translation, velocity, dt)
+@compiled()
+def _aim(gains: Any, w: Any, v_end: Array) -> None:
+    """Start a polynomial from the present reference to the newest sample, which ends at v_end."""
+    at, v, a = _state(w.way, w.way_time[()])
+    _put_moved(w.x_origin, w.x_origin.copy(), at)
+    goal = pose_error(w.x_origin[3], w.x_origin[:3].T, w.x_sent[3], w.x_sent[:3].T)
+    far = max(np.sqrt((goal[:3] ** 2).sum()), np.sqrt((goal[3:] ** 2).sum()))
+    duration = 2.0 * max(w.sample_interval[()], gains.dt)
+    slow = _PEAK * far / gains.ee_speed
+    rests = slow > 2.0 * duration or not (v_end**2).sum() > 0.0
+    if rests:
+        v_end, duration = np.zeros(6), max(slow, duration)
+    _write_quintic(w.way, v, a, goal, v_end, duration)
+    w.way_continues[()], w.way_time[()], w.way_duration[()] = not rests, 0.0, duration
 
 
-def _moved(a: pin.SE3, way: Array) -> pin.SE3:
-    """The pose after a way (6,) of `way_between`."""
-    return pin.SE3(pin.exp3(way[3:]) @ a.rotation, a.translation + way[:3])
+@compiled()
+def _continue_way(gains: Any, w: Any) -> None:
+    """The reference on the polynomial, which comes to rest without a further sample."""
+    w.way_time[()] += gains.dt
+    late = w.since_sample[()] > _LATE * w.sample_interval[()]
+    if w.way_continues[()] != 0.0 and late:
+        _aim(gains, w, np.zeros(6))
+        w.way_time[()] = gains.dt
+    if w.way_time[()] > w.way_duration[()]:
+        w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = 0.0
+        return
+    at, v, a = _state(w.way, w.way_time[()])
+    _put_moved(w.x_ref, w.x_origin, at)
+    put(w.v_ref, v)
+    put(w.a_ref, a)
 
 
-def _quintic(v: Array, a: Array, goal: Array, v_end: Array, T: float) -> Array:
-    """(6, 6) coefficients, by power, from 0 at velocity v and acceleration a (6,) to a goal (6,).
+@compiled()
+def _state(way: Array, t: float) -> tuple[Array, Array, Array]:
+    """(6,) way from the origin, velocity and acceleration of a polynomial (6, 6) by power of t."""
+    at, v, a = np.zeros(6), np.zeros(6), np.zeros(6)
+    for k in range(5, -1, -1):
+        at = at * t + way[k]
+        if k >= 1:
+            v = v * t + k * way[k]
+        if k >= 2:
+            a = a * t + k * (k - 1) * way[k]
+    return at, v, a
 
-    It arrives after T [s] at the velocity v_end (6,), without acceleration.
+
+@compiled()
+def _put_moved(x: Array, origin: Array, way: Array) -> None:
+    """Write the pose (4, 3) that is a way (6,) of `pose_error` from the origin (4, 3)."""
+    R = rotation_by(way[3:])
+    for i in range(3):
+        x[3, i] = origin[3, i] + way[i]
+        for j in range(3):
+            x[i, j] = R[j, 0] * origin[i, 0] + R[j, 1] * origin[i, 1] + R[j, 2] * origin[i, 2]
+
+
+@compiled()
+def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T: float) -> None:
+    """Write the coefficients (6, 6), by power, from 0 at velocity v and acceleration a (6,).
+
+    It arrives at the goal (6,) after T [s], at the velocity v_end (6,) and without acceleration.
     """
     rest = goal - T * v - T**2 / 2.0 * a
     slope, bend = T * (v_end - v - T * a), -(T**2) * a
-    c3 = 10.0 * rest - 4.0 * slope + 0.5 * bend
-    c4 = -15.0 * rest + 7.0 * slope - bend
-    c5 = 6.0 * rest - 3.0 * slope + 0.5 * bend
-    return np.array([np.zeros(6), v, a / 2.0, c3 / T**3, c4 / T**4, c5 / T**5])
+    fill(way[0], 0.0)
+    put(way[1], v)
+    put(way[2], a / 2.0)
+    put(way[3], (10.0 * rest - 4.0 * slope + 0.5 * bend) / T**3)
+    put(way[4], (-15.0 * rest + 7.0 * slope - bend) / T**4)
+    put(way[5], (6.0 * rest - 3.0 * slope + 0.5 * bend) / T**5)
+
+
+@compiled(Signature(types.b1, (GAINS.type, STEP.type, _MATRIX, *[_VECTOR] * 3, types.b1), None))
+def take_reference(
+    gains: Any, w: Any, R: Array, p: Array, v: Array, a: Array, interpolate: bool
+) -> bool:
+    """Write the reference of this step into x_ref, v_ref and a_ref.
+
+    Args:
+        gains: `GAINS`.
+        w: `STEP`.
+        R: (3, 3) rotation of the reference, in the world.
+        p: (3,) [m] its position.
+        v: (6,) its velocity, linear [m/s] over angular [rad/s].
+        a: (6,) its acceleration, linear [m/s²] over angular [rad/s²].
+        interpolate: Whether references that leap are interpolated.
+
+    Returns:
+        Whether R is a rotation and all numbers are finite; otherwise nothing is written.
+    """
+    if not _is_motion(R, p, v, a):
+        return False
+    way, is_sample = np.zeros(6), False
+    if interpolate and not math.isnan(w.x_sent[3, 0]) and _differs(w, R, p, v, a):
+        way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
+        is_sample = _leaps(way, v, gains.dt)
+    if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference
+        put_rows(w.x_origin, w.x_sent)
+        fill(w.way.reshape(-1), 0.0)
+        put(w.way[1], w.v_sent)
+        put(w.way[2], w.a_sent / 2.0)
+    put_rows(w.x_sent, R.T)
+    put(w.x_sent[3], p)
+    put(w.v_sent, v)
+    put(w.a_sent, a)
+    w.since_sample[()] += gains.dt
+    if is_sample:
+        _take_sample(gains, w, way)
+    if w.way_duration[()] > 0.0:
+        _continue_way(gains, w)
+    if w.way_duration[()] == 0.0:
+        put_rows(w.x_ref, w.x_sent)
+        put(w.v_ref, w.v_sent)
+        put(w.a_ref, w.a_sent)
+    return True

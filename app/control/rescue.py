@@ -1,6 +1,7 @@
 """The last resort for a QP whose active-set search does not converge: ProxQP.
 
-It is rare, and takes a millisecond.
+It is rare, and takes a millisecond. The compared method `hqp` uses ProxQP in every step
+(`app.control.hqp`).
 """
 
 from typing import NamedTuple

@@ -51,6 +51,22 @@ def rotation_vector(R: Array) -> Array:
 
 
 @compiled()
+def rotation_by(vector: Array) -> Array:
+    """(3, 3) rotation of a rotation vector (3,) [rad]."""
+    x, y, z = vector[0], vector[1], vector[2]
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle > 1e-6:
+        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    else:
+        s, c = 1.0, 0.5
+    R = np.empty((3, 3))
+    R[0, 0], R[0, 1], R[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+    R[1, 0], R[1, 1], R[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
+    R[2, 0], R[2, 1], R[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
+    return R
+
+
+@compiled()
 def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
     """x_d ⊖ x, (6,): linear [m] over angular [rad], as a rotation vector in axes of the world."""
     error = np.empty(6)
