@@ -211,7 +211,7 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
 def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
     """(n,) torque with which each joint alone holds its speed, without external forces.
 
-    The other joints accelerate as they do, q̈ (n,): a wrist at its speed limit needs more torque
+    The others have their present accelerations q̈ (n,): a wrist at its speed limit needs more torque
     while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity terms.
     """
     return h + M @ qdd - np.diag(M) * qdd
