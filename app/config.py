@@ -85,7 +85,7 @@ class RepulsionConfig(Strict):
 
 
 class BarrierConfig(Strict):
-    """Minimum distance between arm and base, as a barrier; also the compared method `barrier`."""
+    """Minimum distance of each pair, as a barrier; also the compared method `barrier`."""
 
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
     """[m] minimum distance between arm and base; the torque limits have priority."""

@@ -383,7 +383,7 @@ class Oracle:
     # Limits
 
     def _limits(self, slowness: float, distances: str, for_arm: bool = False) -> Limits:
-        """Torques, joints, distances: "none", of L_m ("mobile"), "all", or with "buffers"."""
+        """Torques, joints, distances: "none", "all", or those of links with "buffers"."""
         w, model, n_b = self.w, self.model, self.n_b
         low, high = (w.u_min, w.u_max) if for_arm else (-model.tau_max, model.tau_max)
         pushed = w.x_est[2] if for_arm else np.zeros(self.n_m)
@@ -391,8 +391,7 @@ class Oracle:
         if for_arm:
             bounds = self._reachable(*bounds, pushed)
         unit = model.qd_max
-        rows = [k for k in self.convex if distances in ("all", "buffers") or self.rows[k].mobile]
-        rows = [] if distances == "none" else rows
+        rows = [] if distances == "none" else list(self.convex)
         least = np.array([self._barrier(k, slowness, distances == "buffers") for k in rows])
         J = w.J[rows].reshape(-1, model.n)
         arm = np.hstack([np.zeros((self.n_m, n_b)), np.diag(1 / unit)])
@@ -521,7 +520,7 @@ class Oracle:
         if w.valid:
             rows = slice(n_b, None)
             H, c = self._with_rows(w.H, w.c, rows, w.b_sca[rows], n_b)
-            kept = {DBB: "mobile", BARRIER: "all"}.get(self.name, "none")
+            kept = "all" if self.name in (DBB, BARRIER) else "none"
             w.C, w.l, w.u, w.slack_weight = limits = self._limits(1.0, kept, for_arm=True)
             w.n_limits = len(w.l)
             qdd = solve_qp(H, c, limits, self.base.to_q @ w.a_base_meas)

@@ -1,4 +1,4 @@
-"""Pulls in on the wheel axis, where the base cannot give way at once: the arm holds alone."""
+"""Hard pulls towards the base on the wheel axis and into the arm's column: the arm holds alone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
-from app.simulation.run import steps_of
+from app.simulation.run import run_from_spec, steps_of
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.line import RANDOM_PULL, StartedLine
 
 FAST = RANDOM_PULL.changed(
@@ -70,3 +71,19 @@ def test_the_arm_holds_the_hand_and_does_not_throw_it_back(
     assert nearest > least
     # Nothing but the person drives the hand; 4.3 m/s where joints' limits asked other joints.
     assert fastest < 1.1 * speed
+
+
+@pytest.mark.parametrize("force", [40.0, 60.0, 80.0])
+def test_a_pull_into_the_arms_own_column_leaves_a_gap_and_the_bound_covers_joint_speeds(
+    robot: RobotModel, border_data: BorderData, force: float
+) -> None:
+    """At 80 N the end-effector was 16 mm inside the shoulder; at 60 N the bound was 68 N."""
+    pull = LINES["guiding-lateral"].changed(
+        start=(0.067, -0.698, 0.392), move=(0.039, 0.758, -0.082), duration=1.16
+    )
+    config = Config().replace("hand.stiffness", 800.0).replace("hand.f_max", force)
+    run = RunSpec("husky_panda", pull, config, physics="kinematic")
+    found = run_from_spec(run, robot, border_data).figures
+    assert min(found["min_distance_m"].values()) > 0.02
+    within = found["hand_force_max_n"] <= found["force_bound_min_n"]
+    assert (found["joint_speed_share_max"] <= 1.01) == within == (force == 40.0)

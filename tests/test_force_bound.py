@@ -12,7 +12,7 @@ import pytest
 from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import Config
-from app.control.limits import force_bound
+from app.control.limits import force_bound, steady_torques
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.trace.snapshot import QUANTITIES
@@ -92,11 +92,27 @@ def test_bodies_that_touch_bear_nothing(robot, border_data):
     assert near.bound(d=0.0) == 0.0
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_steady_torques_and_own_inertia_are_the_torque_of_a_motion(robot, border_data, seed):
+    """With them and the force of the bound a joint holds its speed, at its torque limit."""
+    near = Near(robot, border_data, seed)
+    state, rng = near.state, np.random.default_rng(seed)
+    qdd = rng.uniform(-20.0, 20.0, 9)
+    load = steady_torques(state.M, state.h, qdd)
+    np.testing.assert_allclose(load + np.diag(state.M) * qdd, state.M @ qdd + state.h, atol=1e-9)
+    d, J, d_dot = near.distance()
+    bound = force_bound(d, J, d_dot, state.M, load, robot.tau_max)
+    share = np.abs(load[2:] + bound * J[2:]) / robot.tau_max
+    assert bound == 0.0 or share.max() == pytest.approx(1.0)
+
+
 def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_data):
     near = Near(robot, border_data, 0)
     d, J, d_dot = (np.array([each, each]) for each in near.distance())
     pairs = {"n_mob": 2, "beta": np.array([0.5, 0.0]), "d": d, "J": J, "d_dot": d_dot}
-    control = SimpleNamespace(**pairs, M=near.state.M, g=near.state.g, J_ee=near.state.J_ee)
+    state = near.state
+    moves = {"n_b": 2, "h": state.g, "qdd": np.zeros(9), "x_est": np.zeros((3, 7)), "solved": True}
+    control = SimpleNamespace(**pairs, **moves, M=state.M, J_ee=state.J_ee)
     nobody = SimpleNamespace(hand=np.zeros(3))
     session: Any = SimpleNamespace(model=robot)
     quantity: Any = QUANTITIES["force_bound"]
@@ -111,3 +127,5 @@ def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_da
     assert known == [0, 20, 40]
     assert quantity.take(session, step(0.007)) == rows[0] == near.bound()
     assert math.isnan(quantity.take(session, step(0.007, pulls=())))
+    control.solved = False  # the fallback command
+    assert math.isnan(quantity.take(session, step(0.007)))

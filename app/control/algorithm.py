@@ -446,9 +446,9 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         w: `STEP`.
         which: The problem. All have the limits of joints and torques. ARM: the torques of this
             step, with external forces, and no joint demands more than its own torque can achieve;
-            and barriers of distances, those of L_m or, where the base has them too, of all pairs.
-            FREE_BASE: these barriers if the method's base has them. ROOM: for methods with a
-            lookahead (`dbb`), barriers of L_m and the buffers of the arm's links.
+            and a barrier of each pair's distance. FREE_BASE: these barriers if the method's base
+            has them. ROOM: for methods with a lookahead (`dbb`), barriers of L_m and the buffers of
+            the arm's links.
     """
     barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
@@ -474,9 +474,7 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     torque_rows(w.M, w.h, u_min, u_max, w.C, w.l, w.u)
     joints = slice(n_m, 2 * n_m)
     joint_rows(bounds, qdd_ext, robot.qd_max, w.C[joints], w.l[joints], w.u[joints])
-    count = robot.n_convex_mob if barrier else 0
-    if link_buffers or (barrier and gains.base_in_barrier):
-        count = len(robot.convex)
+    count = len(robot.convex) if barrier or link_buffers else 0
     rows, least = robot.convex[:count], np.empty(count)
     for k in range(count):
         i = rows[k]

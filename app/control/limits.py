@@ -180,13 +180,13 @@ def distance_rows(
 
 
 @compiled()
-def force_bound(d: float, J: Array, d_dot: float, M: Array, g: Array, tau_max: Array) -> float:
+def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max: Array) -> float:
     """[N] bound of a push on the arm's closest point towards the other body.
 
-    A force F against the normal requires the torque g_i + J_i F of each joint, with the distance's
-    Jacobian J_i. No torque exceeds its limit up to
+    A force F against the normal requires the torque t_i + J_i F of each joint, with the distance's
+    Jacobian J_i and the torque t_i without that force. No torque exceeds its limit up to
 
-        F = min_i (τ_i − g_i sgn J_i) / |J_i|,
+        F = min_i (τ_i − t_i sgn J_i) / |J_i|,
 
     minus v²/(2 d) / (J M⁻¹ Jᵀ) for a pair that approaches at the speed v, which is required to stop
     within d. Beyond it the arm resists for a moment by its inertia, and joints may exceed their
@@ -197,7 +197,7 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, g: Array, tau_max: A
         J: (n,) its Jacobian.
         d_dot: [m/s] its speed.
         M: (n, n) inertia matrix.
-        g: (n,) gravity terms.
+        load: (n,) t: gravity at rest, or `steady_torques`.
         tau_max: (n_m,) torque limits.
     """
     n_m, static = len(tau_max), np.inf
@@ -205,8 +205,17 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, g: Array, tau_max: A
     for i in range(n_m):
         moved = J[n_b + i]
         if abs(moved) > 1e-9:  # [m/rad or -]
-            static = min(static, (tau_max[i] - g[n_b + i] * np.sign(moved)) / abs(moved))
+            static = min(static, (tau_max[i] - load[n_b + i] * np.sign(moved)) / abs(moved))
     if d <= 0.0 or static == np.inf:
         return 0.0
     a = forward(cholesky(M[n_b:, n_b:]), J[n_b:])
     return float(max(static - min(d_dot, 0.0) ** 2 / (2.0 * d) / (a**2).sum(), 0.0))
+
+
+def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
+    """(n,) torque with which each joint alone holds its speed, without external forces.
+
+    The others have their present accelerations q̈ (n,): a wrist at its speed limit needs more torque
+    while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity terms.
+    """
+    return h + M @ qdd - np.diag(M) * qdd

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
+import pinocchio as pin
 
 from app.errors import StudyError
 from benchmarks.law.options import Options
@@ -18,7 +20,7 @@ Interval = tuple[float, float]
 _PROJECTS_TRIES = 16  # of the start solver per pitch of the end-effector, as `dbb run` has it
 _TRIES = 200  # places drawn before a case is given up
 _CONE = math.radians(50.0)  # largest angle between a pull and the direction inwards
-_END = -0.15, 0.10  # [m] from the base's box to where the end-effector is led
+_END = -0.15, 0.10  # [m] from the base's box, or from the column, to where the end-effector is led
 
 
 def named_pull(
@@ -61,8 +63,9 @@ def random_pull(
     lead: Interval | None = None,
     speed: Interval = (0.2, 1.2),
     above: float = 0.0,
+    column: float = 0.0,
 ) -> Pull:
-    """A pull from a random place, within a cone towards the base.
+    """A pull from a random place, within a cone towards the base or into the arm's own column.
 
     Args:
         options: Robot and controller.
@@ -73,11 +76,13 @@ def random_pull(
         lead: [s] how long the end-effector is led; else by its speed.
         speed: [m/s] mean speed of the led hand.
         above: [-] share of the starts over the base.
+        column: [-] share of the pulls that are aimed at the arm's own column.
 
     Raises:
         StudyError: No place was found from which to start.
     """
     over = rng.random() < above
+    folded = column > 0.0 and rng.random() < column
     for _ in range(_TRIES):
         place = (place_above if over else place_beside)(options.robot, rng)
         seed = int(rng.integers(2**31))
@@ -86,14 +91,19 @@ def random_pull(
             break
     else:
         raise StudyError(f"the arm of {options.robot} reaches none of {_TRIES} starts")
-    inwards = np.array(place.inwards)
-    way = _in_cone(inwards, rng)
-    length = (place.gap - rng.uniform(*_END)) / float(way @ inwards)
+    if folded:
+        to_column = rng.uniform(*_column(options.robot)) - np.array(place.p)
+        gap = float(np.linalg.norm(to_column))
+        inwards = way = to_column / gap
+    else:
+        gap, inwards = place.gap, np.array(place.inwards)
+        way = _in_cone(inwards, rng)
+    length = (gap - rng.uniform(*_END)) / float(way @ inwards)
     x, y, z = (length * way).tolist()
     lasting = rng.uniform(*lead) if lead else length / rng.uniform(*speed)
     k = math.exp(rng.uniform(math.log(stiffness[0]), math.log(stiffness[1])))
     return Pull(
-        f"{number}{', above' if over else ''}",
+        f"{number}{', above' if over else ''}{', column' if folded else ''}",
         options.robot,
         options.controller,
         tuple(q.tolist()),
@@ -114,6 +124,18 @@ def side(place: Point, robot: str) -> str:
     if beside_x:
         return f"{beside_x} corner" if beside_y else beside_x
     return "side" if beside_y else "above"
+
+
+@cache
+def _column(robot: str) -> tuple[Array, Array]:
+    """(3,) [m] both ends of the arm's column, its mount and its second joint, in the base's frame.
+
+    They stay where they are while the arm moves.
+    """
+    model = load(robot).model
+    data, q_m = model.pin.createData(), np.zeros(model.n_m)
+    pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
+    return model.p_base(), data.oMi[min(3, model.pin.njoints - 1)].translation.copy()
 
 
 def _in_cone(axis: Array, rng: np.random.Generator) -> Array:

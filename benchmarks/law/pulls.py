@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.config import Config
+from app.simulation.trace.snapshot import EVERY, QUANTITIES
 from benchmarks.law.draws import named_pull, random_pull, side
 from benchmarks.law.options import Options
 from benchmarks.law.pull import Pull, joint_share, moments
@@ -33,20 +34,25 @@ class Held(NamedTuple):
     held_s: float
 
 
-def pulls(options: Options, count: int = 24, held: float = 1.5, first: int = 0) -> Report:
-    """Pull the end-effector hard towards the base.
+def pulls(
+    options: Options, count: int = 24, held: float = 1.5, first: int = 0, column: float = 0.0
+) -> Report:
+    """Pull the end-effector hard towards the base or into the arm's own column.
 
     Args:
         options: See `Options`.
         count: Random pulls, besides the audit's four.
         held: [s] how long the end-effector is held at its end.
         first: Number of the first random pull; the audit's come with 0 only.
+        column: [-] share of the random pulls that are aimed at the arm's own column.
     """
-    rows = played(play, cases(options, count, held, first), options.jobs, "pulls")
+    rows = played(play, cases(options, count, held, first, column), options.jobs, "pulls")
     return Report("pulls", rows, _summary(rows))
 
 
-def cases(options: Options, count: int, held: float, first: int = 0) -> list[Held]:
+def cases(
+    options: Options, count: int, held: float, first: int = 0, column: float = 0.0
+) -> list[Held]:
     """The audit's pulls, then random ones."""
     found = [
         Held(
@@ -60,7 +66,13 @@ def cases(options: Options, count: int, held: float, first: int = 0) -> list[Hel
     for k in range(first, first + count):
         rng = np.random.default_rng([options.seed, k])
         pull = random_pull(
-            options, k, rng, f_max=(30.0, 100.0), stiffness=(300.0, 3000.0), above=_ABOVE
+            options,
+            k,
+            rng,
+            f_max=(30.0, 100.0),
+            stiffness=(300.0, 3000.0),
+            above=_ABOVE,
+            column=column,
         )
         found.append(Held(pull, held))
     return found
@@ -73,7 +85,7 @@ def play(case: Held) -> dict[str, Any]:
     n, tau_max = robot.n_mobile, robot.model.tau_max
     force = person = back = torque = 0.0
     nearest = links = math.inf
-    contacts, shares, moment = 0, [], None
+    contacts, shares, bounds, moment = 0, [], [], None
     steps = moments(pull)
     for moment in steps:
         step = moment.step
@@ -88,6 +100,8 @@ def play(case: Held) -> dict[str, Any]:
         force = max(force, float(np.linalg.norm(step.person.hand)))
         torque = max(torque, float(np.max(np.abs(step.control.u_cmd) / tau_max)))
         contacts += step.contacts.arm_base or step.contacts.arm_arm
+        if len(shares) % EVERY == 0:
+            bounds.append(QUANTITIES["force_bound"].take(moment.session, step))
         shares.append(joint_share(step, robot.model))
     steps.close()
     assert moment is not None
@@ -97,6 +111,7 @@ def play(case: Held) -> dict[str, Any]:
         "person": f"{pull.f_max:.0f} N, {pull.stiffness:.0f} N/m",
         "f_max_n": pull.f_max,
         "force_max_n": force,
+        "force_bound_min_n": min((b for b in bounds if not math.isnan(b)), default=None),
         "person_speed_mps": person,
         "least_distance_m": nearest,
         "overlap_m": max(0.0, -nearest),
@@ -115,6 +130,7 @@ def play(case: Held) -> dict[str, Any]:
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     claimed = [row for row in rows if row["f_max_n"] <= _CLAIMED]
+    within = [row for row in rows if row["force_max_n"] <= (row["force_bound_min_n"] or 0.0)]
     return {
         "pulls": len(rows),
         "entered_the_buffer": sum(row["least_distance_m"] < Config().border.d_b for row in rows),
@@ -129,5 +145,7 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "hand_speed_after_max_mps": largest(rows, "hand_speed_after_mps"),
         "joint_speed_share_max": largest(rows, "joint_speed_share"),
         "joint_speed_over_1.01": sum(row["joint_speed_share"] > 1.01 for row in rows),
+        "within_the_force_bound": len(within),
+        "joint_speed_share_max_within_it": largest(within, "joint_speed_share"),
         "failures": sum(row["failures"] for row in rows),
     }

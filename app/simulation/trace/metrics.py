@@ -253,8 +253,7 @@ FIGURES: dict[str, Figure] = {
         "Largest force before two bodies first came nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
-        "Smallest bound of a person's force while a pair is in its buffer, computed at 50 Hz; or "
-        "null.",
+        "Smallest bound, computed at 50 Hz, up to which the arm resists a person's force; or null.",
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from app.config import BorderConfig, Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
-from app.control.limits import force_bound
+from app.control.limits import force_bound, steady_torques
 from app.control.quantities import ControlStep
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
@@ -289,20 +289,23 @@ def _force_bound() -> Quantity:
 def _smallest_force_bound(session: Session, step: Step) -> float:
     """[N] smallest bound of a person's force, among the bounds of pairs and of the pull.
 
-    Each pair in its buffer has a bound. The bound of the pull is the largest force that the torques
-    can balance, so that no joint exceeds its speed limit. The result is not-a-number without a
-    person, or without a pair in its buffer.
+    Each pair in its buffer has a bound. Below the bound of the pull each joint can hold its speed
+    against the force, so that none exceeds its limit. The result is not-a-number without a person,
+    and for the fallback command, which does not respect limits.
     """
     w, tau_max = step.control, session.model.tau_max
-    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
-    if not (step.pulls and near):
+    if not (step.pulls and w.solved):
         return NAN
-    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, w.g, tau_max) for i in near]
+    qdd = w.qdd.copy()
+    qdd[w.n_b :] += w.x_est[2]
+    load = steady_torques(w.M, w.h, qdd)
+    near = [i for i in range(len(w.beta)) if w.beta[i] > 0.0]
+    found = [force_bound(w.d[i], w.J[i], w.d_dot[i], w.M, load, tau_max) for i in near]
     force = step.person.hand
     if size := math.hypot(*force.tolist()):
         against = -(force / size) @ w.J_ee[:3]
-        found.append(force_bound(math.inf, against, 0.0, w.M, w.g, tau_max))
-    return min(found)
+        found.append(force_bound(math.inf, against, 0.0, w.M, load, tau_max))
+    return min(found, default=NAN)
 
 
 @dataclass(frozen=True)
@@ -434,8 +437,7 @@ class Snapshot:
     )
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] upper bound, from the arm's torques, of a person's force while a pair is in its
-    buffer."""
+    """[N] upper bound, from the arm's torques, of a person's force while a person pulls."""
     run: int = 0
     """Number of the run since the start of the loop."""
     busy: str = ""
