@@ -103,6 +103,8 @@ def main(
 ) -> None:
     """Let faults befall commands; status 1 if anything was left or lost.
 
+    A signal to end also prints the counts so far, with status 1.
+
     Args:
         tries: Largest number of tries.
         seconds: [s] after which no further one begins.
@@ -111,35 +113,38 @@ def main(
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
-    # Who is started in the background ignores these two, and would pass that on.
-    for number in (signal.SIGINT, signal.SIGHUP):
+    # Who is started in the background ignores two of them, and would pass that on.
+    for number in ENDING:
         signal.signal(number, signal.default_int_handler)
     names, end = only or tuple(_COMMANDS), time.monotonic() + seconds
     tally: dict[str, Counter[str]] = {name: Counter() for name in names}
-    findings = []
+    result: dict[str, Any] = {"seed": seed, "tally": tally, "findings": [], "interrupted": False}
     with tempfile.TemporaryDirectory(prefix="dbb-faults-") as folder:
-        whole = _studied(Path(folder) / "whole") if "study" in names else {}
-        with progress_bar("faults", tries) as on_progress:
-            for k in range(tries):
-                if time.monotonic() > end:
-                    break
-                name = names[k % len(names)]
-                row = _try(name, Path(folder) / str(k), rng, whole)
-                tally[name].update(
-                    {key: len(value) for key, value in row.items() if key in _COUNTED}
-                )
-                tally[name]["tries"] += 1
-                if any(row[key] for key in _COUNTED):
-                    findings.append(row)
-                on_progress(k + 1)
-    result = {"seed": seed, "tally": {k: dict(v) for k, v in tally.items()}, "findings": findings}
+        try:
+            whole = _studied(Path(folder) / "whole") if "study" in names else {}
+            with progress_bar("faults", tries) as on_progress:
+                for k in range(tries):
+                    if time.monotonic() > end:
+                        break
+                    name = names[k % len(names)]
+                    row = _try(name, Path(folder) / str(k), rng, whole)
+                    tally[name].update(tries=1, **{key: len(row[key]) for key in _COUNTED})
+                    if any(row[key] for key in _COUNTED):
+                        result["findings"].append(row)
+                    on_progress(k + 1)
+        except KeyboardInterrupt:
+            result["interrupted"] = True
+            for each in _alive(Path(folder)):
+                with suppress(psutil.NoSuchProcess):
+                    each.kill()
     if json:
         print_json(result)
     else:
-        for name, counts in result["tally"].items():
+        for name, counts in tally.items():
             print(f"{name:10} " + ", ".join(f"{key} {n}" for key, n in counts.items()))
+    findings = [*map(str, result["findings"]), *["interrupted"] * result["interrupted"]]
     if findings:
-        sys.exit("\n".join(map(str, findings)))
+        sys.exit("\n".join(findings))
 
 
 _HANGING = """
@@ -272,11 +277,11 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
 
 
 def _alive(folder: Path) -> list[psutil.Process]:
-    """Running processes of a try, anywhere in the tree of processes."""
+    """Running processes of the tries in a folder, anywhere in the tree of processes."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):
-            mine = process.environ().get(_MARK) == str(folder)
+            mine = Path(process.environ().get(_MARK, "")).is_relative_to(folder)
             if mine and process.status() != psutil.STATUS_ZOMBIE:
                 found.append(process)
     return found
