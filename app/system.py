@@ -360,17 +360,17 @@ def home_folder(find: Callable[..., Path]) -> Path | None:
     return None
 
 
-def cache_folders() -> list[Path]:
+def cache_folders() -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard one, then a temporary
-    one.
+    one, which is made only for who looks so far.
 
     A user without a home directory, as in a container, has only the second.
     """
     usual = home_folder(platformdirs.user_cache_path)
-    found = [usual] if usual else []
+    if usual:
+        yield usual
     with suppress(OSError):  # no temporary folder either
-        found.append(_private_folder(Path(tempfile.gettempdir())))
-    return found
+        yield _private_folder(Path(tempfile.gettempdir()))
 
 
 def is_writable(folder: Path) -> bool:

@@ -53,6 +53,7 @@ reach the whole group, as from a terminal; who is impatient presses Ctrl-C three
 disk or a folder that is read-only a command learns by itself; a worker is killed beside."""
 _FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
 _OF_DISK = ("full", "read-only")
+_COMMAND = "the command"
 _ROOM = 20_000  # [bytes] of any file on a disk that is full
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
@@ -171,10 +172,10 @@ def _try(
     words = tuple(word.format(port=port) for word in words)
     delay = float(rng.uniform(0.3, span))
     fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
-    in_child = in_child and fault not in _FROM_TERMINAL
+    in_child = in_child and fault not in _FROM_TERMINAL and name != "hang"  # its child is its guard
     command = _started(words, folder, _ROOM if fault == "full" else None)
     time.sleep(delay)
-    in_child = in_child or fault in _OF_DISK
+    in_child = in_child or (fault in _OF_DISK and name != "hang")
     if fault == "read-only" and (folder / "out").is_dir():
         (folder / "out").chmod(0o500)
     struck = _strike(command, fault, in_child, rng)
@@ -186,7 +187,8 @@ def _try(
     if (folder / "out").is_dir():
         (folder / "out").chmod(0o700)
     usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
-    usual |= {-signal.SIGKILL} if name == "hang" else set()  # its guard has killed it
+    killed = name == "hang" or (fault in _OF_DISK and struck == _COMMAND)  # by its guard, or here
+    usual |= {-signal.SIGKILL} if killed else set()
     usual |= {2} if fault in _OF_DISK else set()  # it cannot write
     told = fault not in ("kill", "stop") and command.returncode not in usual
     lost: list[str] = []
@@ -235,7 +237,7 @@ def _strike(
         children = struck.children(recursive=True)
         if in_child and children:
             struck = children[int(rng.integers(len(children)))]
-        told = "the command" if struck.pid == command.pid else _told(struck)
+        told = _COMMAND if struck.pid == command.pid else _told(struck)
         if fault in _FROM_TERMINAL:
             for pause in (0.0, 0.1, 0.4)[: 3 if fault == "impatient" else 1]:
                 time.sleep(pause)

@@ -358,10 +358,13 @@ def test_of_a_log_with_numbers_beyond_all_the_report_has_no_figure(tmp_path):
 XML: dict[str, Callable[[int], str]] = {
     "elements": lambda n: "<robot>" + "<a/>" * n + "</robot>",
     "depth": lambda n: "<a>" * n + "</a>" * n,
+    "attributes": lambda n: "<a " + " ".join(f"a{k}='x'" for k in range(n)) + "/>",
 }
 
 
-@pytest.mark.parametrize(("kind", "most"), [("elements", 99_999), ("depth", 100)])
+@pytest.mark.parametrize(
+    ("kind", "most"), [("elements", 99_999), ("depth", 100), ("attributes", 100)]
+)
 def test_xml_of_more_elements_than_a_robot_has_becomes_no_tree(kind, most):
     refuse_entities(XML[kind](most), Path("robot.urdf"))
     with pytest.raises(RobotFileError, match="more than"):
