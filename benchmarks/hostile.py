@@ -41,7 +41,7 @@ _SETTLED = 30.0  # [s] after the attacks, until memory is measured
 _PLACES = 31  # [-] connections beside the viewer
 _PAGE = 10.0  # [s] for the widgets of a page
 _HALF = 300  # [-] requests that are begun at once
-_PATIENCE = 90.0  # [s] for the server to start, or a page to be sent
+_PATIENCE = 600.0  # [s] for the server to start, or a page to be sent
 _MIB = 2**20  # [bytes]
 _BINARY, _PING = 2, 9  # [-] kinds of a websocket's frame
 

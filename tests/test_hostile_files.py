@@ -24,6 +24,7 @@ from app.cli.main import main
 from app.cli.options import make_folder
 from app.config_file import decode_config
 from app.dashboard.robots import robot_entries
+from app.dashboard.scene.robot import RobotParts
 from app.errors import (
     AssetError,
     CaseError,
@@ -34,11 +35,15 @@ from app.errors import (
     RobotFileError,
 )
 from app.jobs.bounded import SMALL, Budget, within_budget
+from app.onboarding.new_robot import finish
 from app.onboarding.read.links import is_foreign
+from app.onboarding.request import Request
 from app.robot.assets import ASSETS, refuse_entities
-from app.robot.description import load_description
+from app.robot.description import load_description, load_robot
+from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
 from app.simulation.case import read_case
+from app.simulation.plants.collision_shapes import collision_shapes
 from app.simulation.trace import log_file
 from app.simulation.trace.arrow import read_arrow
 from app.simulation.trace.log_file import read_trace, write_trace
@@ -46,6 +51,8 @@ from app.strict import LARGEST_DATA, file_text, from_toml, parsed
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
+from tests.onboarding import arm, cart, with_mesh, write
+from tests.onboarding import robot as toy
 
 pytestmark = pytest.mark.budget
 
@@ -302,6 +309,29 @@ def test_a_shape_takes_a_mesh_within_its_budget(tmp_path, monkeypatch):
     monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(1.0, 10**7))
     with pytest.raises(AssetError, match=f"package://a/a.stl: .*{BUDGET}"):
         shape.hull()
+
+
+def make_toy(at: Path) -> None:
+    trimesh.creation.icosphere(7).export(at / "a.stl")
+    urdf = write(at, with_mesh(toy([*cart(), *arm()]), "a.stl"))
+    finish(Request(urdf=str(urdf), base="base", tip="hand", out=at / "made"))
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        make_toy,
+        lambda _: collision_shapes(RobotModel(load_robot("husky_panda"))),
+        lambda _: RobotParts(RobotModel(load_robot("husky_panda"))),
+    ],
+    ids=["of new-robot", "of the engines", "of the page"],
+)
+def test_all_meshes_of_a_strangers_robot_are_read_within_a_budget(read, tmp_path, monkeypatch):
+    for module in ("app.simulation.plants.collision_shapes", "app.dashboard.scene.robot"):
+        monkeypatch.setattr(f"{module}.is_own", lambda _: True)
+    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(9.0, 3 * 10**7))
+    with pytest.raises(RobotFileError, match=f"its meshes: .*{BUDGET}"):
+        read(tmp_path)
 
 
 SLOW = {
