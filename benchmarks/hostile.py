@@ -66,12 +66,13 @@ def main(
         alone_s = json_module.loads(alone.communicate()[0].splitlines()[-1])["longest_silence_s"]
         before, log_before = _memory(server), (folder_log := Path(folder) / "log").stat().st_size
         watcher = _watched(port, seconds)
-        attacks, peak = _attack(port, server, seconds)
+        attacks, cpu_s, peak = _attack(port, server, seconds)
         seen = json_module.loads(watcher.communicate()[0].splitlines()[-1])
         time.sleep(_SETTLED)
         result = {
             "seconds": seconds,
             "attacks": attacks,
+            "server_cpu_s": cpu_s,
             "longest_wait_alone_s": alone_s,
             "longest_wait_s": seen["longest_silence_s"],
             "memory_before_mib": before,
@@ -138,21 +139,34 @@ def _watched(port: int, seconds: float) -> subprocess.Popen[bytes]:
 
 def _attack(
     port: int, server: subprocess.Popen[bytes], seconds: float
-) -> tuple[dict[str, int], float]:
-    """Let the attacks take turns; how often each did its harm, and the most memory [MiB]."""
-    done, peak = dict.fromkeys(_ATTACKS, 0), 0.0
+) -> tuple[dict[str, int], dict[str, float], float]:
+    """Let the attacks take turns.
+
+    Returns:
+        How much each has sent, [s] of a core that the server spent meanwhile, and the most memory
+        [MiB].
+    """
+    done, spent, peak = dict.fromkeys(_ATTACKS, 0), dict.fromkeys(_ATTACKS, 0.0), 0.0
     begin = time.monotonic()
     with progress_bar("hostile clients", 1.0) as on_progress:
         while (gone := time.monotonic() - begin) < seconds and server.poll() is None:
             for name, attack in _ATTACKS.items():
-                end = min(time.monotonic() + _TURN, begin + seconds)
+                end, before = min(time.monotonic() + _TURN, begin + seconds), _cpu(server)
                 while time.monotonic() < end and server.poll() is None:
                     with suppress(OSError, websockets.WebSocketException, TimeoutError):
                         done[name] += attack(port, end)
                     peak = max(peak, _memory(server))
                     time.sleep(0.05)
+                spent[name] += _cpu(server) - before
             on_progress(min(gone / seconds, 1.0))
-    return done, peak
+    return done, spent, peak
+
+
+def _cpu(server: subprocess.Popen[bytes]) -> float:
+    """[s] of a core that the server itself has spent; 0 once it has ended."""
+    with suppress(psutil.NoSuchProcess):
+        return sum(psutil.Process(server.pid).cpu_times()[:2])
+    return 0.0
 
 
 class _Client:

@@ -24,7 +24,6 @@ from app.cli.main import main
 from app.cli.options import make_folder
 from app.config_file import decode_config
 from app.dashboard.robots import robot_entries
-from app.dashboard.scene.robot import RobotParts
 from app.errors import (
     AssetError,
     CaseError,
@@ -319,16 +318,11 @@ def make_toy(at: Path) -> None:
 
 @pytest.mark.parametrize(
     "read",
-    [
-        make_toy,
-        lambda _: collision_shapes(RobotModel(load_robot("husky_panda"))),
-        lambda _: RobotParts(RobotModel(load_robot("husky_panda"))),
-    ],
-    ids=["of new-robot", "of the engines", "of the page"],
+    [make_toy, lambda _: collision_shapes(RobotModel(load_robot("husky_panda")))],
+    ids=["of new-robot", "of the engines"],
 )
 def test_all_meshes_of_a_strangers_robot_are_read_within_a_budget(read, tmp_path, monkeypatch):
-    for module in ("app.simulation.plants.collision_shapes", "app.dashboard.scene.robot"):
-        monkeypatch.setattr(f"{module}.is_own", lambda _: True)
+    monkeypatch.setattr("app.simulation.plants.collision_shapes.is_own", lambda _: True)
     monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(9.0, 3 * 10**7))
     with pytest.raises(RobotFileError, match=f"its meshes: .*{BUDGET}"):
         read(tmp_path)
