@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -41,20 +42,17 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _folders(file: str) -> list[Path]:
+def _folders(file: str) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
     They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and
     the cache folders of this user.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
-    named = [Path(config.CACHE_DIR)] if config.CACHE_DIR else []
-    own = [folder / "kernels" for folder in cache_folders()]
-    return [
-        *(folder / subfolder for folder in named),
-        Path(file).parent / "__pycache__",
-        *(folder / subfolder for folder in own),
-    ]
+    if config.CACHE_DIR:
+        yield Path(config.CACHE_DIR) / subfolder
+    yield Path(file).parent / "__pycache__"
+    yield from (folder / "kernels" / subfolder for folder in cache_folders())
 
 
 class _Locator(caching._CacheLocator):
@@ -106,15 +104,17 @@ class KernelStore(caching.FunctionCache):
 
     def __init__(self, function: FunctionType) -> None:
         super().__init__(function)
-        stamp, name = self._impl.locator.get_source_stamp(), self._impl.filename_base
-        self._files = [
-            _Index(str(folder), name, stamp) for folder in _folders(inspect.getfile(function))
-        ]
+        self._function = function
+        self._stamp = self._impl.locator.get_source_stamp()
         self.saved = False
         """Whether this process has stored a compiled kernel."""
 
+    def _files(self) -> Iterator[_Index]:
+        for folder in _folders(inspect.getfile(self._function)):
+            yield _Index(str(folder), self._impl.filename_base, self._stamp)
+
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        for file in self._files:
+        for file in self._files():
             self._cache_file = file
             with suppress(Exception):  # the file cannot be read, or is damaged
                 found = super()._load_overload(sig, target_context)
@@ -123,7 +123,7 @@ class KernelStore(caching.FunctionCache):
         return None
 
     def _save_overload(self, sig: Any, data: Any) -> None:
-        for file in self._files:
+        for file in self._files():
             self._cache_file = file
             with suppress(OSError):
                 Path(file._cache_path).mkdir(parents=True, exist_ok=True)

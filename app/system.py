@@ -374,16 +374,18 @@ def home_folder(find: Callable[..., Path]) -> Path | None:
     return None
 
 
-def cache_folders() -> list[Path]:
+def cache_folders() -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard and a temporary folder.
+
+    The temporary folder is created only if the caller continues to it.
 
     A user without a home directory, for example in a container, has only the temporary folder.
     """
     usual = home_folder(platformdirs.user_cache_path)
-    found = [usual] if usual else []
-    with suppress(OSError):  # there is no temporary folder
-        found.append(_private_folder(Path(tempfile.gettempdir())))
-    return found
+    if usual:
+        yield usual
+    with suppress(OSError):  # no temporary folder either
+        yield _private_folder(Path(tempfile.gettempdir()))
 
 
 def is_writable(folder: Path) -> bool:

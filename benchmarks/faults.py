@@ -53,6 +53,7 @@ reach the whole group, as from a terminal; who is impatient presses Ctrl-C three
 disk or a folder that is read-only a command learns by itself; a worker is killed beside."""
 _FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
 _OF_DISK = ("full", "read-only")
+_COMMAND = "the command"
 _ROOM = 20_000  # [bytes] of any file on a disk that is full
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
@@ -103,6 +104,8 @@ def main(
 ) -> None:
     """Let faults befall commands; status 1 if anything was left or lost.
 
+    A signal to end also prints the counts so far, with status 1.
+
     Args:
         tries: Largest number of tries.
         seconds: [s] after which no further one begins.
@@ -111,35 +114,38 @@ def main(
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
-    # Who is started in the background ignores these two, and would pass that on.
-    for number in (signal.SIGINT, signal.SIGHUP):
+    # Who is started in the background ignores two of them, and would pass that on.
+    for number in ENDING:
         signal.signal(number, signal.default_int_handler)
     names, end = only or tuple(_COMMANDS), time.monotonic() + seconds
     tally: dict[str, Counter[str]] = {name: Counter() for name in names}
-    findings = []
+    result: dict[str, Any] = {"seed": seed, "tally": tally, "findings": [], "interrupted": False}
     with tempfile.TemporaryDirectory(prefix="dbb-faults-") as folder:
-        whole = _studied(Path(folder) / "whole") if "study" in names else {}
-        with progress_bar("faults", tries) as on_progress:
-            for k in range(tries):
-                if time.monotonic() > end:
-                    break
-                name = names[k % len(names)]
-                row = _try(name, Path(folder) / str(k), rng, whole)
-                tally[name].update(
-                    {key: len(value) for key, value in row.items() if key in _COUNTED}
-                )
-                tally[name]["tries"] += 1
-                if any(row[key] for key in _COUNTED):
-                    findings.append(row)
-                on_progress(k + 1)
-    result = {"seed": seed, "tally": {k: dict(v) for k, v in tally.items()}, "findings": findings}
+        try:
+            whole = _studied(Path(folder) / "whole") if "study" in names else {}
+            with progress_bar("faults", tries) as on_progress:
+                for k in range(tries):
+                    if time.monotonic() > end:
+                        break
+                    name = names[k % len(names)]
+                    row = _try(name, Path(folder) / str(k), rng, whole)
+                    tally[name].update(tries=1, **{key: len(row[key]) for key in _COUNTED})
+                    if any(row[key] for key in _COUNTED):
+                        result["findings"].append(row)
+                    on_progress(k + 1)
+        except KeyboardInterrupt:
+            result["interrupted"] = True
+            for each in _alive(Path(folder)):
+                with suppress(psutil.NoSuchProcess):
+                    each.kill()
     if json:
         print_json(result)
     else:
-        for name, counts in result["tally"].items():
+        for name, counts in tally.items():
             print(f"{name:10} " + ", ".join(f"{key} {n}" for key, n in counts.items()))
+    findings = [*map(str, result["findings"]), *["interrupted"] * result["interrupted"]]
     if findings:
-        sys.exit("\n".join(map(str, findings)))
+        sys.exit("\n".join(findings))
 
 
 _HANGING = """
@@ -166,10 +172,10 @@ def _try(
     words = tuple(word.format(port=port) for word in words)
     delay = float(rng.uniform(0.3, span))
     fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
-    in_child = in_child and fault not in _FROM_TERMINAL
+    in_child = in_child and fault not in _FROM_TERMINAL and name != "hang"  # its child is its guard
     command = _started(words, folder, _ROOM if fault == "full" else None)
     time.sleep(delay)
-    in_child = in_child or fault in _OF_DISK
+    in_child = in_child or (fault in _OF_DISK and name != "hang")
     if fault == "read-only" and (folder / "out").is_dir():
         (folder / "out").chmod(0o500)
     struck = _strike(command, fault, in_child, rng)
@@ -181,7 +187,8 @@ def _try(
     if (folder / "out").is_dir():
         (folder / "out").chmod(0o700)
     usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
-    usual |= {-signal.SIGKILL} if name == "hang" else set()  # its guard has killed it
+    killed = name == "hang" or (fault in _OF_DISK and struck == _COMMAND)  # by its guard, or here
+    usual |= {-signal.SIGKILL} if killed else set()
     usual |= {2} if fault in _OF_DISK else set()  # it cannot write
     told = fault not in ("kill", "stop") and command.returncode not in usual
     lost: list[str] = []
@@ -230,7 +237,7 @@ def _strike(
         children = struck.children(recursive=True)
         if in_child and children:
             struck = children[int(rng.integers(len(children)))]
-        told = "the command" if struck.pid == command.pid else _told(struck)
+        told = _COMMAND if struck.pid == command.pid else _told(struck)
         if fault in _FROM_TERMINAL:
             for pause in (0.0, 0.1, 0.4)[: 3 if fault == "impatient" else 1]:
                 time.sleep(pause)
@@ -272,11 +279,11 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
 
 
 def _alive(folder: Path) -> list[psutil.Process]:
-    """Running processes of a try, anywhere in the tree of processes."""
+    """Running processes of the tries in a folder, anywhere in the tree of processes."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):
-            mine = process.environ().get(_MARK) == str(folder)
+            mine = Path(process.environ().get(_MARK, "")).is_relative_to(folder)
             if mine and process.status() != psutil.STATUS_ZOMBIE:
                 found.append(process)
     return found

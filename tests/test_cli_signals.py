@@ -8,7 +8,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import product
 
+import psutil
 import pytest
 
 from app.cli import main
@@ -133,14 +135,20 @@ with ending_signals_raised():
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, tmp_path):
+@pytest.mark.parametrize(
+    ("number", "guarded"),
+    [*product([signal.SIGINT, signal.SIGTERM, signal.SIGHUP], [True]), (signal.SIGTERM, False)],
+)
+def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, guarded, tmp_path):
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     process = subprocess.Popen(
         [sys.executable, "-c", DEAF], stdout=subprocess.PIPE, env=environment
     )
     assert process.stdout is not None
     assert process.stdout.readline() == b"started\n"
+    if not guarded:
+        (guard,) = psutil.Process(process.pid).children()
+        guard.kill()
     process.send_signal(number)
     assert process.wait(timeout=30) == 128 + number
     assert list(tmp_path.iterdir()) == [], "temporary folders go"

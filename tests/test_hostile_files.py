@@ -34,11 +34,15 @@ from app.errors import (
     RobotFileError,
 )
 from app.jobs.bounded import SMALL, Budget, within_budget
+from app.onboarding.new_robot import finish
 from app.onboarding.read.links import is_foreign
+from app.onboarding.request import Request
 from app.robot.assets import ASSETS, refuse_entities
-from app.robot.description import load_description
+from app.robot.description import load_description, load_robot
+from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
 from app.simulation.case import read_case
+from app.simulation.plants.collision_shapes import collision_shapes
 from app.simulation.trace import log_file
 from app.simulation.trace.arrow import read_arrow
 from app.simulation.trace.log_file import read_trace, write_trace
@@ -46,6 +50,8 @@ from app.strict import LARGEST_DATA, file_text, from_toml, parsed
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
+from tests.onboarding import arm, cart, with_mesh, write
+from tests.onboarding import robot as toy
 
 pytestmark = pytest.mark.budget
 
@@ -304,6 +310,24 @@ def test_a_shape_takes_a_mesh_within_its_budget(tmp_path, monkeypatch):
         shape.hull()
 
 
+def make_toy(at: Path) -> None:
+    trimesh.creation.icosphere(7).export(at / "a.stl")
+    urdf = write(at, with_mesh(toy([*cart(), *arm()]), "a.stl"))
+    finish(Request(urdf=str(urdf), base="base", tip="hand", out=at / "made"))
+
+
+@pytest.mark.parametrize(
+    "read",
+    [make_toy, lambda _: collision_shapes(RobotModel(load_robot("husky_panda")))],
+    ids=["of new-robot", "of the engines"],
+)
+def test_all_meshes_of_a_strangers_robot_are_read_within_a_budget(read, tmp_path, monkeypatch):
+    monkeypatch.setattr("app.simulation.plants.collision_shapes.is_own", lambda _: True)
+    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(9.0, 3 * 10**7))
+    with pytest.raises(RobotFileError, match=f"its meshes: .*{BUDGET}"):
+        read(tmp_path)
+
+
 SLOW = {
     "a decimal comma before blanks": (
         from_toml,
@@ -358,10 +382,13 @@ def test_of_a_log_with_numbers_beyond_all_the_report_has_no_figure(tmp_path):
 XML: dict[str, Callable[[int], str]] = {
     "elements": lambda n: "<robot>" + "<a/>" * n + "</robot>",
     "depth": lambda n: "<a>" * n + "</a>" * n,
+    "attributes": lambda n: "<a " + " ".join(f"a{k}='x'" for k in range(n)) + "/>",
 }
 
 
-@pytest.mark.parametrize(("kind", "most"), [("elements", 99_999), ("depth", 100)])
+@pytest.mark.parametrize(
+    ("kind", "most"), [("elements", 99_999), ("depth", 100), ("attributes", 100)]
+)
 def test_xml_of_more_elements_than_a_robot_has_becomes_no_tree(kind, most):
     refuse_entities(XML[kind](most), Path("robot.urdf"))
     with pytest.raises(RobotFileError, match="more than"):

@@ -55,7 +55,7 @@ INSIDE = ("--inside", "--cases", "5000", "--seed", "1")
 TRUST = {
     "messages": (4, ("benchmarks.fuzz", "--what", "messages", "--count", "25000")),
     "files": (10, ("benchmarks.fuzz", "--what", "files", "--count", "1000")),
-    "faults": (6, ("benchmarks.faults", "--tries", "18")),
+    "faults": (12, ("benchmarks.faults", "--tries", "18")),
 }
 """Long measurements: number of parts, each with its own seed, and the command of a part."""
 
@@ -445,6 +445,11 @@ def trust_table(found: Figures) -> str:
             told.append(f"memory of the parts {', '.join(growth)}")
         often = counts["tries"] or sum(counts[key] for key in shown)
         rows.append([what, f"{often:,}", ", ".join(told)])
+    if hostile := found.get("hostile"):
+        before, after = hostile["memory_before_mib"], hostile["memory_after_mib"]
+        outcome = f"longest wait of a viewer {number(hostile['longest_wait_s'], 's', 2)}, memory "
+        outcome += f"{before:,.0f} MiB before and {after:,.0f} MiB after"
+        rows.append(["hostile clients", f"{hostile['seconds']:,.0f} s", outcome])
     return grid(["input", "count", "outcome"], rows)
 
 
@@ -578,7 +583,8 @@ SETS: dict[str, ResultSet] = {
             f"{what} {seed}": (*words, "--seed", str(seed), "--json")
             for what, (parts, words) in TRUST.items()
             for seed in range(parts)
-        },
+        }
+        | {"hostile": ("benchmarks.hostile", "--seconds", "600", "--json")},
         keep_all,
         trust_table,
         default=False,

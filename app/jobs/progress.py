@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from time import monotonic, sleep
 from types import FrameType
+from typing import NoReturn
 
 from app.errors import BrowserError, DbbError
 from app.jobs.guard import guarded
@@ -142,10 +143,10 @@ def _raise(number: int, _: FrameType | None) -> None:
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     """End the process 2 s after one of some signals, independently of the main thread.
 
-    Python calls its signal handlers only after compiled code of the main thread has returned, and
-    their exceptions may be lost. Therefore Python also writes the numbers of the signals to a pipe,
-    which another thread reads. If compiled code holds Python's lock, so that no thread can run, the
-    guard kills the process.
+    Python's own handlers wait until compiled code of the main thread has returned, and their
+    exceptions may be lost there. The numbers of signals are also written to a file, at once, which
+    a thread reads from the guard, or itself if the guard is killed. If compiled code holds Python's
+    lock too, so that no thread of this process can act, the guard kills the process.
     """
     if not numbers:
         yield
@@ -155,7 +156,7 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     try:
         with guarded(heard, _PATIENCE) as passed_on:
-            ending = (os.dup(passed_on), numbers, _LONGEST)
+            ending = ((os.dup(passed_on), os.dup(heard)), numbers, _LONGEST)
             threading.Thread(target=_end_late, args=ending, daemon=True).start()
             yield
     finally:
@@ -164,18 +165,22 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
         os.close(heard)
 
 
-def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
-    with os.fdopen(heard, "rb", buffering=0) as signals:
-        while number := signals.read(1):
-            if number[0] in numbers:
-                wake_children()
-                sleep(longest)
-                # Temporary folders are removed, as at any end; a removal that hangs does not delay
-                # the end.
-                tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
-                tidying.start()
-                tidying.join(_TIDYING)
-                os._exit(128 + number[0])
+def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) -> None:
+    for source in sources:
+        with os.fdopen(source, "rb", buffering=0) as signals:
+            while number := signals.read(1):
+                if number[0] in numbers:
+                    _end_after(longest, 128 + number[0])
+
+
+def _end_after(longest: float, status: int) -> NoReturn:
+    wake_children()
+    sleep(longest)
+    # Temporary folders are removed, as at any end; a hanging removal does not delay the end.
+    tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
+    tidying.start()
+    tidying.join(_TIDYING)
+    os._exit(status)
 
 
 def _exception() -> BaseException:

@@ -17,6 +17,7 @@ import numpy as np
 from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
 from app.errors import DbbError, RobotFileError
+from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import ROOT, SIDES
@@ -70,6 +71,7 @@ from app.onboarding.write import (
 )
 from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
+from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
 
 _log = logging.getLogger(__name__)
@@ -185,9 +187,11 @@ def make_robot(
     `workers` share random poses and reachability maps.
     """
     tell("reading the URDF")
-    parsed = parse(request)
-    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
-    urdf = rebased_urdf(parsed, name=request.name, header=header, home=folder)
+    whole = _whole_robot(request)
+    try:
+        parsed, urdf = within_budget(_read, request, whole, folder, size=mesh_bytes(whole.robot))
+    except BudgetError as error:
+        raise RobotFileError(f"{request.told}: its meshes: {error}") from None
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
@@ -325,8 +329,19 @@ def parse(request: Request) -> Parsed:
         RobotFileError: It cannot become a robot; names the reason, and the helpful option.
         AssetError: A package is not installed.
     """
-    robot, tip, left_out = _whole_robot(request)
-    robot, names = _with_distinct_names(robot)
+    return _parsed(request, _whole_robot(request))
+
+
+def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
+    """The checked robot, and its new URDF for a folder, where some meshes are written anew."""
+    parsed = _parsed(request, whole)
+    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
+    return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
+
+
+def _parsed(request: Request, whole: _Whole) -> Parsed:
+    robot, names = _with_distinct_names(whole.robot)
+    tip, left_out = whole.tip, whole.left_out
     tip, base, mount = (names.get(str(n), n) for n in (tip, request.base, request.mount))
     joined = as_one_slide(robot, str(base), str(tip))
     tree = make_tree(robot)
@@ -365,21 +380,30 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
             )
 
 
-def _whole_robot(request: Request) -> tuple[Element, str, list[str]]:
-    """The robot with its arm, the name of its tip, and sentences on left-out shapes."""
+class _Whole(NamedTuple):
+    """A robot with its arm, before it is checked."""
+
+    robot: Element
+    tip: str
+    """The name of its tip."""
+    left_out: list[str]
+    """Sentences on left-out shapes."""
+
+
+def _whole_robot(request: Request) -> _Whole:
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
     robot, left_out = read_robot(locate(request.urdf), packages, **arguments)
     tip = request.tip
     if request.arm_urdf is None:
-        return robot, tip, left_out
+        return _Whole(robot, tip, left_out)
     arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
     for part in (robot, arm):  # reports the errors of each separately
         tree = make_tree(part)
     tree.link(tip, "--tip")  # of the arm
     names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
     tip = PREFIX + tip if tip in names[0] & names[1] else tip
-    return _composed(robot, arm, request), tip, left_out + also
+    return _Whole(_composed(robot, arm, request), tip, left_out + also)
 
 
 def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:

@@ -13,6 +13,7 @@ import os
 import re
 import sys
 import sysconfig
+from collections.abc import Sized
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from typing import NoReturn, Protocol
@@ -36,6 +37,7 @@ _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 100_000  # [-] most elements of an XML file; large URDFs have some thousands
 _MAX_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
+_MAX_ATTRIBUTES = 100  # [-] most of an element; other readers search each among all before it
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -45,8 +47,10 @@ _WITH_PYBULLET = (
 
 def cache_folder() -> Path:
     """Folder of new borders: `dbb_cache/` in a checkout, or the user's; the first writable one."""
-    folders = [*[SHIPPED_CACHE] * IN_CHECKOUT, *cache_folders()]
-    return next((folder for folder in folders if is_writable(folder)), folders[0])
+    if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
+        return SHIPPED_CACHE
+    found = next(filter(is_writable, cache_folders()), None)
+    return found or next(cache_folders(), SHIPPED_CACHE)
 
 
 def user_robots() -> list[Path]:
@@ -357,13 +361,14 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 
     depth = count = 0
 
-    def begin(*_: object) -> None:
+    def begin(_: str, attributes: Sized) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
-        if depth > _DEEPEST or count > _MAX_ELEMENTS:
+        if depth > _DEEPEST or count > _MAX_ELEMENTS or len(attributes) > _MAX_ATTRIBUTES:
             raise RobotFileError(
-                f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, or more than "
-                f"{_DEEPEST} in one another, which no robot has"
+                f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, more than {_DEEPEST} "
+                f"in one another, or more than {_MAX_ATTRIBUTES} attributes of one, which no robot "
+                "has"
             )
 
     def end(*_: object) -> None:
@@ -401,8 +406,9 @@ def planar_urdf(description: HasUrdf) -> str:
 
 def floats(text: str, count: int) -> list[float] | None:
     """The numbers of an attribute; None unless their number is `count` and all are finite."""
+    words = text.split(None, count)  # an attribute may have millions
     try:
-        values = [float(word) for word in text.split()]
+        values = [float(word) for word in words]
     except ValueError:
         return None
     return values if len(values) == count and all(map(math.isfinite, values)) else None

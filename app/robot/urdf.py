@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError
+from app.jobs.bounded import SMALL
 from app.robot.assets import floats, resolve_package_uri
 from app.strict import Array
 
@@ -86,6 +87,16 @@ def colour(
 def mesh_path(address: str) -> Path:
     """The file of a mesh's address, `package://…` or a path."""
     return resolve_package_uri(address) if address.startswith("package://") else Path(address)
+
+
+def mesh_bytes(robot: Element) -> int:
+    """[bytes] of all mesh files of a URDF, for the budget of reading them; 0 if it has none.
+
+    A mesh counts as large data at any size: a few bytes may stand for millions of triangles.
+    """
+    named = {mesh.get("filename", "") for mesh in robot.iter("mesh")} - {""}
+    sizes = [path.stat().st_size for path in map(mesh_path, named) if path.is_file()]
+    return max(SMALL + 1, sum(sizes)) if sizes else 0
 
 
 def urdf_mesh(

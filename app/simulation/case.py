@@ -1,11 +1,12 @@
 """A planned run, and a case: a file with all data that are needed to repeat a run exactly."""
 
 import json
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_type_hints
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, create_model, field_validator
 from typing_extensions import Self
 
 from app.config import Config, present_name, tunables
@@ -86,8 +87,14 @@ class RunCase(Strict):
             DbbError: The scenario does not exist, or its options are invalid.
         """
         check_name("scenario", self.played, _PLAYED)
-        options = {name: _tuples(value) for name, value in self.options.items()}
-        return _PLAYED[self.played].changed(**options)
+        played = _PLAYED[self.played]
+        record = _options_of(type(played))
+        known = {name: value for name, value in self.options.items() if name in record.model_fields}
+        try:
+            options = record.model_validate_json(json.dumps(known), strict=True)
+        except ValidationError as error:
+            raise CaseError(f"options of {self.played}: {explain(error, record)}") from None
+        return played.changed(**self.options | {name: getattr(options, name) for name in known})
 
     def config(self) -> Config:
         """The configuration with those parameters of the case that still exist.
@@ -167,6 +174,10 @@ def read_case(path: Path) -> RunCase:
         raise CaseError(f"{path} is not a case: it is not JSON ({error})") from None
 
 
-def _tuples(value: Any) -> Any:
-    """A value with its lists converted to tuples, as the records have them."""
-    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
+@cache
+def _options_of(kind: type[Scenario]) -> type[Strict]:
+    """The record of a scenario's options, each of its own type, or None for no change."""
+    options: dict[str, Any] = {
+        name: (hint | None, None) for name, hint in get_type_hints(kind).items()
+    }
+    return create_model(kind.__name__, __base__=Strict, **options)

@@ -14,11 +14,11 @@ from app.dashboard.scene.colours import Rgb
 from app.errors import AssetError, RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding.read.links import read_mesh
-from app.robot.assets import ASSETS, bare_urdf, resolved_urdf, robot_folder
+from app.robot.assets import bare_urdf, is_own, resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
-from app.robot.urdf import colour, origin, urdf_mesh
+from app.robot.urdf import colour, mesh_bytes, origin, urdf_mesh
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
@@ -147,14 +147,12 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
     return bodies
 
 
-_MESHES = 20_000_000  # [bytes] assumed size of all meshes of a robot, for the budget
-
-
 @kept_per_model(1)
 def _visuals(robot: RobotModel) -> list[Visual]:
-    ours = robot_folder(robot.description.name).parent == ASSETS
+    tree = ElementTree.fromstring(resolved_urdf(robot.description))
+    size = mesh_bytes(tree) if is_own(robot.description.name) else 0
     try:
-        return within_budget(_visuals_of, robot.description, size=0 if ours else _MESHES)
+        return within_budget(_visuals_of, robot.description, size=size)
     except BudgetError as error:
         raise RobotFileError(f"its meshes: {error}") from None
 

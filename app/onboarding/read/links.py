@@ -157,7 +157,7 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
             )
         assert isinstance(scene, trimesh.Scene)
         mesh = _joined(scene)
-    except RobotFileError:
+    except (RobotFileError, MemoryError):
         raise
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None

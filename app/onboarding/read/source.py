@@ -91,7 +91,7 @@ def _left_out(robot: Element) -> list[str]:
 def _needless(shape: Element, link: Element, tag: str) -> str:
     """Why a shape is left out, or empty."""
     sizes = [shape.get(key) for key in ("size", "radius", "length", "scale")]
-    stated = [floats(size, len(size.split())) for size in sizes if size is not None]
+    stated = [floats(size, n) for size in sizes if size is not None for n in (1, 3)]
     if not all(all(each or (1.0,)) for each in stated):
         return f"its {shape.tag} has the size 0"
     file = shape.get("filename", "")

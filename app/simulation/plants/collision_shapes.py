@@ -7,16 +7,19 @@ import logging
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from app.errors import AssetError
-from app.robot.assets import resolved_urdf
+from app.errors import AssetError, RobotFileError
+from app.jobs.bounded import BudgetError, within_budget
+from app.robot.assets import is_own, resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import convex_hull
+from app.robot.urdf import mesh_bytes
 from app.strict import Array
 
 FLOOR = "/floor"  # name of the floor as a part; no link or body can have this name
@@ -103,15 +106,21 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
             body_contact_pairs(description),
             (description.mobile_body.name,),
         )
-    loaded = pin.buildGeomFromUrdfString(model.pin, text, pin.GeometryType.COLLISION)
-    return CollisionShapes(
-        tuple(
-            _shape(model.pin.frames[each.parentFrame].name, each)._replace(geometry=piece)
-            for each in loaded.geometryObjects
-            for piece in _pieces(each)
-        ),
-        link_contact_pairs(description),
-        description.mobile_body.covers,
+    size = mesh_bytes(ElementTree.fromstring(text)) if is_own(description.name) else 0
+    try:
+        shapes = within_budget(_link_shapes, model.pin, text, size=size)
+    except BudgetError as error:
+        raise RobotFileError(f"{description.name}: its meshes: {error}") from None
+    return CollisionShapes(shapes, link_contact_pairs(description), description.mobile_body.covers)
+
+
+def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
+    """The shapes of a URDF's links, whose joints are those of a model."""
+    loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    return tuple(
+        _shape(model.frames[each.parentFrame].name, each)._replace(geometry=piece)
+        for each in loaded.geometryObjects
+        for piece in _pieces(each)
     )
 
 
