@@ -191,17 +191,16 @@ class _Client:
 
     def find_widgets(self) -> None:
         """Say where the camera is, and take in the page that the server makes then."""
-        eye = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (2.0, 2.0, 1.5), "fov": 0.75}
-        view = {"near": 0.01, "far": 100.0, "image_height": 900, "image_width": 1600}
-        to = {"look_at": (0.0, 0.0, 0.4), "up_direction": (0.0, 0.0, 1.0)}
-        self.send(_messages.ViewerCameraMessage(**eye, **view, **to))
+        eye, to, up = (2.0, 2.0, 1.5), (0.0, 0.0, 0.4), (0.0, 0.0, 1.0)
+        turn, size = (1.0, 0.0, 0.0, 0.0), (900, 1600)
+        self.send(_messages.ViewerCameraMessage(turn, eye, 0.75, 0.01, 100.0, *size, to, up))
         end = time.monotonic() + _PAGE
         with suppress(TimeoutError):
             while time.monotonic() < end and not self.named("GuiUploadButtonMessage"):
-                self._take(self._connection.recv(timeout=_PAGE))
+                self._take(self._connection.recv(timeout=_PAGE, decode=False))
 
-    def _take(self, data: bytes | str) -> None:
-        size, packed = struct.unpack_from("<QQ", bytes(data))
+    def _take(self, data: bytes) -> None:
+        size, packed = struct.unpack_from("<QQ", data)
         plain = zstandard.ZstdDecompressor().decompress(
             data[16 : 16 + packed], max_output_size=size
         )
@@ -326,7 +325,7 @@ def _bombs(port: int, end: float) -> int:
                 client.send(_messages.FileTransferPart(uuid, f"t{sent}", 0, data))
                 sent += 1
         while time.monotonic() < end:
-            client._take(client._connection.recv(timeout=1.0))
+            client._take(client._connection.recv(timeout=1.0, decode=False))
     return sent
 
 
