@@ -54,7 +54,7 @@ class ForceConfig(Strict):
     alpha_gain: Annotated[float, Shown("Step gain S_0", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
-    """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and S_0 d / |S| far from the axis."""
+    """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and S_0 d / |S| far from it."""
     alpha_min: Annotated[float, Shown("Smallest step α_min")] = Field(default=0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""
     alpha_max: Annotated[float, Shown("Largest step α_max")] = Field(default=0.15, ge=0.10, le=0.40)
