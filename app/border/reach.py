@@ -114,7 +114,8 @@ def _moving_joints(model: RobotModel, body: str) -> list[int]:
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
     """Pinocchio's index of the joint that moves a body's point, and the pose of the point's frame
-    in the joint's frame."""
+    in the joint's frame.
+    """
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]
         return frame.parentJoint, frame.placement
