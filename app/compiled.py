@@ -122,7 +122,7 @@ class _Lowering(NativeLowering):
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
-    """Numba's pass builder with other options."""
+    """Make numba's pass builder with other options."""
     options = llvm.create_pipeline_tuning_options()
     options.speed_level = config.OPT if opt is None else opt
     options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False

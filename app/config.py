@@ -263,7 +263,7 @@ class DisturbanceConfig(Strict):
     sensor_delay: float = Field(default=0.0, ge=0.0, le=0.05)
     """[s] age of all readings on arrival."""
     sensor_period: float = Field(default=0.0, ge=0.0, le=0.05)
-    """[s] time between new readings, in which each reading is repeated; 0: new in each step."""
+    """[s] time between new readings; until then the last one is repeated. 0: new in each step."""
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)

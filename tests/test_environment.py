@@ -182,7 +182,7 @@ def test_a_log_survives_semicolons_and_decimal_commas(tmp_path: Path) -> None:
         (b"[border]\nd_b = 0,2\n", "line 2 '= 0,2' has a decimal comma"),
         ("name = “soft”\n".encode(), "line 1 '“' is a typographic quote"),
         ("[border]\nd_b =\u00a00.2\n".encode(), "line 2"),
-        ("[border]\nd_b = −0.2\n".encode(), "no minus sign"),
+        ("[border]\nd_b = −0.2\n".encode(), "typographic minus"),
         ('name = "grün"\n'.encode("latin-1"), "not UTF-8 in line 1; save the file as UTF-8"),
     ],
 )

@@ -114,7 +114,7 @@ def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        ("--out x.avi", "--out: x.avi should end in .mp4 or .webm or .webp or .gif"),
+        ("--out x.avi", "--out: x.avi must end in .mp4 or .webm or .webp or .gif"),
         ("--out x.mp4 --codec vp9", "unknown --codec of .mp4 'vp9'"),
         ("--out x.mp4 --beside nobody", "unknown controller of --beside 'nobody'"),
         ("--out x.mp4 --side-by-side", "--side-by-side needs --beside CONTROLLER"),

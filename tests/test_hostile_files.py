@@ -256,7 +256,7 @@ def equal(path: Path) -> Path:
     return path
 
 
-BUDGET = "to read, which no such file needs"
+BUDGET = "to read, more than any valid file"
 EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
     "a key of many parts": (lambda _: from_toml("a" + ".b" * 30_000 + " = 1"), BUDGET),
     "long tables": (
@@ -267,7 +267,7 @@ EXPANDING: dict[str, tuple[Callable[[Path], object], str]] = {
     "many equal rows": (lambda at: read_trace(equal(at / "a.parquet")), BUDGET),
     "rows that are drawn": (
         lambda at: read_trace(expanding(at / "a.parquet", 22_000)),
-        "22000 rows to be drawn are too many",
+        "22000 snapshots are too many",
     ),
 }
 
@@ -289,13 +289,13 @@ def test_problems_beyond_count_are_not_listed(tmp_path):
         load_description(path)
     with pytest.raises(LogError, match="too many to list"):
         log_file.LogHeader.read('{"dbb_log": {"pairs": [' + "1," * 2000 + '1]}, "rows": 1}')
-    with pytest.raises(LogError, match="longer than those of any log"):
+    with pytest.raises(LogError, match="the metadata are too long for a log"):
         log_file.LogHeader.read(" " * (LARGEST_DATA + 1))
 
 
 @pytest.mark.parametrize("read", [from_toml, partial(parsed, json.loads)])
 def test_toml_and_json_are_shorter_than_other_files(read):
-    with pytest.raises(ValueError, match="more than the 1 MB"):
+    with pytest.raises(ValueError, match="more than 1 MB"):
         read(" " * (LARGEST_DATA + 1))
 
 

@@ -146,10 +146,10 @@ def test_a_csv_that_is_not_a_log_says_what_is_wrong(csv_lines):
     assert len(read(lines).snapshots) == 4
     for broken, words in (
         (lines[1:], "first line is no comment"),
-        (["# {}", *lines[1:]], "no meta data"),
-        (["# {", *lines[1:]], "no meta data"),
-        (["# " + "[" * 100_000, *lines[1:]], "no meta data"),
-        ([head, names, *rows[:2]], "it has 2 rows, and its meta data say 4"),
+        (["# {}", *lines[1:]], "no metadata"),
+        (["# {", *lines[1:]], "no metadata"),
+        (["# " + "[" * 100_000, *lines[1:]], "no metadata"),
+        ([head, names, *rows[:2]], "the file has 2 rows, but its metadata state 4"),
         ([head, names, *rows[:3], rows[3][:40]], "damaged"),
         ([head, names, rows[1], rows[0], *rows[2:]], "not in order"),
         ([head, names.replace("base_x_m", "base_y"), *rows], "unknown column 'base_y'"),
@@ -234,5 +234,5 @@ def test_parquet_of_something_else_is_no_log(tmp_path):
 
     path = Path(tmp_path) / "log.parquet"
     pq.write_table(pa.table({"t_s": [0.0]}), path)
-    with pytest.raises(LogError, match="no meta data of a log"):
+    with pytest.raises(LogError, match="no metadata of a log"):
         read_trace(path)

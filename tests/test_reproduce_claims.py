@@ -204,7 +204,7 @@ def test_a_claim_of_several_parts_holds_only_with_all_of_them():
 def test_a_number_between_two_bounds_holds_within_them(value, holds):
     finding = claims.held("x", "x_s", value, least=claims.MET_FROM, most=claims.MET_TO)
     assert finding.holds is holds
-    assert finding.measured.endswith("(asked: 25 to 35 s)")
+    assert finding.measured.endswith("(required: 25 to 35 s)")
 
 
 def test_the_way_forward_is_along_the_first_heading():

@@ -201,8 +201,8 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
     [
         (None, ["cannot read", "No such file"]),
         ("{", ["not JSON"]),
-        ("[1]", ["is no case"]),
-        ('{"speed": 1}', ["is no case", "dbb_case"]),
+        ("[1]", ["is not a case"]),
+        ('{"speed": 1}', ["is not a case", "dbb_case"]),
         ('{"dbb_case": 1, "sped": 1}', ["sped"]),
     ],
 )
@@ -259,10 +259,10 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     assert (inside.hand_mass, inside.slip) == ((1.0, 1.0), (0.1, 0.1))
     assert (inside.hand_f_max, inside.height) == ((30.0, 50.0), RANGES.height)
     elsewhere = envelope.model_copy(update={"v_max": (1.2, 1.5)})
-    with pytest.raises(StudyError, match=r"--v-max: no statement from 0\.25 to 1, only"):
+    with pytest.raises(StudyError, match=r"--v-max: 0\.25 to 1 is outside of the envelope"):
         elsewhere.narrowed(RANGES)
     empty = envelope.model_copy(update={"force": 0.0})
-    with pytest.raises(StudyError, match="--hand-f-max: no statement from 30 to 100, only"):
+    with pytest.raises(StudyError, match="--hand-f-max: 30 to 100 is outside of the envelope"):
         empty.narrowed(RANGES)
 
 

@@ -79,7 +79,7 @@ def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, change, w
 
 
 def test_two_cannot_work_in_one_folder(tmp_path):
-    busy = pytest.raises(StudyError, match="another dbb study works in")
+    busy = pytest.raises(StudyError, match="another dbb study uses")
     with Journal(tmp_path, IDENTITY), busy:
         Journal(tmp_path, IDENTITY)
     fill(tmp_path, 1)

@@ -253,7 +253,7 @@ def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path:
         assert link.is_symlink()
         assert (tmp_path / "data" / "today.csv").read_text() == text
     os.mkfifo(pipe)
-    with pytest.raises(OutputError, match=r"pipe\.csv: it is no file"):
+    with pytest.raises(OutputError, match=r"pipe\.csv: it is a folder, a device or a pipe"):
         system.write_whole(pipe, "three")
     assert pipe.is_fifo()
     left = {path.name for path in tmp_path.rglob("*")}
@@ -348,7 +348,7 @@ def test_what_a_killed_process_has_begun_goes_and_what_others_begin_stays(tmp_pa
         system.remove_abandoned(tmp_path)
         assert len([*tmp_path.glob(f"{system._BEGUN}*")]) == 2
         with (
-            pytest.raises(OutputError, match="another process works on the same"),
+            pytest.raises(OutputError, match="another process is writing the same"),
             system.whole_folder(tmp_path / "robot"),
         ):
             pytest.fail("before any work")

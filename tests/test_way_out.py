@@ -66,7 +66,9 @@ def test_the_same_seed_draws_the_same_start(starts: TroubledStarts) -> None:
 
 
 def test_an_unknown_kind_of_start_is_refused() -> None:
-    with pytest.raises(ConfigError, match="--begin: 'outside' is none of penetration, buffer, arm"):
+    with pytest.raises(
+        ConfigError, match="--begin: 'outside' is not one of penetration, buffer, arm"
+    ):
         WayOutScenario(begin="outside")  # pyright: ignore[reportArgumentType]
 
 

@@ -9,7 +9,7 @@
     sampling.py   sampling of P_i on all cores, sector by sector
     flood.py      the flood of one sector
     cache.py      files with the pairs and clouds of a robot
-    reach.py      reachability maps, to which (9) is fitted
+    reach.py      reachability maps and the fit of (9)
 
 (12) to (16) are in `app.avoidance.acting_point`.
 """

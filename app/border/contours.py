@@ -76,9 +76,9 @@ class Contours:
     def nearest(self, p: Array) -> Foot | None:
         """The contour's point nearest to p (3,) [m], in the base's frame, at the height of p.
 
-        The point moves continuously with p, except if p crosses the medial axis, on which there are
-        two nearest points. If p is below or above all contours, the lowest or highest contour is
-        used. The result is None if there are no contours.
+        The point moves continuously with p, except if p crosses the medial axis, where two points
+        are nearest. If p is below or above all contours, the lowest or highest contour is used.
+        The result is None if there are no contours.
         """
         if not len(self.table.heights):
             return None
@@ -193,7 +193,7 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners, at which one ring ends and another continues, for a nearer point.
+    """Search the corners, where one ring ends and another continues, for a nearer point.
 
     The two ends at a corner differ by the interpolation error; the segment between the ends belongs
     to the contour. At a corner the tangent is perpendicular to the line to p.

@@ -218,8 +218,8 @@ class ReachFit(NamedTuple):
     rms: float
     """[-] root mean square of the residuals of the shells' means, weighted likewise."""
     r_squared_positions: float
-    """[-] share of the variance of single positions that (9) explains. Their scatter comes from
-    sampling and from the direction, on which (9) does not depend."""
+    """[-] share of the variance of single positions that (9) explains. The other causes of the
+    variance are the sampling and the direction of a position."""
     rho_min_m: float
     """[m] the smallest fitted distance."""
     rho_max_m: float

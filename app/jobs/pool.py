@@ -84,7 +84,7 @@ class Workers(AbstractContextManager["Workers"]):
             jobs: The jobs.
             on_progress: Called in the reader's thread with the share of all work that is done, 0 to
                 1, which never decreases.
-            tells: Whether `function` takes a third argument, to which it reports the share of the
+            tells: Whether `function` has a third argument, a function that takes the share of the
                 job that is done; otherwise only the end of a job counts.
             lost: Makes the result of a job whose process has ended in each of three attempts.
 

@@ -271,8 +271,8 @@ def _push_mass(
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
     F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
-    c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the period's end, for which the
-    held point is extrapolated with its velocity. K' in series with the grip has the stiffness K.
+    c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the period's end; the position of
+    the held point is extrapolated with its velocity. K' and the grip together have the stiffness K.
     The rule is stable for every mass, spring and damper. The force limit does not change the
     direction of F.
 

@@ -199,7 +199,7 @@ class BulletDoor(HeldDoor):
         self._client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
 
     def _com_pose(self, body: int, link: int) -> pin.SE3:
-        """Pose of a link's centre of mass, to which pybullet refers the frames of a constraint."""
+        """Pose of a link's centre of mass, the reference of a constraint's frames in pybullet."""
         state = self._client.getLinkState(body, link, computeForwardKinematics=1)
         return pin.XYZQUATToSE3([*state[0], *state[1]])
 

@@ -1,4 +1,4 @@
-"""One pybullet client with a robot and a floor, in which only selected pairs can touch."""
+"""One pybullet client with a robot and a floor; only selected pairs can touch."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _MASS = 60.0  # [kg] mass of the refrigerator without its door
 _DEPTH = 0.60  # [m] depth of the cabinet
 _GAP = 0.005  # [m] distance between the cabinet and the closed door
 _HANDLE = 0.03, 0.025, 0.24  # [m] depth, width and height of the drawn handle
-_SINKING = 1e-5  # [m] depth of the cabinet in the floor, at which the cabinet rests in the engines
+_SINKING = 1e-5  # [m] depth of the resting cabinet in the floor
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A MuJoCo specification of a robot and a floor, to which a plant adds further parts.
+"""A MuJoCo specification of a robot and a floor; a plant adds further parts.
 
 The specification has a body for each joint of pinocchio's model, with the same inertia, and the
 links' collision shapes. Only selected pairs can touch.

@@ -364,11 +364,11 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Position of the end-effector in a step, and the reasons of its error.
 
-    The reasons refer to the true robot and the controller's base motion. They are: joints at
-    their position or velocity limits; links of the arm within their buffer, whose rows have a
-    higher priority than the end-effector's task; a push of the border on the base that moves the
-    end-effector away from its target; a stretched arm, for which a singular value of the
-    end-effector's Jacobian is small.
+    The reasons refer to the true robot and the controller's base motion. Joints can be at their
+    position or velocity limits. Links of the arm can be within their buffer; their rows have a
+    higher priority than the end-effector's task. The border can push the base so that the
+    end-effector moves away from its target. A stretched arm has a small singular value of the
+    end-effector's Jacobian.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
