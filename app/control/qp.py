@@ -172,7 +172,7 @@ def compliances(slack_weight: Array, length: Array) -> Array:
 
 @compiled()
 def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple[int, float]:
-    """The row whose value s leaves its bounds the most, and by how much; active rows count as 0.
+    """The row whose value s is farthest outside its bounds, and the difference; 0 if it is active.
 
     A row with NaN counts as the most violated one.
     """

@@ -29,5 +29,5 @@ def pose_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
         if min(d) < _NEAR or min(d[:n]) > d_b - _NEAR:
             continue
         state.update_kinematics(at_rest(model, q))
-        if floor.least() > 0.0:
+        if floor.smallest() > 0.0:
             return q
