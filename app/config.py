@@ -48,9 +48,9 @@ class ForceConfig(Strict):
     f_max: Annotated[float, Shown("Force at contact f_max")] = Field(
         default=300.0, ge=0.0, le=600.0
     )
-    """[N] force at contact, f_max of (14)."""
+    """[N] avoidance force on the base at contact, f_max of (14)."""
     f_arm: Annotated[float, Shown("Force on the arm f_arm")] = Field(default=5.0, ge=0.0, le=50.0)
-    """[N] reaction force on a guided arm at contact: a released arm leaves the buffer."""
+    """[N] reaction force on a guided arm at contact; it moves a released arm out of the buffer."""
     alpha_gain: Annotated[float, Shown("Step gain S_0", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
@@ -103,7 +103,8 @@ class EeHoldConfig(Strict):
     min_speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
     )
-    """[m/s] end-effector speed at maximum joint speeds below which the arm cannot compensate."""
+    """[m/s] along a direction in which joints at full speed move the end-effector slower than this,
+    the arm counts as unable to compensate."""
     weight: Annotated[float, Shown("Weight of a dragged hand")] = Field(
         default=3000.0, ge=0.01, le=1e5
     )

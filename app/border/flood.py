@@ -243,9 +243,10 @@ class Voxels:
         self._sectors = sectors
 
     def cells(self, points: Array) -> Array:
-        """(N, 3) indices along x, y and z of the cells of points (N, 3) int16.
+        """Cell indices (N, 3) along x, y and z, which may be outside the grid.
 
-        A cell may be outside of the grid.
+        Args:
+            points: (N, 3) int16, in units of `POINT_UNIT`.
         """
         return (points - self._origin) // self._size
 

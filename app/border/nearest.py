@@ -119,7 +119,7 @@ class BorderSearch:
         """Prepare the search.
 
         Args:
-            offset: The exact offset of l_m.
+            offset: The surface at the distance d_b around l_m.
             borders: The sampled border of each pair, for the same d_b; empty means that the search
                 uses only the offset.
         """

@@ -137,7 +137,7 @@ def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:
-    """The names in the file of `--config` under which browsers may reach the server.
+    """Host names that the file of `--config` allows browsers to use.
 
     Raises:
         ConfigError: The file cannot be read.

@@ -55,8 +55,8 @@ def from_record(
         record: A dataclass or pydantic record, or an instance whose values are the defaults.
         only: Names of the included fields; None means all fields.
         leave: Names of the excluded fields.
-        names: Names of options that differ from the name of the field.
-        positional: Name of the field whose value has no option name.
+        names: The option name of each field whose option has another name than the field.
+        positional: The field that is a positional argument.
     """
     found = {
         name: each

@@ -147,7 +147,7 @@ def run_case(
     The figures are the same too, unless another option changes the run.
 
     Args:
-        case: File of a case, from the page or from `failures` of a study.
+        case: JSON file of a case, saved in the dashboard or in a study's folder `failures`.
     """
     played = read(case)
     again = spec_of_case(played, setup)

@@ -118,7 +118,9 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):
             option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option}: {case} already sets this option; leave out one of them")
+            raise ConfigError(
+                f"{option}: {case} already sets this option; remove the option or the case"
+            )
 
 
 def trace_of(path: Path) -> Trace:

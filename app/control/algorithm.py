@@ -4,9 +4,9 @@ Comments name the line of the paper's Algorithm 2; a number in brackets is an eq
 table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
 only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-There are no levels: each problem is one strictly convex QP, in which a task is a weight, and a row
-of T_sca is a spring whose stiffness follows its activation β. A row with β = 0 has no effect, so
-lines 12 and 16 to 18, which leave out inactive rows, need no branch.
+There are no levels. Each problem is one strictly convex QP: tasks have weights, and a row of T_sca
+is a spring with a stiffness that follows its activation β. A row with β = 0 has no effect, so lines
+12 and 16 to 18, which leave out inactive rows, need no branch.
 
 From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
 v_cmd by the admittance law (§4.1, `update_command`).

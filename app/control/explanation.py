@@ -178,9 +178,10 @@ def level_readings(base: BaseKind, w: ControlStep) -> tuple[Level, ...]:
 
 
 def objective_slack(H: Array, c: Array, qdd: Array, n_b: int) -> Array:
-    """(n_m,) [rad/s² or m/s²] the arm's q̈ minus the optimum of an objective alone.
+    """(n_m,) [rad/s² or m/s²] the arm's acceleration minus the one that minimises an objective.
 
-    The base's q̈, the first n_b entries, is fixed.
+    The minimum is that of this objective alone, for the same acceleration of the base, the first
+    n_b entries of `qdd` (n,).
     """
     return qdd[n_b:] + np.linalg.solve(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd[:n_b])
 

@@ -296,9 +296,9 @@ def solve_qp(
 def solve_qp_step(
     H: Array, c: Array, C: Array, l: Array, u: Array, slack_weight: Array, fixed: Array
 ) -> tuple[Array, bool]:
-    """The feasible x nearest to the optimum with fixed entries and without limits.
+    """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
 
-    Nearest is in the metric H; the first entries may change, too.
+    The distance is that of the metric H, and all entries of x may differ from x_0.
 
     Returns:
         (n,) the solution, and whether the active sets found it.

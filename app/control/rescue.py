@@ -55,9 +55,10 @@ def solved_by_proxqp(qp: OpenQP) -> Array:
 
 
 def changed_by_proxqp(qp: OpenQP) -> Array:
-    """The feasible x (n,) nearest to the optimum with fixed entries and without limits.
+    """The feasible x (n,) nearest to x_0, the optimum with the fixed entries and without limits.
 
-    Nearest is in the metric H; the fixed entries may change. NaN as in `solved_by_proxqp`.
+    The distance is that of the metric H, and all entries of x may differ from x_0. The result is
+    NaN as in `solved_by_proxqp`.
     """
     free = np.concatenate([qp.fixed, _without_limits(qp)])
     return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))

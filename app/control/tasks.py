@@ -121,7 +121,7 @@ def end_effector_task(
 def add_tracking(
     H: Array, c: Array, J: Array, b: Array, lm_damping: float, velocity: Array, weight: float
 ) -> tuple[Array, Array]:
-    """T_ee above the posture (H, c): ½ w ‖J_ee q̈ − b‖² beside it, with a large weight w [-].
+    """Add T_ee to the posture task (H, c): the cost ½ w ‖J_ee q̈ − b‖² with a large weight w [-].
 
     A strict level would demand unbounded accelerations if a limit or another task makes it
     nearly dependent; the weighted task yields there, with an error of 1/w of the posture's demand.
@@ -170,10 +170,10 @@ def posture_objective(
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
-    """The arm towards a posture, the base to rest, with a far higher cost of the base's
+    """Move the arm towards a posture and the base to rest, at a far higher cost of the base's
     acceleration.
 
-    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. At the
+    Without this task (26) leaves the null space of T_2 open: nine accelerations, six rows. At the
     fraction s from the middle of its range to a limit, a joint has a restoring acceleration
     proportional to s⁵: small near the middle, and large at a limit, so that no wrist ends in a
     corner while the tasks above leave another solution.
@@ -226,9 +226,9 @@ def free_arm_torque(g: Array, qd: Array, joint_damping: Array) -> Array:
 def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
     """Min (u_a − u_0)ᵀ M_aa⁻¹ (u_a − u_0): a guided arm applies only the torques of avoidance.
 
-    u_0 (n_m,) [N m or N] is the torque without avoidance. In q̈_a the Hessian is M_aa: with the
-    base's acceleration fixed and no rows the solution is u_a = u_0, with rows u_a = u_0 + J_rᵀ λ.
-    There is no posture task, because the person would feel it.
+    u_0 (n_m,) [N m or N] is the torque without avoidance. As a function of q̈_a the cost has the
+    Hessian M_aa. For a fixed acceleration of the base its minimum is u_a = u_0, and rows of the
+    avoidance task add J_rᵀ λ. There is no posture task, because the person would feel it.
     """
     n_b, c = len(h) - len(u_0), np.zeros(len(h))
     for i in range(len(u_0)):

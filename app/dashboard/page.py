@@ -319,9 +319,10 @@ def shown_play(robot: RobotDescription) -> Play:
 
 
 class Demonstration:
-    """Demonstration on an untouched page, until the viewer touches the page.
+    """A demonstration for a single viewer who has not touched the page; the first input ends it.
 
-    The demonstration plays a scenario, and a ghost without avoidance. The drawing thread calls it.
+    It plays a scenario and shows a ghost robot without avoidance. The drawing thread calls
+    `update`.
     """
 
     def __init__(self) -> None:

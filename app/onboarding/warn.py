@@ -316,7 +316,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
 
 
 class Carried(NamedTuple):
-    """Frequency of uncompensated motion of the end-effector with the base."""
+    """How often the arm cannot hold the end-effector while the base moves along an axis."""
 
     axis: Axis
     """Axis of the base's motion."""
@@ -358,12 +358,12 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
 
 
 def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
-    """Whether the base's motion moves the end-effector's position, and its position or orientation.
+    """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
-    It computes the smallest remainder of J_arm q̇ = -J_base ν within the joints' velocity limits.
-    With orientation, the angular part has a lever of 0.3 m. A part is lost if its remainder exceeds
-    a tenth of the base's motion: of the motion of that part, or of the other part by the lever
-    if that is larger.
+    The function computes the smallest remainder of J_arm q̇ = -J_base ν within the joints' velocity
+    limits. With orientation, the angular part has a lever of 0.3 m. A part is lost if its remainder
+    exceeds a tenth of the base's motion: of the motion of that part, or of the other part by the
+    lever if that is larger.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
@@ -405,9 +405,10 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
-    """(N,) [N] F* at random poses near the base: the bound of a force towards it, at rest.
+    """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
-    See `force_bound`; for the nearest pair of L_m.
+    One value for each of N random poses at rest near the base, for the nearest pair of L_m
+    (`force_bound`).
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
@@ -428,8 +429,8 @@ def push_warning(borne: Array) -> str:
     if weak <= _OFTEN:
         return ""
     return (
-        f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of poses near "
-        f"it the joints' torques resist less towards it, in at most {_OFTEN:.0%} only "
+        f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
+        f"near the base the joint torques resist less than that, in the worst {_OFTEN:.0%} at most "
         f"{np.quantile(borne, _OFTEN):.0f} N"
     )
 

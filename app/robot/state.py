@@ -191,7 +191,7 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """Number of velocities that move a joint's body: the first ones; none moves the world."""
+    """The first velocities alone move a joint's body: their number, 0 for the world."""
     return joint + 2 if joint > 0 else 0
 
 
@@ -233,8 +233,8 @@ def distance_motions(
     J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a:
     the printed (p_b − p_a)/‖p_b − p_a‖ flips in penetration. A face keeps its normal while the
     closest points of a round link slide along it, and the point of the link's core, its radius
-    behind p_b, does not move on the link: then d̈ is exact. The curvature |v_⊥|²/d of the distance
-    of two fixed points would have ten times the error of no curvature.
+    behind p_b, does not move on the link: then d̈ is exact. With the term |v_⊥|²/d of two fixed
+    points its error would be ten times as large.
 
     Paper: Eq. (21).
 
@@ -347,8 +347,8 @@ class RobotState:
 
     Attributes:
         base_pose, base_velocity, q_m, qd_m, drive: The measurement of the last update.
-        qd: (n,) reduced velocity q̇: the base's (for a differential one wheel speeds [rad/s]),
-            then the arm's joints.
+        qd: (n,) reduced velocity q̇: the base's coordinates, which are wheel speeds [rad/s] for a
+            differential base, then the arm's joints.
         M: (n, n) inertia matrix M of (26).
         h: (n,) C q̇ + g of (26).
         g: (n,) g of (26).

@@ -65,9 +65,9 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The figures of a run, with the keys of `dbb run --json`, and the extremes of the run.
+    """Numbers of a run by the keys of `dbb run --json`, and its largest speeds and torques.
 
-    Values that are not finite, which an edited log may have, are replaced by None.
+    None replaces values that are not finite, which an edited log may have.
     """
     return _finite({**extremes(run), **metrics(run)})
 

@@ -35,8 +35,8 @@ MARGIN = 0.015
 BUILT_IN = 0.5
 """[-] share of the poses above which close hulls that touch are nested, as in a telescope."""
 NESTED = BUILT_IN**2
-"""[-] smallest share of random poses in which nested links touch: that of their units times that
-of the links among those poses."""
+"""[-] smallest share of random poses in which nested links touch: the share in which their units
+touch, times the share of these poses in which the links touch."""
 _FEWEST = 50  # [-] poses without a collision for finding close pairs
 _MAX_LOOKS = 200  # [-] most poses per pair of units for finding the points
 _OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
@@ -59,8 +59,8 @@ class Poses(NamedTuple):
     distances: Array
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether no close pair touches, except nested ones, which always do:
-    joint limits have to prevent the others."""
+    """(N,) whether no close pair touches, except nested pairs; joint limits have to prevent the
+    other poses."""
 
 
 @dataclass(frozen=True)
@@ -249,10 +249,10 @@ def _rare_poses(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) colliding poses of pairs that rarely collide in random ones.
+    """(N, n_m) colliding poses of pairs that rarely collide in random poses.
 
-    A pair that collides in one of thousands of poses often collides in poses around its nearest
-    one.
+    A pair that collides in very few random poses often collides in variations of the random pose in
+    which it was nearest.
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]

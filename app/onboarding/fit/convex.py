@@ -36,7 +36,7 @@ class Fit(NamedTuple):
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
     """The shape of the smallest weighted volume around points (N, 3) [m]; weights [-] by kind.
 
-    With the volume [m³] of their hull the points are its corners.
+    If `volume` [m³] is stated, the points must be the corners of their hull, which has it.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -126,9 +126,9 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope of few faces: the points' support in evenly spread directions.
+    """A polytope that encloses the points, with one face for each of some evenly spread directions.
 
-    Its own frame is in the middle, with z along the points' longest axis.
+    Its frame is at the centre of the points' bounding box, with z along their longest axis.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

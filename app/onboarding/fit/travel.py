@@ -39,10 +39,10 @@ def with_travel(
     carrier: str,
     without: Sequence[str] = (),
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which links on a carrier fill the whole range of their joints.
+    """Geometry in which the shape of each link on a carrier covers the range of the link's joints.
 
-    It is in the frames of the links at rest. Joints that follow another do so. Links on the
-    joints in `without` do not change.
+    The shapes are in the frames of the links at rest. A mimic joint moves with its leader. Links on
+    the joints in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]

@@ -46,11 +46,10 @@ _HELD = 0.005  # [m/s] speed of the front axle below which the steering does not
 def nearest_in_cone(
     v: float, w: float, kappa: float, radius: float, before: float
 ) -> tuple[float, float]:
-    """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), by v² + ρ² ω².
+    """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), in the norm √(v² + ρ² ω²).
 
-    If both edges of the cone are about equally near, the base keeps its direction of motion; at
-    rest it prefers backwards, which brings the arm ahead of the rear axle, where the score is
-    better.
+    If both edges of the cone are about equally near, the base keeps its direction of motion. At
+    rest it moves backwards: this brings the arm ahead of the rear axle, where the score is better.
 
     Args:
         v: [m/s] desired.

@@ -204,9 +204,10 @@ class BaseKind(Sourced, ABC):
 
     @abstractmethod
     def acceleration(self, force: BaseForce) -> Array:
-        """ẍ_m: acceleration by a force within the base's motions, (n_b,) [m/s² or rad/s²].
+        """ẍ_m (n_b,) [m/s² or rad/s²]: the acceleration that a force causes along the base's axes.
 
-        It replaces (17) and (18), and is linear in the force.
+        It replaces (17) and (18), and is linear in the force. The limits of `admissible` are not
+        applied.
         """
 
     @property

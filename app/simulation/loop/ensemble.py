@@ -358,7 +358,7 @@ class Runner:
         return self._score._replace(controller=self.session.controller.name)
 
     def _look(self) -> None:
-        """Evaluate the rows since the last call; the first change is from that call's last row."""
+        """Evaluate the rows since the last call; changes start at the last row of that call."""
         if not len(self._recorder):
             return
         block = self._recorder.taken()

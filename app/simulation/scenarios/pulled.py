@@ -41,7 +41,9 @@ class PullEvent(NamedTuple):
 
 @dataclass(frozen=True)
 class PulledScenario(Scenario):
-    """People pull the robot: freely without a recording, otherwise as recorded.
+    """People pull the robot.
+
+    With recorded pulls the scenario repeats them; without any, viewers pull as they like.
 
     The base starts at the origin and faces +x.
     """

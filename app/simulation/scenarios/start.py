@@ -72,9 +72,9 @@ class StartSolver:
     ) -> Array:
         """Find an arm configuration (n_m,) with the end-effector at a position in the world.
 
-        With further positions in `along`, the joints must also be away from their limits while the
-        end-effector passes these positions with its starting orientation and the base rests.
-        During a run the base may move in addition.
+        With further positions in `along`, the search prefers a configuration from which the arm,
+        with the base at rest, also reaches these positions in its starting orientation, away from
+        its joint limits. It may find none, because the base can also move during a run.
 
         Args:
             p_ee: (3,) [m] position of the end-effector.

@@ -190,11 +190,10 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s] and closest points of the end-effector during its longest time in the buffer.
+    """Times (N,) [s] and closest points during the end-effector's longest stay in the buffer.
 
-    The path is at most `LONGEST` long, and is a spline through the log's rows. Closest points that
-    are computed at each step would have the collision library's tolerance along an edge, about
-    0.3 mm, which exceeds the motion in a step.
+    The stay is cut to `LONGEST` [s]. A spline through the log's rows gives the points: at each step
+    the collision library would add errors of about 0.3 mm, more than the motion in a step.
     """
     log = sources.runs[LATERAL].trace
     outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b

@@ -187,7 +187,8 @@ def run_experiments(
 ) -> Runs:
     """Run each experiment once, in parallel processes.
 
-    `on_progress` is called with the simulated time [s] of all finished runs after each run.
+    After each finished run, `on_progress` gets the sum of the simulated times [s] of the runs
+    finished so far.
 
     Raises:
         UnreachableError: The arm cannot reach the start of an experiment.
