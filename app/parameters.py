@@ -99,7 +99,7 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
     common = {
         "path": f"{section}.{name}",
         "default": field.default,
-        "help": text.strip(),
+        "help": " ".join(text.split()),
         "label": shown.label or name.replace("_", " ").capitalize(),
         "advanced": shown.advanced,
     }

@@ -171,7 +171,7 @@ def test_a_wrong_case_is_refused_in_one_line(change, named):
 
 def test_a_course_of_another_robot_is_refused(robot, border_data):
     other = CHALLENGE.changed(q_m=(0.0,))
-    with pytest.raises(CaseError, match="another robot"):
+    with pytest.raises(CaseError, match="not of the robot"):
         other.setting(robot, border_data, Config(), 0)
 
 
@@ -194,7 +194,7 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     main(["run", "--case", str(file)])
     told = capsys.readouterr().err
     assert "base_path_m was 7.5" in told
-    assert "written by dbb 0.1" in told
+    assert "dbb 0.1 wrote the case" in told
     main(["report", str(file), "--out", str(tmp_path / "page.html"), "--json"])
     assert json.loads(capsys.readouterr().out)["scenario"] == CHALLENGE.name
     with pytest.raises(SystemExit):

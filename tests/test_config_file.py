@@ -88,7 +88,7 @@ def test_a_file_may_hold_only_some_parameters() -> None:
         ("x = " + "[" * 20_000, "not TOML"),
         ("x = " + "1" * 9_000, "not TOML"),
         ("name = 3", "name"),
-        ('name = "a\\nb"', "name.*printed"),
+        ('name = "a\\nb"', "name.*printable"),
         (f"name = '{'a' * 61}'", "name.*60 characters"),
     ],
 )
@@ -105,7 +105,7 @@ def test_a_file_that_cannot_be_one_is_named(tmp_path) -> None:
     with pytest.raises(ConfigError, match="Is a directory"):
         read_config(tmp_path)
     for content, told in (
-        (b"#" * (MAX_BYTES + 1), "more than"),
+        (b"#" * (MAX_BYTES + 1), "at most"),
         (b"\xff\xfe\x00", "UTF-8"),
         (b"[hand]\nf_max = 0.0", r"hand\.f_max"),
     ):

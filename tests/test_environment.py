@@ -196,5 +196,5 @@ def test_a_log_whose_first_line_a_spreadsheet_has_changed_says_so(tmp_path: Path
     write_trace(log, trace_of(random_snapshots(3, 4)))
     text = log.read_text(encoding="utf-8")
     log.write_text('"' + text.replace("\n", '"\n', 1), encoding="utf-8")
-    with pytest.raises(LogError, match="as after an edit in a spreadsheet"):
+    with pytest.raises(LogError, match="a spreadsheet has probably changed"):
         read_trace(log)

@@ -145,7 +145,7 @@ def test_a_csv_that_is_not_a_log_says_what_is_wrong(csv_lines):
     head, names, *rows = lines
     assert len(read(lines).snapshots) == 4
     for broken, words in (
-        (lines[1:], "first line is no comment"),
+        (lines[1:], "first line is no metadata comment"),
         (["# {}", *lines[1:]], "no metadata"),
         (["# {", *lines[1:]], "no metadata"),
         (["# " + "[" * 100_000, *lines[1:]], "no metadata"),

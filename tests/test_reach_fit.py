@@ -101,7 +101,7 @@ def test_the_fit_is_the_best_of_all_parabolas_over_its_range():
     [
         ([], [], "no values"),
         ([0.5, 0.5, 0.6], [1.0, 1.0, 2.0], "too few distances"),
-        (np.linspace(0.3, 0.9, 60), np.linspace(0.3, 0.9, 60) ** 2 + 1, "does not fall off"),
+        (np.linspace(0.3, 0.9, 60), np.linspace(0.3, 0.9, 60) ** 2 + 1, "does not decrease"),
     ],
 )
 def test_what_no_concave_parabola_describes_is_refused(rho, reach, words):

@@ -263,7 +263,7 @@ def test_the_lattice_fills_the_ball_around_its_origin():
 
 
 def test_bodies_that_cannot_be_asked_for_are_refused_with_those_that_can():
-    with pytest.raises(ConfigError, match=r"only 2 of the arm's joints move it.*lEE, l3"):
+    with pytest.raises(ConfigError, match=r"only 2 of the arm's joints move this body.*lEE, l3"):
         Chain(husky_panda(), "l2")
 
 

@@ -138,8 +138,8 @@ class _Stands:
         ("guiding-front", {"release_at": 2.0, "regrasp_at": 1.0}, "--regrasp-at: 1 s .* 2 to 8 s"),
         ("guiding-front", {"regrasp_at": 1.0}, "--release-at: None s"),
         ("tracking", {"release_at": 1.0}, "--release-at: no person pulls in tracking"),
-        ("way-out", {"release_at": 1.0}, "--release-at: the scenario way-out has none"),
-        ("refrigerator", {"release_at": 1.0}, "--release-at: the scenario refrigerator has none"),
+        ("way-out", {"release_at": 1.0}, "--release-at: the scenario way-out has no such option"),
+        ("refrigerator", {"release_at": 1.0}, "--release-at: the scenario refrigerator has no such option"),
     ],
 )
 def test_who_cannot_let_go_then_is_told_so_in_one_line(name, changes, words):
