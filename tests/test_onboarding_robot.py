@@ -757,7 +757,7 @@ def test_a_robot_without_a_line_says_which_it_has() -> None:
     assert scenario_of(racecar, "guiding-above") == scenario_by_name("guiding-above")
     bare = racecar.model_copy(update={"lines": {}})
     for name in ("guiding-lateral", "guiding-front", "tracking"):  # the paper's are no other's
-        with pytest.raises(UnreachableError, match=f"no line for {name}.*it has none; --start"):
+        with pytest.raises(UnreachableError, match=f"no line for {name}.*it has lines for: none"):
             scenario_of(bare, name)
     assert scenario_of(bare, "guiding-front", start=start) == given
 

@@ -29,7 +29,7 @@ def reproduce(
     processes: options.Processes = None,
     json: options.Json = False,
 ) -> None:
-    """Run the paper's experiments, draw its figures, and check its claims.
+    """Run the paper's experiments, draw its figures, check its claims.
 
     Args:
         figures: Names of figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity (for
@@ -75,7 +75,7 @@ def sweep(
     out: Path = Path("out/sweep"),
     json: options.Json = False,
 ) -> None:
-    """Guide the end-effector to the base from all sides, and draw maps of the results.
+    """Guide the end-effector to the base from all sides; draw maps.
 
     Each path starts at a posture outside all buffers, with the same distance between arm and base,
     and leads straight towards the base's centre. Directions without such a posture are listed as

@@ -257,7 +257,7 @@ def bench(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Measure the duration of the control step along recorded end-effector paths.
+    """Measure the duration of the control step along recorded paths.
 
     Durations depend on the machine and its other work; compare only ratios within one run.
 

@@ -213,7 +213,7 @@ def replay(
     looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
-    """Make one HTML file from a log that replays the run in any browser.
+    """Make a web page from a log that replays the run in any browser.
 
     The file needs no network.
 

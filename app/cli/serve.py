@@ -59,7 +59,7 @@ def serve(
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
 ) -> None:
-    """Serve the dashboard: you pull the robot, and the base moves out of the way."""
+    """Serve the dashboard: pull the arm, and the base moves out of the way."""
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
     case = None

@@ -11,7 +11,7 @@ ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
-DEFECT = "A defect of the program; the log in the program's terminal has the details."
+DEFECT = "A defect of the program; the log in the terminal has the details."
 """Text of a page for an unexpected exception."""
 
 
