@@ -192,7 +192,7 @@ def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
     ensemble = make()
     for who in range(MAX_PULLS):
         ensemble.pull(Pull((0.5, 0.1 * who, 0.8), who=who))
-    with pytest.raises(TargetError, match="8 people hold the robot"):
+    with pytest.raises(TargetError, match="8 people already hold the robot"):
         ensemble.pull(Pull((0.5, 0.0, 0.8), who=99))
     ensemble.pull(Pull((0.6, 0.0, 0.8), "panda_link5", who=2))  # who holds may take another point
     ensemble.release(0)
