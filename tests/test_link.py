@@ -173,7 +173,7 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
         upload(tab, json.dumps(content))
         wait_for(lambda: Play(SCENARIOS["tracking"]) in served.loop.commands[count:], what="a case")
         assert served.loop.latest().config.border.d_b == 0.12
-        tab.page.get_by_text("written by dbb 0.1").wait_for()
+        tab.page.get_by_text("dbb 0.1 wrote the case").wait_for()
         count = len(served.loop.commands)
         upload(tab, json.dumps(content | {"robot": "frankie"}))
         tab.page.get_by_text("of the robot frankie").wait_for()
