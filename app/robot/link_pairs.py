@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -184,13 +183,13 @@ def _distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     """
     if len(results) == 0:
         return np.zeros(0)
-    begins = [each.normal.__array_interface__["data"][0] - 8 for each in results]
-    step = (begins[-1] - begins[0]) // max(len(begins) - 1, 1) // 8 or 1
-    memory = (ctypes.c_double * (step * (len(begins) - 1) + 1)).from_address(begins[0])
-    view = np.ctypeslib.as_array(memory)[::step]
+    first, last = (each.normal.__array_interface__["data"][0] for each in (results[0], results[-1]))
+    size = (last - first) // max(len(results) - 1, 1)
+    before = np.lib.stride_tricks.as_strided(results[0].normal, (len(results), 2), (size, -8))
+    view = before[:, 1]
     for k, each in enumerate(results):
         each.min_distance = float(k)
-    assert (view == np.arange(len(begins))).all(), "coal stores distances in another way"
+    assert (view == np.arange(len(view))).all(), "coal stores distances in another way"
     return view
 
 
