@@ -102,7 +102,7 @@ def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch
     for kind in ("mujoco", "mujoco-contact"):
         with caplog.at_level(logging.WARNING):
             plant = make_physics(kind, model)
-        assert "husky_panda: contacts are those of its convex bodies" in caplog.text
+        assert "husky_panda: contacts are computed with the convex bodies" in caplog.text
         state, deepest = RobotState(model), 0.0
         plant.reset(NOBODY, ready)
         for _ in range(1500):

@@ -86,5 +86,5 @@ def test_everybodys_pull_waits_for_itself():
     two = pull(0.4), Pull((0.3, 0.0, 0.5), "panda_link4", who=2)
     assert after(*two) == list(two)
     assert after(*two, Release(0)) == [two[1], Release(0)]
-    with pytest.raises(LoopError, match="more than 64"):
+    with pytest.raises(LoopError, match="64 commands already wait"):
         after(*(Pull((0.3, 0.0, 0.5), who=who) for who in range(MAX_WAITING + 1)))

@@ -145,7 +145,7 @@ def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
     run = [led(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0), led(snapshot, 4.0, "way-out")]
     past.extend([led(snapshot, 0.0, "way-out"), *run])
     text = course_html(course, "")
-    assert "A start inside a buffer" in text
+    assert "The robot starts inside a buffer" in text
     assert "width:50%" in text
     assert "4.0 of 8 s" in text
     past.extend([led(snapshot, 7.98, "way-out"), led(snapshot, 8.0, "", d=-1.0, x=9.0)])

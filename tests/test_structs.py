@@ -1,4 +1,4 @@
-"""Structs: compiled code sees each field as it is in Python, and writes into the same memory."""
+"""Structs: compiled code reads the values of Python, and writes into the same memory."""
 
 from __future__ import annotations
 

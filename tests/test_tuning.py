@@ -483,7 +483,7 @@ def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        (b"#" * (MAX_BYTES + 1), "more than"),
+        (b"#" * (MAX_BYTES + 1), "at most 65536"),
         (b"\xff\xff", "UTF-8"),
         (b"[border]\nd_b = 1", "border.d_b: must be within 0.06 to 0.3 m"),
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),
@@ -501,7 +501,7 @@ def test_a_name_that_cannot_be_printed_is_refused(desk):
     press(gui, "Name", "a\nb")
     person = press(gui, "Save")
     assert person.files == []
-    assert "printed" in person.notes[0]
+    assert "printable" in person.notes[0]
 
 
 @pytest.mark.parametrize(
