@@ -176,7 +176,7 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
         tab.page.get_by_text("dbb 0.1 wrote the case").wait_for()
         count = len(served.loop.commands)
         upload(tab, json.dumps(content | {"robot": "frankie"}))
-        tab.page.get_by_text("of the robot frankie").wait_for()
+        tab.page.get_by_text("needs the robot frankie").wait_for()
         assert len(served.loop.commands) == count
         assert tab.errors == []
 
