@@ -303,7 +303,10 @@ REFUSED = {
         ["run", "tracking", "--release-at", "1"],
         ["--release-at", "no such option", "duration, move, start"],
     ),
-    "release of no line": (["run", "way-out", "--release-at", "1"], ["--release-at", "no such option"]),
+    "release of no line": (
+        ["run", "way-out", "--release-at", "1"],
+        ["--release-at", "no such option"],
+    ),
     "seed": ([*QUICK, "--seed", "-1"], ["--seed", "-1"]),
     "seed of pairs": (["pairs", "--seed", "-1"], ["--seed"]),
     "seed of border": (["border", "--seed", "-1"], ["--seed"]),

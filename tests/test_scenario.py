@@ -139,7 +139,11 @@ class _Stands:
         ("guiding-front", {"regrasp_at": 1.0}, "--release-at: None s"),
         ("tracking", {"release_at": 1.0}, "--release-at: no person pulls in tracking"),
         ("way-out", {"release_at": 1.0}, "--release-at: the scenario way-out has no such option"),
-        ("refrigerator", {"release_at": 1.0}, "--release-at: the scenario refrigerator has no such option"),
+        (
+            "refrigerator",
+            {"release_at": 1.0},
+            "--release-at: the scenario refrigerator has no such option",
+        ),
     ],
 )
 def test_who_cannot_let_go_then_is_told_so_in_one_line(name, changes, words):
