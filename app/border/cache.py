@@ -98,6 +98,7 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
     try:
         # `np.load` would leave an unreadable file open, and would accept a plain array.
         with path.open("rb") as stream, NpzFile(stream, allow_pickle=False) as file:
+            assert file.zip is not None  # it is None only after `close`
             expanded = sum(each.file_size for each in file.zip.infolist())
             if expanded > _LARGEST:
                 raise DamagedFileError(f"it expands to {expanded / 1e6:.0f} MB, which is too large")
