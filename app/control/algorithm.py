@@ -153,8 +153,8 @@ def algorithm_2(
     """Self-collision avoidance: one control step.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
-    `put_commands` gives the fallback command. A step can be repeated up to `put_commands`, which
-    alone writes memory: this happens after ProxQP has solved one of its QPs.
+    `put_commands` gives the fallback command. A step can be repeated up to `put_commands`, because
+    a second pass writes the same values: this happens after ProxQP has solved one of its QPs.
 
     Paper: Algorithm 2.
 
@@ -213,17 +213,16 @@ def push_base(robot: Any, gains: Any, border: Any, w: Any) -> None:
         if w.beta[i] > 0.0:
             p_b = seen_from(w.R_base, w.p_o, w.p_b[i])
             n = times(w.R_base.T, w.normal[i])
-            p_n, p_t, p_act, t, w.alpha[i] = (
-                find_acting_point(  # line 5, Algorithm 3, with the score (10) at p_n
-                    border,  # the exact surface or the paper's points: `nearest_border`
-                    i,
-                    robot.score_coefficients[i],
-                    p_b,
-                    w.d[i],
-                    gains.alpha_gain,
-                    gains.alpha_min,
-                    gains.alpha_max,
-                )
+            # With the score (10) at p_n, on the exact surface or the points of `nearest_border`.
+            p_n, p_t, p_act, t, w.alpha[i] = find_acting_point(  # line 5, Algorithm 3
+                border,
+                i,
+                robot.score_coefficients[i],
+                p_b,
+                w.d[i],
+                gains.alpha_gain,
+                gains.alpha_min,
+                gains.alpha_max,
             )
             put(w.p_n[i], p_n)
             put(w.p_t[i], p_t)

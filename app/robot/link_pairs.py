@@ -138,7 +138,9 @@ class PairDistances:
 
     def distances(self) -> tuple[float, ...]:
         """[m] signed distances of all pairs."""
-        return tuple(self.distance(i) for i in range(len(self.pairs)))
+        rows = np.empty(len(self._starts))
+        self.write_distances(rows)
+        return tuple(rows[: len(self.pairs)].tolist())
 
     def write_distances(self, into: Array) -> None:
         """[m] all distances, then those of each part of a body `a` with several."""
