@@ -22,6 +22,7 @@ SWEEP = 4.0  # [s] there and back
 SWEEPS = 3  # before the robot is put back to its start
 FIRST = 2.0  # [s] within which a viewer has the whole scene
 MOVE = 0.05  # [s] between two moves of the mouse
+SILENCE = 0.2  # [s] longer silences of the server are reported
 
 
 def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
@@ -75,22 +76,26 @@ def _restart(tab: DashboardTab) -> None:
 
 
 def listen(address: str, seconds: float) -> dict[str, Any]:
-    """Take in all messages as a browser does, and draw nothing."""
+    """Take in all messages as a browser does, and draw nothing.
+
+    Each silence of the server is the instant of `time.monotonic` at its start, and its length.
+    """
     with RawClient(address) as client:
         print("ready", flush=True)
         time.sleep(FIRST)
         first = known = client.received  # with meshes and borders
         begin = since = time.monotonic()
-        silence = 0.0
+        silences: list[tuple[float, float]] = []
         while time.monotonic() - begin < seconds - FIRST:
             time.sleep(MOVE)
             if client.received > known:
+                silences.append((since, time.monotonic() - since))
                 known, since = client.received, time.monotonic()
-            silence = max(silence, time.monotonic() - since)
+        silences.append((since, time.monotonic() - since))
     return {
         "first_megabytes": first / 1e6,
         "megabytes_per_s": (known - first) / max(seconds - FIRST, 1e-3) / 1e6,
-        "longest_silence_s": silence,
+        "silences_s": [silence for silence in silences if silence[1] > SILENCE],
     }
 
 

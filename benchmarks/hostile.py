@@ -1,13 +1,14 @@
 """Hostile clients beside an honest viewer: `python -m benchmarks.hostile --seconds 600 [--json]`.
 
 A server runs as `dbb serve` starts it. One viewer takes in all pictures in a process of its own,
-first alone, then while the attacks take turns on all other places. Found is the viewer's longest
-wait for a picture, and the server's memory before the attacks and after them.
+first alone, then while the attacks take turns on all other places. The results are the viewer's
+longest wait for a picture in each attack, and the server's memory before and after the attacks.
 """
 
 from __future__ import annotations
 
 import json as json_module
+import math
 import os
 import signal
 import socket
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -63,18 +64,22 @@ def main(
         with suppress(websockets.ConnectionClosed), closing(_Client(port)) as first:
             first.find_widgets()
         alone = _watched(port, _ALONE)
-        alone_s = json_module.loads(alone.communicate()[0].splitlines()[-1])["longest_silence_s"]
+        alone_s = _longest(_silences(alone))
         before, log_before = _memory(server), (folder_log := Path(folder) / "log").stat().st_size
         watcher = _watched(port, seconds)
-        attacks, cpu_s, peak = _attack(port, server, seconds)
-        seen = json_module.loads(watcher.communicate()[0].splitlines()[-1])
+        attacks, cpu_s, peak, turns = _attack(port, server, seconds)
+        silences = _silences(watcher)
         time.sleep(_SETTLED)
         result = {
             "seconds": seconds,
             "attacks": attacks,
             "server_cpu_s": cpu_s,
             "longest_wait_alone_s": alone_s,
-            "longest_wait_s": seen["longest_silence_s"],
+            "longest_wait_s": _longest(silences),
+            "longest_waits_s": {
+                name: _longest(silences, [turn for each, *turn in turns if each == name])
+                for name in _ATTACKS
+            },
             "memory_before_mib": before,
             "memory_peak_mib": peak,
             "memory_after_mib": _memory(server),
@@ -137,29 +142,49 @@ def _watched(port: int, seconds: float) -> subprocess.Popen[bytes]:
     return viewer
 
 
+def _silences(viewer: subprocess.Popen[bytes]) -> list[tuple[float, float]]:
+    """The silences that a viewer has reported at its end: start and length [s]."""
+    return json_module.loads(viewer.communicate()[0].splitlines()[-1])["silences_s"]
+
+
+def _longest(
+    silences: list[tuple[float, float]], within: Sequence[Sequence[float]] = ((0.0, math.inf),)
+) -> float:
+    """[s] the longest of the silences that touch one of some intervals; 0 without any."""
+    touching = [
+        length
+        for begin, length in silences
+        if any(begin < last and begin + length > first for first, last in within)
+    ]
+    return max(touching, default=0.0)
+
+
 def _attack(
     port: int, server: subprocess.Popen[bytes], seconds: float
-) -> tuple[dict[str, int], dict[str, float], float]:
+) -> tuple[dict[str, int], dict[str, float], float, list[tuple[str, float, float]]]:
     """Let the attacks take turns.
 
     Returns:
-        How much each has sent, [s] of a core that the server spent meanwhile, and the most memory
-        [MiB].
+        How much each has sent, [s] of a core that the server spent meanwhile, the largest memory
+        [MiB], and the turns of the attacks: name, start and end [s].
     """
     done, spent, peak = dict.fromkeys(_ATTACKS, 0), dict.fromkeys(_ATTACKS, 0.0), 0.0
+    turns: list[tuple[str, float, float]] = []
     begin = time.monotonic()
     with progress_bar("hostile clients", 1.0) as on_progress:
         while (gone := time.monotonic() - begin) < seconds and server.poll() is None:
             for name, attack in _ATTACKS.items():
-                end, before = min(time.monotonic() + _TURN, begin + seconds), _cpu(server)
+                start = time.monotonic()
+                end, before = min(start + _TURN, begin + seconds), _cpu(server)
                 while time.monotonic() < end and server.poll() is None:
                     with suppress(OSError, websockets.WebSocketException, TimeoutError):
                         done[name] += attack(port, end)
                     peak = max(peak, _memory(server))
                     time.sleep(0.05)
                 spent[name] += _cpu(server) - before
+                turns.append((name, start, time.monotonic()))
             on_progress(min(gone / seconds, 1.0))
-    return done, spent, peak
+    return done, spent, peak, turns
 
 
 def _cpu(server: subprocess.Popen[bytes]) -> float:

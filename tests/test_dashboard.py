@@ -64,7 +64,7 @@ from app.dashboard.scene.robot import (
     load_visuals,
 )
 from app.dashboard.scene.scene import SceneData
-from app.dashboard.server import TEXTS_EVERY, check_address, serve_dashboard
+from app.dashboard.server import FRAME, TEXTS_EVERY, check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import ConfigError, RobotFileError, ServerError
@@ -745,7 +745,7 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
     say("card", NEXT)  # of a card that is not shown
     loop.send(Pull((0.4, 0.0, 0.8)))  # another viewer
     drawn = dashboard.pictures
-    wait_for(lambda: dashboard.pictures > drawn + 2 * TEXTS_EVERY)
+    wait_for(lambda: dashboard.pictures > drawn + 3 * TEXTS_EVERY / FRAME)
     shows("welcome")
     page.guide.go("tour 1")
     for i in range(1, 5):

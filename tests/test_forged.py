@@ -144,8 +144,8 @@ def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(
 
 
 def test_many_who_come_at_once_hold_nobody_up_and_who_has_gone_gets_no_page(served, monkeypatch):
-    """Each page is built between two pictures of the others."""
-    built = []
+    """Each page is built between two pictures of the others, which include panels and labels."""
+    built, texts = [], []
 
     class Slow(Page):
         def __init__(self, *args):
@@ -153,13 +153,19 @@ def test_many_who_come_at_once_hold_nobody_up_and_who_has_gone_gets_no_page(serv
             time.sleep(0.3)
             super().__init__(*args)
 
+        def draw(self, **how):
+            texts.append(how["texts"])
+            super().draw(**how)
+
     monkeypatch.setattr("app.dashboard.server.Page", Slow)
     with visitor(served), ExitStack() as stack:
         built.clear()
+        texts.clear()
         for _ in range(4):
             stack.enter_context(RawClient(served.server.address))
         wait_for(lambda: len(built) == 4, what="their pages")
         assert len(set(built)) == 4
+        assert sum(texts) >= 4
         built.clear()
         for _ in range(8):
             RawClient(served.server.address).close()

@@ -31,7 +31,7 @@ logger = logging.getLogger("app.dashboard")  # for all errors that viewers can c
 _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages continue"
 
 FRAME = 1 / 30  # [s] period of drawing
-TEXTS_EVERY = 6  # frames per update of panels, plots and labels: 5 Hz
+TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
 LIGHT_EVERY = 2  # frames per frame of a page without a GPU
 LARGEST_SHARE = 0.5  # [-] largest share of time for drawing
 
@@ -49,6 +49,7 @@ class DashboardServer:
         """Number of frames so far; all pages are drawn in a frame."""
         self.error: BaseException | None = None
         """Exception that ended the drawing thread, or None."""
+        self._texts_due = 0.0  # [s] of `time.monotonic`
         self._notifier = Notifier(viser_server)
         self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
@@ -134,7 +135,10 @@ class DashboardServer:
         pages = [page for page in self.pages.values() if not page.closed]
         shared = self.shared
         self._demonstration.update(pages, shared.loop, shared.model.description)
-        self._draw_pages(texts=self.pictures % TEXTS_EVERY == 0)
+        texts = time.monotonic() >= self._texts_due
+        if texts:
+            self._texts_due = time.monotonic() + TEXTS_EVERY
+        self._draw_pages(texts=texts)
         self.pictures += 1
         error = self.shared.loop.error
         if error is not None and self._failure is None:
@@ -143,7 +147,8 @@ class DashboardServer:
 
     def _draw_pages(self, *, texts: bool) -> None:
         for page in self.pages.values():
-            if not page.closed and not (page.view.light and self.pictures % LIGHT_EVERY):
+            rests = page.view.light and self.pictures % LIGHT_EVERY and not texts
+            if not page.closed and not rests:
                 try:
                     page.draw(texts=texts)
                 except Exception as error:  # ends only this viewer's page
