@@ -120,7 +120,7 @@ class PairDistances:
         by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         self._order = np.concatenate([np.arange(0), *by_part])
         self._starts = np.cumsum([0, *map(len, by_part)])[:-1]
-        self._signed = _distance_view(results)
+        self._signed = distance_view(results)
 
     def update(self, q: Array) -> None:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
@@ -177,7 +177,7 @@ def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
     return min(results, key=lambda r: r.min_distance)
 
 
-def _distance_view(results: Sequence[pin.DistanceResult]) -> Array:
+def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     """(k,) [m] the signed distances of coal's results, as a view that later calls overwrite.
 
     To read them one by one takes as long as to compute them. Each result stores its distance before

@@ -7,13 +7,14 @@ independent check of the engines.
 """
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import compress, product
 
 import coal
 import numpy as np
 import pinocchio as pin
 
 from app.control.drive import Drive
+from app.robot.link_pairs import distance_view
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
@@ -125,9 +126,11 @@ class _Overlaps:
                 self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
                 self._group_of.append(group)
         self._results = pin.GeometryData(self._geometry)
+        self._distances = distance_view(self._results.distanceResults)
 
     def at(self, q: Array) -> Contacts:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
-        distances = [result.min_distance for result in self._results.distanceResults]
-        return Contacts.of(g for g, d in zip(self._group_of, distances, strict=True) if d <= 0)
+        if self._distances.min(initial=np.inf) > 0.0:
+            return Contacts()
+        return Contacts.of(compress(self._group_of, self._distances <= 0.0))
