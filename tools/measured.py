@@ -246,6 +246,16 @@ def law_table(found: Figures) -> str:
     )
 
 
+STAGES = {
+    "update_estimate": "`update_estimate`, from readings to the present state",
+    "pinocchio": "pinocchio's dynamics and placements",
+    "distances": "coal's distances",
+    "algorithm_2": "`algorithm_2`, the law",
+    "rest": "all else: Python between these parts, checks, copies of the commands",
+}
+"""Parts of a control step, as `dbb bench` times them."""
+
+
 def performance_table(found: Figures) -> str:
     """A row per figure of speed."""
     rows = []
@@ -260,6 +270,14 @@ def performance_table(found: Figures) -> str:
         ):
             if key in step:
                 rows.append([what, number(step[key], "µs")])
+        for key, what in (
+            ("guided_ratio", "guided step, ratio to the direct calls"),
+            ("tracking_ratio", "tracking step, ratio to the direct calls"),
+        ):
+            if key in step:
+                rows.append([what, number(step[key])])
+        for key, time in step.get("stages_p50_us", {}).items():
+            rows.append([f"part of a step: {STAGES[key]}, median", number(time, "µs")])
         rows.append(["peak memory of that process", number(step["peak_memory_mb"], "MB")])
     for name in ("alone", "websocket", "browser"):
         if loop := found.get(name):
