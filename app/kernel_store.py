@@ -42,17 +42,17 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _folders(file: str) -> Iterator[Path]:
+def _folders(file: str, *, make: bool) -> Iterator[Path]:
     """The possible folders of a source file's kernels, in the order of search.
 
     They are the folder in NUMBA_CACHE_DIR, Python's `__pycache__` next to the source file, and
-    the cache folders of this user.
+    the cache folders of this user, which `cache_folders` makes if necessary and requested.
     """
     subfolder = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
         yield Path(config.CACHE_DIR) / subfolder
     yield Path(file).parent / "__pycache__"
-    yield from (folder / "kernels" / subfolder for folder in cache_folders())
+    yield from (folder / "kernels" / subfolder for folder in cache_folders(make=make))
 
 
 class _Locator(caching._CacheLocator):
@@ -109,12 +109,12 @@ class KernelStore(caching.FunctionCache):
         self.saved = False
         """Whether this process has stored a compiled kernel."""
 
-    def _files(self) -> Iterator[_Index]:
-        for folder in _folders(inspect.getfile(self._function)):
+    def _files(self, *, make: bool) -> Iterator[_Index]:
+        for folder in _folders(inspect.getfile(self._function), make=make):
             yield _Index(str(folder), self._impl.filename_base, self._stamp)
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        for file in self._files():
+        for file in self._files(make=False):
             self._cache_file = file
             with suppress(Exception):  # the file cannot be read, or is damaged
                 found = super()._load_overload(sig, target_context)
@@ -123,7 +123,7 @@ class KernelStore(caching.FunctionCache):
         return None
 
     def _save_overload(self, sig: Any, data: Any) -> None:
-        for file in self._files():
+        for file in self._files(make=True):
             self._cache_file = file
             with suppress(OSError):
                 Path(file._cache_path).mkdir(parents=True, exist_ok=True)

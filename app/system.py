@@ -374,18 +374,20 @@ def home_folder(find: Callable[..., Path]) -> Path | None:
     return None
 
 
-def cache_folders() -> Iterator[Path]:
+def cache_folders(*, make: bool = True) -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard and a temporary folder.
 
-    The temporary folder is created only if the caller continues to it.
-
     A user without a home directory, for example in a container, has only the temporary folder.
+
+    Args:
+        make: Whether to create the temporary folder if the caller continues to it; readers need
+            only an existing folder.
     """
     usual = home_folder(platformdirs.user_cache_path)
     if usual:
         yield usual
     with suppress(OSError):  # no temporary folder either
-        yield _private_folder(Path(tempfile.gettempdir()))
+        yield _private_folder(Path(tempfile.gettempdir()), make=make)
 
 
 def is_writable(folder: Path) -> bool:
@@ -394,15 +396,16 @@ def is_writable(folder: Path) -> bool:
     return os.access(there, os.W_OK | os.X_OK)
 
 
-def _private_folder(shared: Path) -> Path:
+def _private_folder(shared: Path, *, make: bool) -> Path:
     """This user's own folder in a folder that all users share.
 
     Raises:
-        OSError: The folder cannot be made, or other users can write into it.
+        OSError: The folder does not exist or cannot be made, or other users can write into it.
     """
     folder = shared / f"dbb-{os.getuid()}"
-    with suppress(FileExistsError):
-        folder.mkdir(mode=0o700)
+    if make:
+        with suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode) or about.st_uid != os.getuid() or about.st_mode & 0o022:
         raise PermissionError(errno.EPERM, "others can write to it", str(folder))

@@ -43,7 +43,7 @@ print(kernel(2.0), len(kernel.signatures), len(kernel.stats.cache_misses))
 """
 NOWHERE = """
 import app.kernel_store
-app.kernel_store._folders = lambda file: []  # as where no folder can be written
+app.kernel_store._folders = lambda file, make: []  # as where no folder can be written
 """
 
 CHECKED = """
@@ -167,6 +167,8 @@ def test_a_folder_that_another_user_could_fill_is_not_read(tmp_path, monkeypatch
     folders = system.cache_folders()
     assert next(folders) != own
     assert not own.exists(), "it is not needed so far"
+    assert own not in system.cache_folders(make=False)
+    assert not own.exists(), "a reader needs no empty folder"
     assert own in folders
     assert stat.S_IMODE(own.stat().st_mode) == 0o700
     own.chmod(0o777)

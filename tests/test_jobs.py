@@ -56,7 +56,10 @@ def start(script: Path, folder: Path, *args: str) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int) -> None:
+@pytest.mark.parametrize("suspended", [False, True])
+def test_all_that_a_process_has_started_ends_with_it(
+    tmp_path: Path, number: int, suspended: bool
+) -> None:
     script, files = tmp_path / "script.py", tmp_path / "files"
     script.write_text(PARENT)
     files.mkdir()
@@ -67,6 +70,9 @@ def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int
     children = psutil.Process(process.pid).children(recursive=True)
     assert len(children) == 7  # four workers, a job, and the guards of both
     assert len(list(files.iterdir())) == 2
+    for child in children:
+        if suspended and "guard.py" in " ".join(child.cmdline()):
+            child.suspend()
     os.kill(process.pid, number)
     process.wait(timeout=30)
     _, alive = psutil.wait_procs(children, timeout=30)

@@ -7,6 +7,7 @@ the bytes to standard output. LIVES is the number of a pipe that is open while t
 negative PID is the number of a process group. PATIENCE is a time in seconds.
 """
 
+import ctypes
 import os
 import select
 import signal
@@ -14,6 +15,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+
+_PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
 @contextmanager
@@ -58,6 +61,8 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
     """Wait for the announcement or the end, and then for the end of the process."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
+    with suppress(AttributeError):  # Linux: the process may end while the guard is suspended
+        ctypes.CDLL(None).prctl(_PARENT_DEATH, signal.SIGCONT)
     while True:
         ready, _, _ = select.select([heard, lives], [], [])
         said = os.read(heard, 1) if heard in ready else b""
