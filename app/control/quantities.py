@@ -59,7 +59,7 @@ DIMENSIONS = {
     "n_v": "entries of pinocchio's velocity, 3 + n_m",
     "n_p": "link pairs, those of L_m first",
     "n_mob": "link pairs of L_m",
-    "n_r": "distances: one for each pair; for a base of several convex parts, then one for each part",
+    "n_r": "distances: one for each pair, then one for each convex part of a base of several parts",
     "n_s": "rows of T_sca: n_b of the base, n_p − n_mob between links, then 3 n_mob of T_rep",
     "n_l": "limits: n_m torques, n_m joints, then distances, then n_b accelerations of the base",
 }
@@ -89,7 +89,8 @@ twists | | n_j 6 | m/s, rad/s | world | | velocity of the body on each joint: li
 biases | | n_j 6 | m/s², rad/s² | world | | acceleration of these bodies at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings | 1 if the readings are usable, else 0
-faults | | 10 | 1 | | readings | 1 for each fault of this step's readings, in the order of `readings.FAULTS`
+faults | | 10 | 1 | | readings |
+    1 for each fault of this step's readings, in the order of `readings.FAULTS`
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
 ratio | | | 1 | | readings | memory: ratio of a joint's motion to the integral of its velocity
@@ -125,7 +126,8 @@ P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman sta
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
 q_last |  | 3 n_m | rad | joints | estimate |
-    memory: last velocity from positions, last position, and their second difference minus the prediction
+    memory: last velocity from positions, last position, and their second difference minus the
+    prediction
 samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration
@@ -139,14 +141,16 @@ J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Fig. 10 | activation of each pair
-beta_m | β_m | | 1 | | (28) | largest activation of L_m; `B` has the activation that the base's rows use
+beta_m | β_m | | 1 | | (28) |
+    largest activation of L_m; `B` has the activation that the base's rows use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
 p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score
 p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point
 tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n
 alpha | α | n_mob | m | | (13) | step size
 f | f_m,i | n_mob 3 | N | base | (14) | force on the base, 0 while β = 0
-xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) | desired base acceleration of the force, without the factor β_m
+xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) |
+    desired base acceleration of the force, without the factor β_m
 # Tasks
 J_sca | J_sca | n_s n | | | (25) | Jacobian of T_sca
 b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand side of T_sca
@@ -161,7 +165,8 @@ x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest referenc
 v_sent | | 6 | m/s, rad/s | world | references | memory: velocity of this reference
 a_sent | | 6 | m/s², rad/s² | world | references | memory: acceleration of this reference
 x_origin | | 4 3 | 1, m | world | references | memory: first pose of the interpolating polynomial
-way | | 6 6 | m, rad | world | references | memory: coefficients of this polynomial by the power of time
+way | | 6 6 | m, rad | world | references |
+    memory: coefficients of this polynomial by the power of time
 way_time | | | s | | references | memory: time since the beginning of this polynomial
 way_duration | | | s | | references | memory: duration of the polynomial; 0 without one
 way_continues | | | 1 | | references | memory: 1 if the polynomial does not end at rest
@@ -173,7 +178,8 @@ lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T
 q_posture |  | n_m | rad, m | joints | posture_objective |
     memory: arm posture of the first valid measurement; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
-H_low | H | n n | | reduced | (26) | Hessian of the task with the lowest priority: posture, or guided arm
+H_low | H | n n | | reduced | (26) |
+    Hessian of the task with the lowest priority: posture, or guided arm
 c_low | c | n | | reduced | (26) | linear term of that task
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
 c | c | n | | reduced | (26) | linear term of these tasks
