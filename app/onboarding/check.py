@@ -263,7 +263,7 @@ def arm_row(model: RobotModel) -> Row:
         text += f"; bodies do not enclose their links in {found.missed} of {found.watched} "
         text += f"collisions, by at most {found.deepest:.3f} m"
     if found.left_out:
-        text += f"; a rule excludes {found.left_out} poses, in which only links meet that are "
+        text += f"; a rule excludes {found.left_out} poses where only links meet that are "
         text += f"neighbours or close by design: {found.rule}"
     if found.blind:
         text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
@@ -339,8 +339,8 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
     ready = judge_ready(model, data.pairs, q_m)
     numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
-    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer; each joint is at least "
-    text += f"{left:.0%} of its range from a limit"
+    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer; the smallest "
+    text += f"distance of a joint from its limits is {left:.0%} of its range"
     good = ready.clearance >= 0 and left >= _MARGIN
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 

@@ -128,9 +128,7 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
         _DAMPING["prismatic" if _kind(j) == "prismatic" else "strong" if e >= _STRONG else "weak"]
         for j, e in zip(arm.joints, limits.effort, strict=True)
     ]
-    return tuple(
-        float(f"{min(d, m / _STABLE):.2g}") for d, m in zip(wanted, least, strict=True)
-    )
+    return tuple(float(f"{min(d, m / _STABLE):.2g}") for d, m in zip(wanted, least, strict=True))
 
 
 def gravity_load(model: RobotModel) -> Array:
