@@ -11,8 +11,8 @@ the table: the control period in use (`Controller.dt`) and the state of the driv
 Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
 and its x axis points ahead. Coordinates: `axes` are the base's velocity axes ν, fixed to the base:
 v and ω for a differential base. An acceleration is the derivative of these components. `joints` are
-the joints of the arm. `reduced` are (q̇_b, q̇_m): the base's reduced velocities (the wheel speeds of
-a differential base), then the joint velocities of the arm.
+the joints of the arm. `reduced` are (q̇_b, q̇_m): the base's reduced velocities (the wheel speeds
+of a differential base), then the joint velocities of the arm.
 """
 
 from __future__ import annotations
