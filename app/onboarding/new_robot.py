@@ -98,14 +98,10 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, and move the complete folder into place.
 
-    Args:
-        request: The input.
-        workers: Worker processes for all parallel work except the border.
-        tell: Called with the name of each step before it begins.
-        processes: Number of processes that sample the border; None means all usable cores.
-        sampling: Parameters of a coarse border, which this process samples itself, because
-            starting other processes would take longer; or None.
-        on_progress: Called with the finished share, 0 to 1, of a long step: bodies, border, lines.
+    `workers` do all parallel work except sampling the border: for this there are `processes`, by
+    default one for each usable core. A coarse border, with its own `sampling`, is sampled in this
+    process, because starting others takes longer. `tell` is called with the name of each step, and
+    `on_progress` with the finished share of a long step, 0 to 1: bodies, border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
