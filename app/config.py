@@ -1,7 +1,7 @@
-"""All parameters of a run: frozen records, each field with its range, unit and meaning.
+"""All parameters of a run, as frozen records; each field has a range, a unit and a meaning.
 
-The command line, the dashboard's sliders and the checks are made from these records; the unit is
-in brackets at the start of a field's docstring.
+The command line, the dashboard's sliders and the checks of values are derived from these records.
+The unit is in brackets at the start of a field's docstring.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FORMER_NAMES = {
     "estimate.push_change": "estimate.external_drift",
     "estimate.window": "estimate.noise_window",
 }
-"""Names of parameters in older files, and the present ones."""
+"""Names of parameters in older files, with the present names."""
 
 
 class BorderConfig(Strict):
@@ -37,9 +37,9 @@ class BorderConfig(Strict):
     d_b: Annotated[float, Shown("Buffer distance d_b")] = Field(default=0.15, ge=0.06, le=0.30)
     """[m] buffer distance."""
     eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
-    """[m] tolerance ε of (3)."""
+    """[m] ε of (3): tolerance of the distance of border points from d_b."""
     kind: Annotated[Literal["surface", "points"], Shown("Acting point on")] = "surface"
-    """[-] continuous surface, or the paper's points, between which the acting point jumps."""
+    """[-] the continuous surface, or the paper's points; among points the acting point jumps."""
 
 
 class ForceConfig(Strict):
@@ -71,8 +71,8 @@ class ActivationConfig(Strict):
     closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
         Field(default=0.005, ge=0.001, le=0.05)
     )
-    """[m] smoothing length of the closest point: parts of a link that are not more than about this
-    length farther away than the nearest part contribute."""
+    """[m] smoothing length of the closest point, a mean over the parts of a link that are farther
+    away than its nearest part by about this length or less."""
 
 
 class RepulsionConfig(Strict):
@@ -103,8 +103,8 @@ class EeHoldConfig(Strict):
     min_speed: Annotated[float, Shown("Holding speed", advanced=True)] = Field(
         default=0.2, ge=0.01, le=2.0
     )
-    """[m/s] along a direction in which joints at full speed move the end-effector slower than this,
-    the arm counts as unable to compensate."""
+    """[m/s] if joints at full speed move the end-effector slower than this in a direction, the arm
+    counts as unable to compensate base motion in this direction."""
     weight: Annotated[float, Shown("Weight of a dragged hand")] = Field(
         default=3000.0, ge=0.01, le=1e5
     )
@@ -171,7 +171,7 @@ class LimitConfig(Strict):
 
 
 class EstimateConfig(Strict):
-    """The filter of the arm's readings, which also estimates external torques."""
+    """The filter of the arm's readings, which also estimates the external acceleration."""
 
     external_drift: Annotated[float, Shown("External push noise")] = Field(
         default=3.0, ge=0.1, le=100.0
@@ -227,9 +227,9 @@ class AdmittanceConfig(Strict):
     angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
     """[N m s] D_a, damping of the base's rotation."""
     v_max: Annotated[float, Shown("Top speed v_max")] = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed; a lower limit of the base, or a slower arm, reduces it."""
+    """[m/s] largest commanded speed; the base's own speed limit may be lower."""
     omega_max: Annotated[float, Shown("Top turn rate ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
-    """[rad/s] largest commanded turn rate; a lower limit of the base reduces it."""
+    """[rad/s] largest commanded turn rate; the base's own limit may be lower."""
     period: Annotated[float, Shown("Command period")] = Field(default=0.1, ge=0.001, le=0.5)
     """[s] time between two velocity commands."""
 
@@ -264,7 +264,8 @@ class DisturbanceConfig(Strict):
     sensor_delay: float = Field(default=0.0, ge=0.0, le=0.05)
     """[s] age of all readings on arrival."""
     sensor_period: float = Field(default=0.0, ge=0.0, le=0.05)
-    """[s] time between new readings; until then the last one is repeated. 0: new in each step."""
+    """[s] time between new readings; the last reading is repeated in the meantime. 0 means a new
+    reading in each step."""
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
@@ -272,7 +273,7 @@ class DisturbanceConfig(Strict):
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller assumes; the true period is 0.001 s."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
-    """[s] time from which readings are late, repeated or lost, and the unknown load acts."""
+    """[s] start of the late, repeated and lost readings, and of the unknown load."""
 
 
 class Config(Strict):

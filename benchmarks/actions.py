@@ -1,9 +1,10 @@
 """Random use of the dashboard in two viewers: `python -m benchmarks.actions [--actions 20000]`.
 
-Two pages of one `dbb serve` are clicked, dragged, scrolled and typed into by a seeded generator,
-and the robot is changed on the way. At each check the simulation is paused, and in either page the
-hand of the drawn robot has to be where the gizmo is. Reported are errors of the pages, exceptions
-of the server, the largest distance, and the server's memory, by robot.
+A seeded random generator clicks, drags, scrolls and types in two pages of one `dbb serve`, and
+changes the robot from time to time. At each check the simulation is paused, and in both pages the
+drawn end-effector has to be at the gizmo. The results are the errors of the pages, the exceptions
+of the server, the largest distance between end-effector and gizmo, and the server's memory for each
+robot.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from tests.browser import DashboardTab, wait_for
 
-AGREES = 0.001  # [m] between the drawn hand and the gizmo
-PATIENCE = 60.0  # [s] until they do
-_SIZES = (1280, 720), (820, 1180)  # [px] of the two pages
+AGREES = 0.001  # [m] largest distance between the drawn end-effector and the gizmo
+PATIENCE = 60.0  # [s] time to wait until they agree
+_SIZES = (1280, 720), (820, 1180)  # [px] sizes of the two pages
 _KEYS = (
     *"BFNRLH1234567?",
     *("Space", "Escape", "Tab", "Enter", "Home", "End", "PageUp", "PageDown"),
@@ -44,7 +45,7 @@ _TEXTS = ("0", "-3", "1e9", "nan", "", "abc", "0.2", "12,5", "1", "∞", "<b>")
 _LEAVE = re.compile(
     r"^(Use this robot|Create|Save and use|Check the saved|Film|Whole page|Load|Upload|Cancel)"
 )
-"""Buttons that take minutes, need a file, or change the robot, which is done on purpose here."""
+"""Buttons that are not pressed: they take minutes, need a file, or change the robot."""
 _CONTROLS = """() => [...document.querySelectorAll(
   'button, [role=tab], [role=slider], [role=option], input, select, #dbb-strip')]
   .map((e) => [e, e.getBoundingClientRect()])
@@ -55,29 +56,29 @@ _CONTROLS = """() => [...document.querySelectorAll(
     b.left + b.width * 0.5, b.top + b.height * 0.5])"""
 _PAUSES = "() => document.querySelector('#dbb-row button')?.innerText"
 """Text of the button that pauses or continues the simulation."""
-_PRESS = "() => document.querySelector('#dbb-row button').click()"  # also under an overlay
+_PRESS = "() => document.querySelector('#dbb-row button').click()"  # works also under an overlay
 _AT = "([n, p]) => dbbTest.place(n, p)"
 
 
 @dataclass(frozen=True)
 class Actions:
-    """Use the dashboard at random in two viewers."""
+    """Perform random actions in two viewers of one dashboard."""
 
     actions: int = 20_000
-    """[-] of both viewers together."""
+    """[-] number of actions of both viewers together."""
     robots: tuple[str, ...] = ("husky_ur5", "frankie", "husky_panda")
-    """Changed to, one after the other, at equal numbers of actions."""
+    """Robots that are shown one after the other, each for the same number of actions."""
     checks: int = 40
-    """[-] pauses at which robot and gizmo are compared."""
+    """[-] number of pauses in which the end-effector and the gizmo are compared."""
     seed: int = 0
-    """Of the actions."""
+    """Seed of the actions."""
     json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
+    """Print one JSON object on standard output, without other text."""
 
 
 @dataclass
 class _Server:
-    """`dbb serve` in a process of its own, and its output."""
+    """`dbb serve` in a separate process, and the output of this process."""
 
     lines: list[str] = field(default_factory=list)
 
@@ -89,18 +90,18 @@ class _Server:
 
     @property
     def address(self) -> str:
-        """As it says it, or empty."""
+        """The address that the server has printed, or empty."""
         found = re.search(r"Dashboard at (\S+)", "".join(self.lines))
         return found.group(1) if found else ""
 
     @property
     def exceptions(self) -> int:
-        """How many it has written."""
+        """Number of exceptions that the server has printed."""
         return sum("Traceback" in line for line in self.lines)
 
     @property
     def megabytes(self) -> float:
-        """Resident memory of the process and its own ones."""
+        """[MB] resident memory of the process and its child processes."""
         parent = psutil.Process(self.process.pid)
         return sum(p.memory_info().rss for p in (parent, *parent.children(recursive=True))) / 1e6
 
@@ -110,7 +111,7 @@ class _Server:
 
 
 class _Run:
-    """The pages, the actions in them, and the results."""
+    """The pages, the actions and the results."""
 
     def __init__(self, browser: Any, server: _Server, args: Actions) -> None:
         self._server, self._args, self._random = server, args, random.Random(args.seed)
@@ -124,7 +125,7 @@ class _Run:
         self._use("husky_panda")
 
     def all(self) -> dict[str, Any]:
-        """Do all actions; the figures."""
+        """Perform all actions, and return the results."""
         args, began = self._args, time.monotonic()
         part = args.actions // (len(args.robots) + 1)
         changes = {part * (k + 1): name for k, name in enumerate(args.robots)}
@@ -159,7 +160,9 @@ class _Run:
         self._last.append(f"{self._tabs.index(tab)} {act.__name__}")
         try:
             act(tab)
-        except Exception as error:  # a control that went away meanwhile is no fault of the page
+        except (
+            Exception
+        ) as error:  # it is no fault of the page if the control has disappeared in the meantime
             if len(self._failed) < 20:
                 self._failed.append(f"{act.__name__}: {str(error).splitlines()[0]}")
 
@@ -194,7 +197,7 @@ class _Run:
         self._drag(tab, self._place(tab), self._place(tab))
 
     def _pull(self, tab: DashboardTab) -> None:
-        """At an arrow of the gizmo, wherever it is."""
+        """Drag an arrow of the gizmo at its present place."""
         arrow = np.zeros(3)
         arrow[self._random.randrange(3)] = 0.8 * SCALE
         at = tab.pixel(GIZMO, tuple(arrow.tolist()))
@@ -223,7 +226,7 @@ class _Run:
             each.wait_for_scene()
 
     def _use(self, name: str) -> None:
-        """Where the hand of a robot is: in the frame of the last joint of its arm."""
+        """Position of a robot's end-effector in the frame of the arm's last joint."""
         robot = RobotModel(load_robot(name))
         arm, poses = robot.description.arm, LinkPoses(robot)
         q_m = np.array(arm.ready_position)
@@ -242,7 +245,7 @@ class _Run:
         tab.page.keyboard.press("n")
 
     def _check(self, count: int) -> None:
-        """Pause, and compare hand and gizmo in both pages once they rest."""
+        """Pause the simulation, and compare end-effector and gizmo in both pages when they rest."""
         for tab in self._tabs:
             self._calm(tab)
         for tab in self._tabs:
@@ -260,9 +263,9 @@ class _Run:
             self._press("Continue")
 
     def _press(self, name: str) -> bool:
-        """Press this button until it has gone; whether it was not there at first."""
+        """Press a button until it disappears; return whether it did not exist at first."""
         page, deadline = self._tabs[0].page, time.monotonic() + PATIENCE
-        page.wait_for_timeout(1000)  # the last action has arrived
+        page.wait_for_timeout(1000)  # the effect of the last action has arrived
         absent = page.evaluate(_PAUSES) != name
         while page.evaluate(_PAUSES) == name and time.monotonic() < deadline:
             page.evaluate(_PRESS)
@@ -270,9 +273,9 @@ class _Run:
         return absent
 
     def _settled(self, tab: DashboardTab) -> float:
-        """[m] between drawn hand and gizmo, as soon as they agree, or after a while.
+        """[m] distance between the drawn end-effector and the gizmo when they agree or time is up.
 
-        A page whose connection was closed connects anew by itself, and has no scene until then.
+        If the connection of a page was closed, the page reconnects; until then it has no scene.
         """
         deadline = time.monotonic() + PATIENCE
         node, point = self._hand
@@ -285,7 +288,7 @@ class _Run:
 
 
 def main(args: Actions) -> None:
-    """Use the pages and print the results."""
+    """Perform the actions and print the results."""
     server = _Server()
     try:
         with chromium() as browser:

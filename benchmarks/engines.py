@@ -1,7 +1,7 @@
-"""How fast the plants are: `python -m benchmarks.engines`.
+"""Speed of the plants: `python -m benchmarks.engines`.
 
-The time of a plant's step and reading, all plants in turn in one process, and how long a study
-takes with each engine. `make results ARGS=engines` measures the scenarios.
+It measures the time of a step and a reading of each plant, alternately in one process, and the time
+of a study with each engine. `make results ARGS=engines` measures the scenarios.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from app.robot.state import RobotState
 from app.simulation.plants import make_physics
 
 PLANTS = ("planar", "mujoco", "mujoco-contact")
-_STEPS = 200  # of each plant in a round
+_STEPS = 200  # steps of each plant in a round
 
 
 def main(
@@ -32,11 +32,11 @@ def main(
     study: int = 0,
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Compare the engines.
+    """Compare the speed of the engines.
 
     Args:
-        rounds: How often the plants' steps are timed in turn.
-        study: How many cases of a study are timed with each engine; 0 for none.
+        rounds: Number of rounds; each round measures all plants.
+        study: Number of cases of a study with each engine; 0 means no study.
         json: Print one JSON object.
     """
     times = time_plants(load_robot_and_border("husky_panda")[0], rounds)
@@ -47,15 +47,15 @@ def main(
         print(json_module.dumps(result))
         return
     for name, of in times.items():
-        print(f"{name:15} {of['median']:7.1f} µs, least {of['least']:.1f} µs")
+        print(f"{name:15} {of['median']:7.1f} µs, smallest {of['least']:.1f} µs")
     if study:
         print(", ".join(f"{name} {value}" for name, value in result["study"].items()))
 
 
 def time_plants(model: RobotModel, rounds: int) -> dict[str, dict[str, float]]:
-    """[µs] of the processor for a step and a reading of each plant, median and least of the rounds.
+    """[µs] processor time of a step and a reading of each plant: median and smallest of the rounds.
 
-    The arm hangs in its own gravity's torques, the base drives a gentle curve.
+    The torques compensate the arm's gravity, and the base drives along a gentle curve.
     """
     ready = np.array(model.description.arm.ready_position)
     plants = {name: make_physics(name, model) for name in PLANTS}
@@ -78,7 +78,7 @@ def time_plants(model: RobotModel, rounds: int) -> dict[str, dict[str, float]]:
 
 
 def time_study(cases: int, rounds: int = 3) -> dict[str, Any]:
-    """[s] of the processor for `dbb study` with each engine, in turn, on one process."""
+    """[s] processor time of `dbb study` with each engine, alternately, with one process."""
     taken: dict[str, list[float]] = {"planar": [], "mujoco": []}
     for seed in range(rounds):
         for name, times in taken.items():

@@ -1,11 +1,12 @@
 """Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
 
-A command is started in a separate folder. One of its processes is killed, terminated, suspended for
-a second, or suspended while the command is terminated. Twelve seconds after its end the remains are
-counted: processes, open ports, half-written results, unfinished or temporary files (unless a
-process was killed), and wrong statuses. A study then continues,
-and has to give the same bytes as one that nothing befell. Among the commands is one that hangs in a
-library and keeps Python's lock; some faults take the room on the disk away, or the right to write.
+Each try starts a command in a separate folder. Then one of its processes is killed, terminated,
+suspended for a second, or suspended while the command is terminated. Other faults are a full disk
+and a folder without write access. Twelve seconds after the end of the command, the program counts
+the remains: processes, open ports, incomplete results, unfinished or temporary files (unless a
+process was killed), and wrong statuses. An interrupted study is continued, and its results must be
+identical to those of a study without a fault. One of the commands hangs in a library that does not
+release Python's lock.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from app.jobs.progress import progress_bar
 from app.robot.assets import ASSETS
 from app.system import _BEGUN, ENDING
 
-_MARK = "DBB_FAULTS"  # in the environment of all that a try starts
+_MARK = "DBB_FAULTS"  # environment variable of all processes that a try starts
 _TEMPORARY = "temporary"  # folder of a try for the temporary files of libraries
-_PATIENCE = 12.0  # [s] after which nothing may be left
-_STOPPED = 1.0  # [s] that a process is stopped
+_PATIENCE = 12.0  # [s] after which no remains may exist
+_STOPPED = 1.0  # [s] time for which a process is suspended
 _FAULTS = {
     "kill": signal.SIGKILL,
     "terminate": signal.SIGTERM,
@@ -47,14 +48,16 @@ _FAULTS = {
     "full": signal.SIGKILL,
     "read-only": signal.SIGKILL,
 }
-"""The first signal of each: one that was stopped goes on a second later, and then has to end. One
-that is held goes on only if it is the command, which has been terminated meanwhile. Three
-reach the whole group, as from a terminal; who is impatient presses Ctrl-C three times. Of a full
-disk or a folder that is read-only a command learns by itself; a worker is killed beside."""
+"""The first signal of each fault.
+
+A stopped process continues a second later, and then has to end. A held process continues only if it
+is the command, which was terminated in the meantime. "ctrl-c", "hang up" and "impatient" (Ctrl-C
+three times) send the signal to the whole group, as a terminal does. With "full" and "read-only" the
+command cannot write, and a worker is killed in addition."""
 _FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
 _OF_DISK = ("full", "read-only")
 _COMMAND = "the command"
-_ROOM = 20_000  # [bytes] of any file on a disk that is full
+_ROOM = 20_000  # [bytes] largest size of a file on a full disk
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
 _FILM = (
@@ -76,17 +79,17 @@ _COMMANDS: dict[str, tuple[tuple[str, ...], float]] = {
     "film": (_FILM, 20.0),
     "hang": ((), 3.0),
 }
-"""Each command, and [s] within which the fault comes."""
+"""Arguments of each command, and the time [s] within which the fault occurs."""
 
 
 class Left(NamedTuple):
     """The remains of a try.
 
     Attributes:
-        orphans: Processes, by their command lines.
-        port: Whether somebody still listens.
-        half: Names of files that are not whole.
-        begun: Names of files and folders beside the results, or in the folder for temporary files.
+        orphans: Command lines of remaining processes.
+        port: Whether a process still listens.
+        half: Names of incomplete files.
+        begun: Names of unfinished or temporary files and folders.
     """
 
     orphans: list[str]
@@ -102,19 +105,19 @@ def main(
     only: tuple[str, ...] = (),
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Let faults befall commands; status 1 if anything was left or lost.
+    """Cause faults in commands; the status is 1 if something remains or is lost.
 
     A signal to end also prints the counts so far, with status 1.
 
     Args:
         tries: Largest number of tries.
-        seconds: [s] after which no further one begins.
-        seed: Of command, fault, process and instant.
-        only: Commands: serve, sweep, study, reproduce, new-robot, film, hang; all if not given.
+        seconds: [s] time after which no further try begins.
+        seed: Seed of commands, faults, processes and instants.
+        only: Names among serve, sweep, study, reproduce, new-robot, film and hang; default: all.
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
-    # Who is started in the background ignores two of them, and would pass that on.
+    # A process in the background ignores two of them, and its child processes would too.
     for number in ENDING:
         signal.signal(number, signal.default_int_handler)
     names, end = only or tuple(_COMMANDS), time.monotonic() + seconds
@@ -158,21 +161,23 @@ library.pthread_mutex_lock(lock)
 with ending_signals_raised():
     library.pthread_mutex_lock(lock)
 """
-"""The command that hangs, which nothing but its guard can end by such a signal."""
+"""The command that hangs; after a signal only its guard can end it."""
 _COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
 
 
 def _try(
     name: str, folder: Path, rng: np.random.Generator, whole: dict[str, bytes]
 ) -> dict[str, Any]:
-    """One command and one fault; the counts have the names in `_COUNTED`."""
+    """Run one command with one fault; the result has the keys of `_COUNTED`."""
     (folder / _TEMPORARY).mkdir(parents=True)
     port = _free_port()
     words, span = _COMMANDS[name]
     words = tuple(word.format(port=port) for word in words)
     delay = float(rng.uniform(0.3, span))
     fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
-    in_child = in_child and fault not in _FROM_TERMINAL and name != "hang"  # its child is its guard
+    in_child = (
+        in_child and fault not in _FROM_TERMINAL and name != "hang"
+    )  # its only child process is the guard
     command = _started(words, folder, _ROOM if fault == "full" else None)
     time.sleep(delay)
     in_child = in_child or (fault in _OF_DISK and name != "hang")
@@ -187,7 +192,9 @@ def _try(
     if (folder / "out").is_dir():
         (folder / "out").chmod(0o700)
     usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
-    killed = name == "hang" or (fault in _OF_DISK and struck == _COMMAND)  # by its guard, or here
+    killed = name == "hang" or (
+        fault in _OF_DISK and struck == _COMMAND
+    )  # its guard kills it, or the next line
     usual |= {-signal.SIGKILL} if killed else set()
     usual |= {2} if fault in _OF_DISK else set()  # it cannot write
     told = fault not in ("kill", "stop") and command.returncode not in usual
@@ -231,7 +238,7 @@ def _started(
 def _strike(
     command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
 ) -> str:
-    """Send the signal to the command itself or to one of its processes; which it was."""
+    """Send the signal to the command or to one of its processes; return which."""
     with suppress(psutil.NoSuchProcess, ProcessLookupError):
         struck = psutil.Process(command.pid)
         children = struck.children(recursive=True)
@@ -279,7 +286,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
 
 
 def _alive(folder: Path) -> list[psutil.Process]:
-    """Running processes of the tries in a folder, anywhere in the tree of processes."""
+    """Running processes that belong to the tries in a folder."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):
@@ -303,7 +310,8 @@ _ENDS = {
     ".csv": b"\n",
     ".toml": b"\n",
 }
-"""The last bytes of a whole file, by its ending; a journal's last line may be cut off."""
+"""Last bytes of a complete file, by the file's ending; the last line of a journal may be cut
+off."""
 
 
 def _is_whole(path: Path) -> bool:
@@ -315,7 +323,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def _studied(folder: Path) -> dict[str, bytes]:
-    """The results of the study in a folder, done or gone on with until its end."""
+    """Run or continue the study in a folder to its end, and return its results."""
     (folder / _TEMPORARY).mkdir(parents=True, exist_ok=True)
     command = _started(_STUDY, folder)
     if command.wait() != 0:

@@ -1,8 +1,9 @@
-"""How soon `make run` in a fresh clone has a page that answers: `python -m benchmarks.fresh_clone`.
+"""Duration of `make run` in a fresh clone until the page answers: `python -m
+benchmarks.fresh_clone`.
 
-The committed state is cloned into a folder whose path has a space in it, and installed with the
-packages that are in the user's caches. Kernels are compiled anew. `download_mb` is the size of all
-wheels, which a machine with empty caches loads first.
+The committed state is cloned into a folder with a space in its path, and installed with packages
+from the user's caches. The kernels are compiled again. `download_mb` is the size of all wheels,
+which a machine with empty caches downloads first.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from typing import Any
 
 PROJECT = Path(__file__).resolve().parent.parent
 STAGES = {"venv.sh": "install_s", "import app": "compile_s", "dbb serve": "serve_s"}
-"""A part of a line of make's output, and the figure of the stage that starts with it."""
+"""A part of a line in make's output, and the name of the stage that starts with this line."""
 
 
 def main() -> None:
@@ -42,7 +43,7 @@ def main() -> None:
 
 
 def start(clone: Path, python: str) -> dict[str, float]:
-    """Clone, run, request the page; seconds of each stage, and in total.
+    """Clone, run and request the page; return the seconds of each stage and in total.
 
     Raises:
         RuntimeError: make ended without an address.
@@ -79,7 +80,7 @@ def start(clone: Path, python: str) -> dict[str, float]:
 
 
 def wheels(clone: Path) -> int:
-    """[bytes] of the wheels that a clone's environment was made of."""
+    """[bytes] size of the wheels that the environment of a clone consists of."""
     download = "-m pip download --quiet --no-deps -r requirements/all.txt --dest wheels"
     subprocess.run([".venv/bin/python", *download.split()], cwd=clone, check=True)
     return sum(file.stat().st_size for file in (clone / "wheels").iterdir())

@@ -1,8 +1,8 @@
-"""Robots that nobody tuned: `python -m benchmarks.gallery --robots all|NAME,... [--quick]`.
+"""Robots without manual tuning: `python -m benchmarks.gallery --robots all|NAME,... [--quick]`.
 
-Each is made by `dbb new-robot` with options alone and then checked by `dbb check-robot`, both as
-processes of their own, as a user would: one that dies is a row. With `--quick` the rows are those
-of the documentation's table, so that the same call goes on where it was ended.
+`dbb new-robot` creates each robot, with options only, and `dbb check-robot` checks it. Both run in
+separate processes, so a crash is a row of the table. With `--quick` the rows are those of the
+documentation's table; if the program is ended, the next call continues after the finished rows.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from app.onboarding.request import option
 
 _PROJECT = Path(__file__).resolve().parent.parent
 FOLDER = _PROJECT / "out" / "gallery"
-"""Where the robots stay, each with its report."""
+"""Folder of the robots, each with its report."""
 _DATA = "package://example-robot-data/robots"
 _RTB = "package://rtbdata/xacro"
 _STRETCH = "package://stretch_urdf"
 
 
 def _package(name: str, folder: str) -> tuple[str, ...]:
-    """`--package` of a ROS package in rtb-data under another name, if that is installed."""
+    """The option `--package` for a ROS package that rtb-data contains under another name."""
     found = find_spec("rtbdata")
     if found is None or found.origin is None:
         return ()
@@ -43,7 +43,7 @@ def _package(name: str, folder: str) -> tuple[str, ...]:
 
 
 def _on(base: str, arm: str, tip: str, *, at: tuple[float, float, float], **more: Any) -> Any:
-    """A base with an arm of another file."""
+    """Options for a base with an arm of another URDF."""
     bases = {
         "husky": {"urdf": "robot_assets/bases/husky.urdf", "base": "base_link", "half_track": 0.51},
         "racecar": {
@@ -155,20 +155,23 @@ def main(
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Make and check robots.
+    """Create and check robots.
 
     Args:
-        robots: Their names with commas, or all.
-        quick: With a coarser border, as in the documentation's table: existing measurements of
-            this commit are reused, and the rest is added.
-        json: Measure all of them now, and print the rows as one JSON object.
+        robots: Names of the robots, separated by commas, or all.
+        quick: Sample a coarser border, as for the documentation's table: existing rows of this
+            commit are used again, and missing rows are added.
+        json: Measure all robots now, and print the rows as one JSON object.
     """
     names = list(ROBOTS) if robots == "all" else robots.split(",")
     for name in names:
         if name not in ROBOTS:
             raise SystemExit(str(UnknownNameError("robot of the gallery", name, ROBOTS)))
     if quick and not json:
-        from tools.results import figures, measure  # they know the gallery as one of many sets
+        from tools.results import (
+            figures,
+            measure,
+        )  # imported here: only this case uses the stored tables
 
         if not measure("gallery", again=False, only=names):
             sys.exit(1)
@@ -187,8 +190,8 @@ def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """Run a command of dbb with `--json`, with the robots in `FOLDER`.
 
     Returns:
-        Its output, or None; its duration and the processor time of all cores; and the reason of a
-            missing output: `refused`, or `crashed` with its last activity.
+        The output of the command, or None; and its duration, the processor time of all cores, and
+            without an output the reason: `refused`, or `crashed` with the last message.
     """
     begin, before = perf_counter(), _cpu_seconds()
     done = subprocess.run(
@@ -209,7 +212,7 @@ def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
 
 
 def _cpu_seconds() -> float:
-    """[s] of all processes that were waited for."""
+    """[s] processor time of all ended child processes."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
@@ -226,10 +229,10 @@ def words_of(given: Mapping[str, Any]) -> Iterator[str]:
 
 
 def outcome(name: str, quick: bool) -> dict[str, Any]:
-    """The row of a robot: made and checked, or the reason why not."""
+    """The row of a robot: its results, or the reason why it was not created."""
     say(name)
     how = ["--quick"] if quick else []
-    own = f"new_{name}"  # of two robots of a name the one that ships would be checked
+    own = f"new_{name}"  # a delivered robot has precedence over a robot with the same name
     shutil.rmtree(FOLDER / own, ignore_errors=True)
     made, row = dbb("new-robot", *words_of(ROBOTS[name]), "--out", str(FOLDER / own), *how)
     if made is None:
@@ -248,7 +251,7 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
 
 
 def verdict(checks: Mapping[str, Mapping[str, Any]]) -> str:
-    """Of all checks: failed; nothing to show, where no run was there to judge; passed or warned."""
+    """The verdict on all checks: failed, nothing to show, passed or warned."""
     ends = {name: each["outcome"] for name, each in checks.items()}
     if "failed" in (outcome for name, outcome in ends.items() if name != "guiding"):
         return "failed"

@@ -1,8 +1,8 @@
-"""How well a page without a GPU draws: `python -m benchmarks.page`.
+"""Drawing speed of the page without a GPU: `python -m benchmarks.page`.
 
-A headless browser with software drawing shows the page of `dbb serve`; the page may detect that.
-The results are pictures, the delay of a drag, sent bytes, and how long the tab "Plots" blocks the
-page. On a loaded machine compare runs that alternate.
+A headless browser, which draws in software, shows the page of `dbb serve`; the page may detect
+this. The results are the number of pictures, the delay of a drag, the number of sent bytes, and the
+time for which the tab "Plots" blocks the page. On a loaded machine, compare alternating runs.
 """
 
 from __future__ import annotations
@@ -84,14 +84,15 @@ _HELPERS = """
 
 @dataclass(frozen=True)
 class Page:
-    """Measure a page that is drawn in software."""
+    """Measure a page that the browser draws in software."""
 
     seconds: float = 10.0
-    """[s] of each part."""
+    """[s] duration of each part."""
     swiftshader: bool = False
-    """Draw as Chromium does by itself, two to three times slower than Mesa, the default here."""
+    """Use Chromium's own software drawing, which is two to three times slower than Mesa, the
+    default."""
     json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
+    """Print one JSON object on standard output, without other text."""
 
 
 def main(args: Page) -> None:
@@ -120,7 +121,7 @@ def main(args: Page) -> None:
 
 
 class _Measurement:
-    """The pages one after the other, with their counts."""
+    """Measure the pages one after the other."""
 
     def __init__(self, browser: Any, address: str, loop: ProcessLoop, seconds: float) -> None:
         self._browser, self._address = browser, address
@@ -155,7 +156,7 @@ class _Measurement:
         return tab
 
     def _over(self, tab: DashboardTab, act: Callable[[], None]) -> dict[str, float]:
-        """Pictures, bytes and the longest stall while something is done again and again."""
+        """Number of pictures, bytes and longest stall while an action is repeated."""
         tab.page.evaluate("() => (dbbWatch.stall = 0)")
         begin, sent, heard, frame = time.monotonic(), self._sent, self._heard, _frame(tab)
         work = _work()
@@ -172,7 +173,7 @@ class _Measurement:
         }
 
     def _picture(self, tab: DashboardTab) -> float:
-        """[ms] of one picture to its end, while time stands still."""
+        """[ms] duration of one complete picture while the simulation is paused."""
         self._loop.send(Pause(True))
         time.sleep(1.0)
         script = """async () => {
@@ -185,7 +186,7 @@ class _Measurement:
         return float(median(times))
 
     def _drag(self, tab: DashboardTab) -> dict[str, float]:
-        """Jumps of the mouse, each until the end-effector follows, then a drag that never rests."""
+        """Measure jumps of the mouse until the end-effector follows, then a continuous drag."""
         tab.page.evaluate(
             "([g, h]) => Object.assign(dbbWatch, { gizmoNode: g, handNode: h, jumps: true })",
             [GIZMO, "/robot/panda_joint7"],
@@ -216,7 +217,7 @@ class _Measurement:
         }
 
     def _count(self) -> None:
-        """Have each byte that is sent, and each pull that is heard, counted."""
+        """Count all sent bytes and all received pulls."""
         send, pull = ServerConnection.send, self._loop.send
 
         async def sending(connection: ServerConnection, message: Any, *more: Any) -> None:
@@ -232,7 +233,7 @@ class _Measurement:
 
 
 def _work() -> float:
-    """[s] that the browser's processes have worked, on all cores."""
+    """[s] processor time of the browser's processes, on all cores."""
     browsers = [p for p in psutil.Process().children(recursive=True) if "chrom" in p.name()]
     return sum(sum(process.cpu_times()[:2]) for process in browsers)
 

@@ -1,8 +1,8 @@
-"""How well the dashboard keeps real time: `python -m benchmarks.realtime --client browser --drag`.
+"""Real-time behaviour of the dashboard: `python -m benchmarks.realtime --client browser --drag`.
 
 The hard case is a headless browser that draws in software on the same cores while its mouse drags
-the end-effector at the base. Set up as `dbb serve` sets up; only the session notes its times. A
-soak of an hour with ten viewers is `--drag --listeners 9 --seconds 3600`.
+the end-effector to the base. The setup is that of `dbb serve`; in addition, the session records its
+times. `--drag --listeners 9 --seconds 3600` is a soak test of one hour with ten viewers.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from benchmarks.timed_session import TimedSession, read_times
 
 LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
 SETTLE = 2.0  # [s] between the client's connection and the measurement
-PULL_EVERY = 0.05  # [s] as often as a browser sends
-LOOKS = 200  # [-] at how much memory is taken
+PULL_EVERY = 0.05  # [s] time between two messages of a browser
+LOOKS = 200  # [-] number of memory measurements
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,22 @@ class Realtime:
     seconds: float = 30.0
     """[s] measured."""
     client: Literal["browser", "websocket", "none"] = "browser"
-    """A headless browser, a client that draws nothing, or nobody."""
+    """Kind of client: a headless browser, a client that draws nothing, or none."""
     clients: int = 1
-    """How many of that kind; the first one drags."""
+    """Number of clients of this kind; the first one drags."""
     listeners: int = 0
     """Further clients that draw nothing."""
     drag: bool = False
-    """Whether the end-effector is dragged at the base and back, in the browser by the mouse."""
+    """Whether the end-effector is dragged to the base and back; a browser does this with its
+    mouse."""
     loop: Literal["process", "thread"] = "process"
-    """Where the simulation runs."""
+    """Whether the simulation runs in a process or in a thread."""
     layers: bool = False
-    """Whether all layers are shown: both borders whole, bodies, names, arrows, trails."""
+    """Whether all layers are shown: both complete borders, bodies, names, arrows, trails."""
     ghosts: int = 0
-    """Robots with other controllers beside the one that is dragged, at most 2."""
+    """Number of compared robots with other controllers: 0, 1 or 2."""
     json: bool = False
-    """Print one JSON object on standard output and nothing else there."""
+    """Print one JSON object on standard output, without other text."""
 
 
 def main(args: Realtime) -> None:
@@ -76,7 +77,7 @@ def main(args: Realtime) -> None:
 
 
 def measure(args: Realtime, record: Path) -> dict[str, Any]:
-    """Serve, let the client work, and sum up the record of the loop's steps."""
+    """Serve, let the clients work, and evaluate the record of the loop's steps."""
     load = os.getloadavg()[0]
     model, data = load_robot_and_border("husky_panda")
     config, scenario = Config(), scenario_by_name("guiding-front")
@@ -96,7 +97,9 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
         raise loop.error
     found = figures(read_times(record), seen.begin, seen.end)
     if args.drag and found["activation_max"] == 0.0:
-        raise RuntimeError("the drag has not brought the hand into the buffer: no hard case")
+        raise RuntimeError(
+            "the drag has not moved the end-effector into the buffer, so this is not the hard case"
+        )
     return {
         "loop": args.loop,
         "client": args.client,
@@ -121,16 +124,16 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
 
 
 class Seen(NamedTuple):
-    """The measurements while the clients worked.
+    """Measurements while the clients worked.
 
     Attributes:
-        begin: [s] of the span of time.
-        end: [s] of it.
+        begin: [s] beginning of the time span.
+        end: [s] end of the time span.
         done: The counts of each client, the first one first.
-        servers_cpu: [%] of a core that the server and the loop took.
-        loop_cpu: [%] of a core that the loop took; NaN if it has no process of its own.
-        pictures_per_s: How often the server has drawn.
-        memory: [MiB] of the server and the loop, at instants of equal distance.
+        servers_cpu: [%] of a core that the server and the loop used.
+        loop_cpu: [%] of a core that the loop used; NaN if the loop has no separate process.
+        pictures_per_s: Number of pictures that the server has drawn in a second.
+        memory: [MiB] memory of the server and the loop, at equal intervals.
     """
 
     begin: float
@@ -143,13 +146,13 @@ class Seen(NamedTuple):
 
 
 def _observe(args: Realtime, server: DashboardServer, loop: LoopHandle) -> Seen:
-    """Let the clients work for the time, and look on."""
+    """Let the clients work for the stated time, and measure."""
     servers = _servers()
     clients = _clients(args, server.address)
     if args.layers:
         _show_all(server)
     time.sleep(SETTLE)
-    loop.send(Watch(True))  # with nobody connected it would rest
+    loop.send(Watch(True))  # without a viewer the simulation would rest
     begin, before, first = time.perf_counter(), _cpu(servers), server.pictures
     memory = _pass_time(args, begin, loop, servers)
     end, after, last = time.perf_counter(), _cpu(servers), server.pictures
@@ -161,7 +164,7 @@ def _observe(args: Realtime, server: DashboardServer, loop: LoopHandle) -> Seen:
 
 
 def _clients(args: Realtime, address: str) -> list[subprocess.Popen[str]]:
-    """The clients, each connected."""
+    """Start the clients, and wait until each is connected."""
     clients: list[subprocess.Popen[str]] = []
     kinds = [args.client] * (args.clients if args.client != "none" else 0)
     if kinds and args.client == "browser" and args.drag:
@@ -177,7 +180,7 @@ def _clients(args: Realtime, address: str) -> list[subprocess.Popen[str]]:
 
 
 def _show_all(server: DashboardServer) -> None:
-    """All layers on each page."""
+    """Show all layers on each page."""
     for page in list(server.pages.values()):
         view = page.view
         view.borders = dict.fromkeys(view.borders, "determinant")
@@ -186,20 +189,22 @@ def _show_all(server: DashboardServer) -> None:
 
 
 def _servers() -> list[psutil.Process]:
-    """This process and, if the loop has one of its own, that too."""
+    """This process, and the loop's process if it is a separate one."""
     own = psutil.Process()
     return [own, *own.children()]
 
 
 def _cpu(processes: list[psutil.Process]) -> list[float]:
-    """[s] of work that each of the processes has done."""
+    """[s] processor time of each process."""
     return [sum(process.cpu_times()[:2]) for process in processes]
 
 
 def _pass_time(
     args: Realtime, begin: float, loop: LoopHandle, servers: list[psutil.Process]
 ) -> list[float]:
-    """Wait; where no mouse does it, pull the end-effector at the base and back. [MiB] meanwhile."""
+    """Wait, and measure the memory [MiB]; without a mouse, pull the end-effector to the base and
+    back.
+    """
     memory: list[float] = []
     scripted = args.drag and args.client != "browser"
     y, z = (float(value) for value in loop.latest().p_ee[1:])
@@ -217,18 +222,21 @@ def _pass_time(
 
 
 def _growth(memory: list[float]) -> float:
-    """[-] of the last quarter's median over the second's: in the first all is met once."""
+    """[-] growth: median of the last quarter divided by that of the second quarter.
+
+    The first quarter does not count, because memory is allocated on first use.
+    """
     quarter = max(len(memory) // 4, 1)
     return float(np.median(memory[-quarter:]) / np.median(memory[quarter : 2 * quarter]))
 
 
 def figures(record: np.ndarray, begin: float, end: float) -> dict[str, float]:
-    """Key figures of the steps that began in a span of time.
+    """Key numbers of the steps that began within a time span.
 
     Args:
-        record: (N, 4) begin [s], duration [s], the controller's part [s] and β_m of each step.
-        begin: [s] of the span.
-        end: [s] of the span.
+        record: (N, 4) beginning [s], duration [s], controller's part [s] and β_m of each step.
+        begin: [s] beginning of the time span.
+        end: [s] end of the time span.
     """
     t, whole, control, beta = record[(record[:, 0] >= begin) & (record[:, 0] < end)].T
     period = 1e3 * np.diff(t)  # [ms]

@@ -1,10 +1,11 @@
-"""Every delivered robot on the same few paths of the end-effector: `python -m benchmarks.robots
+"""All delivered robots on the same paths of the end-effector: `python -m benchmarks.robots
 [--json]`.
 
-Each is pulled by its end-effector from the side and from the front, and tracks a path of 0.2 m at
-its side and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are
-searched, 0.02 m outside of the buffer, of paths that lead into its inner half without avoidance; a
-robot that has none has a row that says so.
+A person pulls the end-effector of each robot towards the base from the side and from the front. In
+two further cases the end-effector tracks a path of 0.2 m towards the side, and one along the wheel
+axis with p_b at x = 0. Each case runs without and with avoidance. The program searches for a start
+0.02 m outside of the buffer from which the path leads into the inner half of the buffer without
+avoidance. If there is no such start, the row states the reason.
 """
 
 from __future__ import annotations
@@ -38,27 +39,27 @@ from app.studies.sweep.starts import StartFinder
 from app.studies.sweep.sweep import load, passes
 
 COMPARED = ("none", "dbb")
-"""Without avoidance and with it."""
+"""The controllers: without avoidance, then with avoidance."""
 GUIDED_LIMIT = 0.02
-"""[m] farthest that a guided hand may be from the person's at the end."""
-_MAX_PATHS = 4  # [-] that are played without avoidance in search of one that shows something
+"""[m] largest distance of a guided end-effector from the person's hand at the end."""
+_MAX_PATHS = 4  # [-] largest number of paths that are tested without avoidance
 _TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
-_HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] of l_m's top, best first
+_HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] shares of the height of l_m, in the order of preference
 _LEFT_RIGHT = (90.0, 270.0)  # [deg]
 _SIDES = (60.0, 300.0, 75.0, 285.0, 45.0, 315.0, 90.0, 270.0, 105.0, 255.0, 120.0, 240.0)  # [deg]
 _FRONTS = (10.0, 350.0, 0.0, 20.0, 340.0, 30.0, 330.0)  # [deg]
 
 
 class Case(NamedTuple):
-    """One row of the comparison, without numbers of any robot's own.
+    """A case of the comparison; its numbers do not depend on the robot.
 
     Attributes:
         name: The displayed name.
-        mode: Whether the arm tracks the path, its orientation held, or a person pulls it there.
-        directions: [deg] from which the end-effector may come, counter-clockwise from the front,
-            best first.
-        on_axis: Whether p_b begins on the wheel axis, x = 0, and moves along it.
-        length: [m] of the path, which begins 0.02 m outside of the buffer.
+        mode: Whether the arm tracks the path with constant orientation, or a person pulls the arm.
+        directions: [deg] directions of the start, counter-clockwise from the front, in the order of
+            preference.
+        on_axis: Whether p_b starts on the wheel axis, x = 0, and moves along it.
+        length: [m] length of the path, which starts 0.02 m outside of the buffer.
         speed: [m/s] mean speed of the end-effector.
     """
 
@@ -70,7 +71,7 @@ class Case(NamedTuple):
     speed: float = 0.025
 
     def approaches(self, model: RobotModel) -> Iterator[Approach]:
-        """Paths that would do, best first: heights beside l_m from each direction."""
+        """Possible paths in the order of preference: several heights from each direction."""
         top = float(MobileBody(model).upper[2])
         for direction in self.directions:
             for share in _HEIGHTS:
@@ -84,7 +85,7 @@ CASES = (
     Case("tracking", "tracking", _SIDES),
     Case("wheel-axis", "tracking", _LEFT_RIGHT, on_axis=True),
 )
-"""The rows of each robot."""
+"""The cases for each robot."""
 
 
 def robot_table(
@@ -95,25 +96,29 @@ def robot_table(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Row:
-    """Move each robot's end-effector towards its base from the side, the front and along the wheel
-    axis.
+    """Move each robot's end-effector towards its base from the side, the front and along the axis.
 
-    The start of each path is searched: the first height and direction from which the arm can begin
-    clear of its buffers and, without avoidance, comes into their inner half. A robot that has none,
-    or cannot be loaded, has a row that says why.
+    The start is the first height and direction with which the arm starts outside of its buffers
+    and, without avoidance, enters the inner half of a buffer. If there is no such start, or if the
+    robot cannot be loaded, the row states the reason.
 
-    `on_progress` is called now and then with the share of the work that is done, 0 to 1.
+    Args:
+        robots: Names of the robots.
+        cases: The cases.
+        seed: Seed of the search for starts.
+        processes: Number of processes.
+        on_progress: Called with the finished share of the work, 0 to 1.
 
     Returns:
-        `rows`, and the limits by which they passed; keys end in their unit. A robot that cannot be
-        loaded has its name as `title`.
+        `rows`, and the limits with which rows are judged; each key ends in its unit. The `title` of
+        a robot that cannot be loaded is its name.
     """
     jobs = [
         (SweepPlan(robot=robot, mode=case.mode, length=case.length, seed=seed), case)
         for robot in robots
         for case in cases
     ]
-    with Workers(tuple, processes) as workers:  # the jobs share nothing
+    with Workers(tuple, processes) as workers:  # the jobs share no data
         rows = [row for found in workers.map(_compared, jobs, on_progress) for row in found]
     limits = {
         "clearance_limit_m": CLEARANCE_LIMIT,
@@ -136,9 +141,9 @@ def _compared(_: object, job: tuple[SweepPlan, Case]) -> list[Row]:
 
 
 def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
-    """A row for each controller on the first path that shows something, or why none does.
+    """A row for each controller on the first suitable path, or one row with a reason.
 
-    It does where the arm, without avoidance, comes into the inner half of the buffer.
+    A path is suitable if the arm enters the inner half of the buffer without avoidance.
     """
     half, gaps, start = plan.config.border.d_b / 2, [], None
     for approach in case.approaches(finder.model):
@@ -213,13 +218,13 @@ def main(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Lead each robot's hand towards its own base, without avoidance and with it.
+    """Move each robot's end-effector towards its base, without and with avoidance.
 
     Args:
-        robots: Names of the robots, all without any; `dbb robots` lists them.
-        case: Some of guiding-lateral, guiding-front, tracking and wheel-axis; all without any.
-        processes: How many to do side by side.
-        seed: Seed of everything random.
+        robots: Names of the robots, which `dbb robots` lists; default: all robots.
+        case: Names among guiding-lateral, guiding-front, tracking and wheel-axis; default: all.
+        processes: Number of parallel processes.
+        seed: Seed of the search for starts.
         json: Print one JSON object.
     """
     known = {each.name: each for each in CASES}

@@ -1,7 +1,7 @@
-"""How soon the dashboard is there: `python -m benchmarks.startup`.
+"""Start time of the dashboard: `python -m benchmarks.startup`.
 
-From the command, with its border in the cache, to the page's answer and to the first whole picture
-in a headless browser that has been started before.
+It measures the time from the command, with the border in the cache, to the answer of the page and
+to the first complete picture in a headless browser, which is started before the command.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tests.browser import DashboardTab, chromium
 
 
 def main() -> None:
-    """Measure how soon the dashboard is there, and print one JSON object."""
+    """Measure the start time of the dashboard, and print one JSON object."""
     load = os.getloadavg()[0]
     with chromium() as browser:
         begin = time.perf_counter()
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def _address(server: subprocess.Popen[str]) -> str:
-    """Where it listens, as soon as it says so."""
+    """The address of the server, as soon as the server has printed it."""
     assert server.stderr is not None
     for line in server.stderr:
         if found := re.search(r"http://\S+", line):

@@ -1,4 +1,4 @@
-"""A session that notes when each of its steps began and how long it took."""
+"""A session that records the beginning and the duration of each step."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from app.simulation.session import Session, Step
 
 
 class TimedSession(Session):
-    """Writes its record as it goes, so that it may live in any process, for hours."""
+    """A session that writes its record during the run, so that it can run in any process for
+    hours.
+    """
 
     def __init__(self, record: Path, *args: Any, **options: Any) -> None:
-        """A session, see there, that writes its times to `record`, for `read_times`."""
+        """Prepare a session that writes its times to `record`; `read_times` reads them."""
         self._file = record.open("wb", buffering=1 << 16)
         super().__init__(*args, **options)
 
@@ -35,5 +37,5 @@ class TimedSession(Session):
 
 
 def read_times(record: Path) -> np.ndarray:
-    """(N, 4) begin [s], duration [s], the controller's part [s] and β_m of each step."""
+    """(N, 4) beginning [s], duration [s], controller's part [s] and β_m of each step."""
     return np.fromfile(record).reshape(-1, 4)

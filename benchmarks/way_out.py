@@ -1,4 +1,4 @@
-"""Starts inside a buffer or in penetration: how many have left after 3 s, and how gently.
+"""Starts inside a buffer or in penetration: how many robots leave it within 3 s, and how gently.
 
 python -m benchmarks.way_out --starts 100 --begin penetration --json
 """
@@ -25,14 +25,14 @@ def main(
     seed: int = 0,
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Run many starts in trouble.
+    """Run many starts inside a buffer or in penetration.
 
     Args:
-        starts: How many.
-        begin: Which kind of start.
+        starts: Number of starts.
+        begin: Kind of start.
         robot: Name of the robot.
-        physics: Kind of plant.
-        seed: Of the first start; the others follow.
+        physics: Name of the plant.
+        seed: Seed of the first start; each further start has the next seed.
         json: Print one JSON object.
     """
     model, data = load_robot_and_border(robot)

@@ -139,7 +139,7 @@ def test_what_stands_still_is_warned_of_and_no_slide_that_the_base_itself_is_on(
     legged = robot([*cart(), *arm(), link("leg"), joint("knee", "revolute", "base", "leg")])
     texts = (suspended(travel=0.01), floating, legged)
     told = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
-    assert told[0][0].endswith("0.01 m of travel count as rigid: left_spring, right_spring")
+    assert told[0][0].endswith("0.01 m, count as rigid: left_spring, right_spring")
     assert len(told[0]) == 1
     assert told[1] == []
     assert [each.rpartition(": ")[2] for each in told[2]] == ["knee"]
@@ -537,7 +537,7 @@ def test_what_a_library_raises_becomes_one_line(
 @pytest.mark.parametrize(
     ("ready", "why"),
     [
-        ((0.0, 0.1), "--ready: 2 numbers; the arm has 6 joints: pan, lift, elbow"),
+        ((0.0, 0.1), "--ready: it has 2 numbers, but the arm has 6 joints: pan, lift, elbow"),
         ((0.0, 0.0, 9.0, 0.0, 0.0, 0.0), "--ready: elbow at 9 is outside of its limits"),
     ],
 )

@@ -233,7 +233,7 @@ def test_a_hand_that_its_body_does_not_hold_fails(
     row = arm_row(written(made, bodies=bodies))
     assert row.outcome == "failed"
     assert row.numbers["missed"] > 0
-    assert "does not enclose its colliding links" in row.text
+    assert "do not enclose their colliding links" in row.text
 
 
 def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
@@ -773,13 +773,13 @@ def test_each_side_without_a_line_has_its_reason_and_one_that_both_share_is_said
         for each in warnings_of(replace(made, lacking=lacking, verdict=verdict))
         if "no line" in each
     }
-    both = ", ".join(lacking), "lm-lEE hardly ever leaves its buffer"
+    both = ", ".join(lacking), "lm-lEE is nearly always inside its buffer"
     assert found == {*lacking.items(), both}
 
 
 def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRobot) -> None:
     def told(made: NewRobot) -> list[str]:
-        places = ("below the floor", "wholly inside of the base")
+        places = ("below the floor", "completely inside of the base")
         return [each for each in warnings_of(made) if any(place in each for place in places)]
 
     assert told(made) == []

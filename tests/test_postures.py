@@ -48,8 +48,8 @@ def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
 @pytest.mark.parametrize(
     ("nearest", "taken"),
     [
-        ([], "cannot start there clear of its buffers of"),
-        ([0.3, INNER], "comes no nearer than"),  # none into the inner part
+        ([], "cannot start outside of its buffers of"),
+        ([0.3, INNER], "comes no nearer to the base than"),  # none into the inner part
         ([0.3, 0.9 * INNER, -0.02], 1),
         ([-0.02, 0.0], 0),
     ],

@@ -25,7 +25,7 @@ def test_a_number_is_taken_within_its_bounds_and_by_its_kind_alone(field: str) -
         with pytest.raises(ConfigError, match=f"{option}: .* is not within"):
             check_request(asked(kind=kind, **others, **{field: value}))
     if bounds.kind:
-        with pytest.raises(ConfigError, match=f"{option}: a holonomic base has none.*{kind}"):
+        with pytest.raises(ConfigError, match=f"{option}: a holonomic base does not.*{kind}"):
             check_request(asked(kind="holonomic", **{field: bounds.high}))
 
 
@@ -33,9 +33,9 @@ def test_what_does_not_go_together_is_refused() -> None:
     for words, fields in (
         ("--wheels: a holonomic base", {"kind": "holonomic", "wheels": ("l", "r")}),
         ("--wheel-radius: needs --half-track", {"wheel_radius": 0.1}),
-        ("--mount-xyz: is for an arm in its own file", {"mount_xyz": (0.1, 0.0, 0.0)}),
-        ("--mount-rpy: is for an arm in its own file", {"mount_rpy": (0.0, 0.0, 0.1)}),
-        ("and no --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
+        ("--mount-xyz: is for an arm with its own URDF", {"mount_xyz": (0.1, 0.0, 0.0)}),
+        ("--mount-rpy: is for an arm with its own URDF", {"mount_rpy": (0.0, 0.0, 0.1)}),
+        ("excludes --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
     ):
         with pytest.raises(ConfigError, match=words):
             check_request(asked(**fields))

@@ -120,7 +120,7 @@ REFUSED = {
     ),
     "nested with no link of another": (
         lambda d: d["bodies"][3].update(nested={"panda_link5": ["panda_link0", "elbow"]}),
-        ["bodies.l3.nested: elbow", "that others cover"],
+        ["bodies.l3.nested: elbow", "that other bodies cover"],
     ),
     "nested link of another": (
         lambda d: d["bodies"][3].update(nested={"panda_link0": ["base_link"]}),

@@ -68,10 +68,11 @@ class ResultSet(NamedTuple):
     """The content of one file of docs/results, and of one table.
 
     Attributes:
-        runs: By the row's name, the arguments after `python -m` of a command that prints JSON.
-        keep: Selects the stored figures from the output.
-        table: Markdown of the figures by the names of their rows; some may be missing.
-        default: Whether it is measured by default: it needs neither a browser nor a package index.
+        runs: Arguments after `python -m` of a command that prints JSON, by the name of the row.
+        keep: Selects the stored numbers from the output.
+        table: Markdown of the numbers by the names of their rows; some rows may be missing.
+        default: Whether the set is measured by default, because it needs no browser and no package
+            index.
     """
 
     runs: Mapping[str, Sequence[str]]
@@ -623,6 +624,6 @@ SETS: dict[str, ResultSet] = {
         default=False,
     ),
 }
-"""By their names: of the files, of the tables in the pages, and on the command line."""
+"""The sets by their names, which files, tables in pages and the command line use."""
 
 assert {*COMPARED, "hqp"} == set(CONTROLLERS)

@@ -24,7 +24,8 @@ from tools.measured import SETS
 PROJECT = Path(__file__).resolve().parent.parent
 RESULTS = PROJECT / "docs" / "results"
 CODE = ("app", "robot_assets")
-"""Files that figures depend on: rows of the commit that last changed one of them are up to date."""
+"""Files on which results depend; a row is up to date if none of them has changed since its
+commit."""
 
 Rows = dict[str, dict[str, Any]]
 
@@ -125,7 +126,7 @@ def measure(name: str, again: bool, only: Collection[str] = ()) -> bool:
 
 
 def rounded(value: Any) -> Any:
-    """A value with six significant digits in each number: the last ones of a run vary."""
+    """The value with six significant digits in each number, because the last digits vary."""
     if isinstance(value, dict):
         return {key: rounded(each) for key, each in value.items()}
     if isinstance(value, list):
@@ -134,7 +135,7 @@ def rounded(value: Any) -> Any:
 
 
 def _environment() -> dict[str, str]:
-    """An environment with this checkout first, and one thread for numerics."""
+    """An environment that imports from this checkout, with one thread for numerics."""
     return {"OMP_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(PROJECT)}
 
 

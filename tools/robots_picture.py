@@ -3,7 +3,7 @@
 python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
 DBB_ROBOTS=out/gallery python tools/robots_picture.py docs/pictures/gallery.png new_tiago …
 
-If there are more than one row can hold, only the view from the side is shown.
+If one row is too short for all robots, the picture has only the view from the side.
 """
 
 import sys
@@ -32,7 +32,7 @@ IN_A_ROW = 6  # [-] robots
 
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
-    """The ready pose seen along an axis: hulls of the links in grey, bodies over them."""
+    """Draw the ready pose along an axis: the bodies over the grey hulls of the links."""
     placed = _placements(model, np.array(model.description.arm.ready_position))
     path = urdf_path(model.description)
     geometry = read_geometry(make_tree(read_robot(path)))
@@ -48,7 +48,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
 
 
 def draw_border(axes: Axes, model: RobotModel) -> None:
-    """The contours of l_m's exact offset, coloured by height."""
+    """Draw the contours of l_m's exact offset in colours by height."""
     offset, top = OffsetContours(model, D_B), float(MobileBody(model).upper[2]) + D_B
     for k, z in enumerate(np.linspace(0.02, top - 0.005, HEIGHTS)):
         for piece in offset.contours(float(z)):
@@ -57,7 +57,7 @@ def draw_border(axes: Axes, model: RobotModel) -> None:
 
 
 def main(out: Path, names: list[str]) -> None:
-    """One column a robot, from the side and from above with its border; or rows from the side."""
+    """Draw a column for each robot, from the side and from above; or rows from the side."""
     models = [RobotModel(load_robot(name)) for name in names]
     with styled():
         if len(models) <= IN_A_ROW:

@@ -581,8 +581,8 @@ def set_up_room(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 def set_up_arm(robot: Any, gains: Any, w: Any) -> int:
     """Set up the QP of the arm, for the base's assumed acceleration.
 
-    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. Subject to
-    the torques of this step, the bounds of the joints and the barriers of distances. There is no
+    Minimise ½ q̈ᵀ H q̈ + cᵀ q̈, all tasks below T_sca, with the rows of T_sca as springs. Subject
+    to the torques of this step, the bounds of the joints and the barriers of distances. There is no
     slack variable: the slack of a task or a row is its demand minus the result
     (`explanation.row_slacks`). Torques are hard limits, the others are soft.
 

@@ -51,7 +51,7 @@ def check_gains(config: Config, dt: float) -> None:
 
 
 def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
-    """The error for positions (n_m,) that are impossible for the arm; names the worst joint."""
+    """The error for positions (n_m,) far outside of the limits; it names the worst joint."""
     half = 0.5 * (model.q_upper - model.q_lower)
     i = int(np.argmax(np.abs(q_m - 0.5 * (model.q_upper + model.q_lower)) / half))
     return MeasurementError(
@@ -64,8 +64,8 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 class JointOrder:
     """Positions and velocities of the arm from joint states in a driver's own order.
 
-    As in `sensor_msgs/JointState`, joints have any order, with further joints, with or without
-    velocities. The names are resolved once; a step only picks the entries::
+    The joint states may have any order of joints, further joints, and no velocities, as in
+    `sensor_msgs/JointState`. The names are resolved once; a step only selects the entries::
 
         order = loop.joint_order(message.name)
         Measurement(base_pose, base_velocity, *order(message.position, message.velocity))

@@ -1,4 +1,4 @@
-"""The whole control at 1 kHz in one object, for a robot's own loop and for the simulation."""
+"""The complete control at 1 kHz in one object, for your own loop and for the simulation."""
 
 import logging
 from collections.abc import Sequence
@@ -24,10 +24,10 @@ class Command(NamedTuple):
     """The commands of one control step."""
 
     u_a: Array
-    """(n_m,) [N m or N] torques of the arm, with gravity and Coriolis terms."""
+    """(n_m,) [N m or N] torques of the arm, including gravity and Coriolis terms."""
     base_velocity: Array
-    """(n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one; renewed at the
-    base's own slow rate."""
+    """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base. It
+    changes once in each command period, at 10 Hz by default."""
     step: ControlStep
     """All quantities of the step, such as the distances; the next step overwrites them."""
 
@@ -35,23 +35,27 @@ class Command(NamedTuple):
     def gravity(self) -> Array:
         """(n_m,) [N m or N] the gravity terms in `u_a`.
 
-        Subtract them for a driver that adds gravity itself, such as those of UR and Franka.
+        Subtract them if the robot's driver adds gravity compensation, as for UR and Franka.
         """
         return self.step.g[self.step.n_b :].copy()
 
     @property
     def load(self) -> float:
-        """[kg] the mass at the end-effector whose weight explains the external torques best."""
+        """[kg] mass at the end-effector whose weight best explains the external torques."""
         return float(self.step.load)
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Names of all faults of the readings of this step; `FAULTS` explains them."""
+        """Names of all faults of this step's readings; `app.control.readings.FAULTS` explains
+        them.
+        """
         return tuple(name for name, is_on in zip(FAULTS, self.step.faults, strict=True) if is_on)
 
 
 class ControlLoop:
-    """The controller with the base's drive and admittance law, for a user's own loop at 1/dt."""
+    """The controller, with the model of the base's drive and the admittance law, for your own
+    loop.
+    """
 
     def __init__(
         self,
@@ -67,11 +71,11 @@ class ControlLoop:
 
         Args:
             model: The robot.
-            data: Its link pairs and border; default: from the cache, or sampled now.
-            config: Parameters; default: those of the robot.
+            data: Its link pairs and border; default: read from the cache, or sampled now.
+            config: Parameters; default: the parameters of the robot.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] control period.
-            interpolate: Whether references that leap are interpolated (`app.control.references`).
+            interpolate: Whether to interpolate references that jump (`app.control.references`).
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -102,8 +106,8 @@ class ControlLoop:
     def reset(self) -> None:
         """Start again: the next reading is the robot's present state, at rest.
 
-        Call it after a protective stop, or after a person has moved the arm. Commands,
-        posture and estimate are forgotten.
+        Call it after a protective stop, or after a person has moved the arm. It clears commands,
+        posture and estimate.
         """
         self.controller.reset()
         self.reported.clear()
@@ -121,7 +125,8 @@ class ControlLoop:
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the
-                first reading is that of another pose or unit.
+                first reading has a joint far outside of its limits, for example in degrees; or
+                the reference is not a finite motion.
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)

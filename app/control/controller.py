@@ -65,8 +65,8 @@ _UNKNOWN = ("d_b", "u_a", "v_last", "q_posture", "reading", "x_sent")  # NaN unt
 class Controller:
     """Reactive self-collision avoidance: Algorithm 2, with all its data.
 
-    With a reference the end-effector tracks it; without one a person guides the arm: gravity
-    compensation, joint damping and the avoidance task.
+    With a reference the end-effector tracks this reference. Without one a person guides the arm,
+    and the controller applies gravity compensation, joint damping and the avoidance task.
     """
 
     def __init__(
@@ -81,8 +81,13 @@ class Controller:
     ) -> None:
         """Prepare the controller.
 
-        `name` is one of `CONTROLLERS`, `dt` [s] the control period, and `interpolate` says whether
-        references that leap are interpolated (`references`); `configure` changes the parameters.
+        Args:
+            model: The robot.
+            data: Its link pairs and border.
+            config: Parameters, which `configure` changes.
+            name: One of `CONTROLLERS`.
+            dt: [s] control period.
+            interpolate: Whether to interpolate references that jump (`app.control.references`).
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -107,7 +112,7 @@ class Controller:
         self.reset()
 
     def use(self, name: str) -> None:
-        """Use another of the compared methods from the next step on.
+        """Use another controller from the next step on.
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -119,8 +124,8 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        A new d_b or ε selects another border from the same samples; the buffer distance in force
-        approaches the new one at `algorithm.BUFFER_RATE`, because a jump would accelerate an arm
+        A new d_b or ε selects another border from the same samples. The buffer distance in use
+        approaches the new d_b at `algorithm.BUFFER_RATE`, because a jump would accelerate an arm
         inside the buffer abruptly.
 
         Raises:
@@ -162,7 +167,7 @@ class Controller:
 
     @property
     def d_b(self) -> float:
-        """[m] the buffer distance in force."""
+        """[m] the buffer distance in use, which approaches a new d_b slowly."""
         return self._config.border.d_b if np.isnan(self.last.d_b) else float(self.last.d_b)
 
     def step(
@@ -172,7 +177,8 @@ class Controller:
         *,
         base_acceleration: Array | None = None,
     ) -> ControlStep:
-        """One pass of Algorithm 2 with the commanded or the measured acceleration of the base.
+        """Compute one step of Algorithm 2, with the commanded or the measured acceleration of the
+        base.
 
         Args:
             measurement: The sensors' readings.
@@ -180,14 +186,15 @@ class Controller:
             base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base.
 
         Returns:
-            The quantities of this step, overwritten by the next one. There is always a command:
-            if the readings are not finite or a QP has no solution, the fallback command is
-            gravity compensation with damping at the last valid state (before the first one, at the
-            arm's ready posture), and a base that brakes.
+            The quantities of this step, which the next step overwrites. They always contain a
+            command. If the readings are not valid or the arm's QP has no solution, it is the
+            fallback command: gravity compensation and damping at the last valid state (before the
+            first one, at the ready pose), and a base that brakes.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the
-                first reading is that of another pose or unit.
+                first reading has a joint far outside of its limits, for example in degrees; or
+                the reference is not a finite motion.
         """
         if base_acceleration is None:
             return self._step(measurement, reference, BASE_AS_COMMANDED)

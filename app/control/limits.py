@@ -103,9 +103,10 @@ def torque_reachable_bounds(
 
     No joint demands more than its own torque achieves in this step with the other torques in the
     middle of their ranges. If one joint demanded more, the other torques would saturate in
-    alternation and destabilise an arm whose torque limits are exceeded. The gain of a joint's speed
-    is bounded too: at the rate r of its torque q̈_i changes by (M⁻¹)_ii r, so that it may be √(2
-    (M⁻¹)_ii r v) with the distance v to the velocity limit.
+    alternation and destabilise an arm whose torque limits are exceeded. The acceleration towards a
+    velocity limit is bounded too: if a joint's torque changes at the rate r, its acceleration q̈_i
+    changes at the rate (M⁻¹)_ii r. With the distance v to the velocity limit, the joint can
+    therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
 
     Args:
         M: (n, n) inertia matrix.
@@ -215,7 +216,8 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
 def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
     """(n,) torque with which each joint alone holds its speed, without external forces.
 
-    The others have their present accelerations q̈ (n,): a wrist at its speed limit needs more torque
-    while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity terms.
+    The others have their present accelerations q̈ (n,): a wrist at its speed limit needs more
+    torque while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity
+    terms.
     """
     return h + M @ qdd - np.diag(M) * qdd

@@ -1,17 +1,18 @@
 """The table of quantities: each quantity of a control step is declared once.
 
 A `ControlStep` is the memory of these quantities. The compiled law (`app.control.algorithm`) writes
-them; logs, the explanation, studies and tests read them under the same names. All stay until the
-next step overwrites them; "memory" marks those that it builds on and that `reset` clears. The
-estimate also reads M, h, L_aa, J_ee, base_velocity and a_base_meas of the last step, and in a step
-without valid readings all kinematics are those of the last valid one. Outside of the table are the
-control period in use (`Controller.dt`) and the state of the drive (`RobotState.drive`).
+them; logs, the explanation, studies and tests read them under the same names. The next step
+overwrites them. "Memory" marks the quantities that the next step also reads; `reset` clears these.
+In addition, the estimate reads M, h, L_aa, J_ee, base_velocity and a_base_meas of the last step. In
+a step without valid readings all kinematics are those of the last valid step. Two states are not in
+the table: the control period in use (`Controller.dt`) and the state of the drive
+(`RobotState.drive`).
 
-Frames: `world` has its floor at z = 0; `base` is fixed to the base's reference point on the floor,
-x ahead. Coordinates: `axes` are the base's velocity axes ν, which are fixed to it: v and ω of a
-differential base; an acceleration is the derivative of these components. `joints` are the arm's.
-`reduced` are (q̇_b, q̇_m): the base's own coordinates, wheel speeds of a differential base, then the
-arm's joints.
+Frames: `world` has its floor at z = 0. `base` is fixed to the base's reference point on the floor,
+and its x axis points ahead. Coordinates: `axes` are the base's velocity axes ν, fixed to the base:
+v and ω for a differential base. An acceleration is the derivative of these components. `joints` are
+the joints of the arm. `reduced` are (q̇_b, q̇_m): the base's reduced velocities (the wheel speeds
+of a differential base), then the joint velocities of the arm.
 """
 
 from __future__ import annotations
@@ -53,13 +54,13 @@ DIMENSIONS = {
     "n": "degrees of freedom of the reduced velocity q̇ = (q̇_b, q̇_m): n_b + n_m",
     "n_b": "velocity axes of the base",
     "n_m": "joints of the arm",
-    "n_j": "pinocchio's joints: the world, the base and those of the arm",
+    "n_j": "pinocchio's joints: the world, the base and the joints of the arm",
     "n_q": "entries of pinocchio's configuration, 4 + n_m",
     "n_v": "entries of pinocchio's velocity, 3 + n_m",
     "n_p": "link pairs, those of L_m first",
     "n_mob": "link pairs of L_m",
-    "n_r": "distances: one of each pair, then one of each convex part of a base of several parts",
-    "n_s": "rows of T_sca: n_b of the base, n_p − n_mob between links, 3 n_mob of T_rep",
+    "n_r": "distances: one for each pair, then one for each convex part of a base of several parts",
+    "n_s": "rows of T_sca: n_b of the base, n_p − n_mob between links, then 3 n_mob of T_rep",
     "n_l": "limits: n_m torques, n_m joints, then distances, then n_b accelerations of the base",
 }
 """The sizes of the arrays."""
@@ -83,67 +84,73 @@ R_ee | | 3 3 | 1 | world | | rotation of the end-effector
 p_ee | | 3 | m | world | | position of the end-effector
 J_ee | J_2 | 6 n | m/rad, 1 | world | (26) | end-effector Jacobian
 v_ee | ẋ | 6 | m/s, rad/s | world | (26) | end-effector velocity
-Jdqd_ee | J̇_2 q̇ | 6 | m/s², rad/s² | world | (26) | its bias acceleration
-twists | | n_j 6 | m/s, rad/s | world | | twist of each joint's body
-biases | | n_j 6 | m/s², rad/s² | world | | its change at q̈ = 0
+Jdqd_ee | J̇_2 q̇ | 6 | m/s², rad/s² | world | (26) | end-effector acceleration at q̈ = 0
+twists | | n_j 6 | m/s, rad/s | world | | velocity of the body on each joint: linear, then angular
+biases | | n_j 6 | m/s², rad/s² | world | | acceleration of these bodies at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings | 1 if the readings are usable, else 0
-faults | | 10 | 1 | | readings | 1 for each of `readings.FAULTS` that the readings of the step have
+faults | | 10 | 1 | | readings |
+    1 for each fault of this step's readings, in the order of `readings.FAULTS`
 age | | | 1 | | readings | memory: periods since the newest reading
-lag | | | 1 | | readings | memory: periods by which the readings are late
-ratio | | | 1 | | readings | memory: way of a joint by the integral of its velocities
-agreed | | | 1 | | readings | memory: intervals in a row that agree on another ratio
+lag | | | 1 | | readings | memory: delay of the readings in periods
+ratio | | | 1 | | readings | memory: ratio of a joint's motion to the integral of its velocity
+agreed | | | 1 | | readings | memory: successive intervals with the same ratio other than 1
 stride | | | 1 | | readings | memory: periods between the two newest readings
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
-rested | | | 1 | | readings | memory: equal readings of a robot at rest
+rested | | | 1 | | readings | memory: number of equal readings while the robot rests
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
 pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
 history | | 128 n_m | rad/s² | joints | readings |
-    memory: known accelerations of the last periods, in a ring
-periods | | | 1 | | readings | memory: the newest row of the ring
-known | | | 1 | | readings | memory: rows of the ring since the last gap
+    memory: predicted joint accelerations of the last periods, as a ring buffer
+periods | | | 1 | | readings | memory: newest row of that buffer
+known | | | 1 | | readings | memory: number of its rows since the last gap
 read_before | | 3 n_m | rad | joints | readings | memory: positions of the last three readings
-read_ages | | 3 | 1 | | readings | memory: periods since them
+read_ages | | 3 | 1 | | readings | memory: age of these readings in periods
 evidence | | 26 | 1 | | readings |
-    memory: readings that speak for each lag, and for a longer one
+    memory: evidence for each lag from 0 to 24 periods, and for a longer one
 travel | | 2 n_m | rad | joints | readings |
-    memory: positions from which the period is measured, and the integral of the velocities
-since | | | 1 | | readings | memory: readings in that integral
+    memory: start positions for the measurement of the period, and the integral of the velocities
+since | | | 1 | | readings | memory: number of readings in that integral
 load | m | | kg | | readings |
-    memory: mass at the end-effector whose weight explains the external torques best
-load_first | | | kg | | readings | memory: the same before the force began, then as it has begun
-loaded | | | s | | readings | memory: time for which it explains them well; −∞ if it has changed
+    memory: mass at the end-effector whose weight best explains the external torques
+load_first | | | kg | | readings |
+    memory: `load` before the force; from 0.03 s after its beginning on, `load` of that instant
+loaded | | | s | | readings |
+    memory: time during which `load` explains these torques well; −∞ after a change of the mass
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
-    memory: position, velocity, external acceleration q̈_ext of now
+    memory: present position, velocity and external acceleration q̈_ext
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
-    memory: Kalman state, the same at the newest reading
-P_est | P | n_m 3 3 | | joints | estimate | memory: its covariance
+    memory: Kalman state: these quantities at the newest reading
+P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman state
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
 q_last |  | 3 n_m | rad | joints | estimate |
-    memory: last velocity by positions, position, and unexplained second difference
-samples | | | 1 | | estimate | memory: samples of the noise
+    memory: last velocity from positions, last position, and their second difference minus the
+    prediction
+samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration
-d_b | d_b | | m | | §2.2 | memory: buffer distance in force
+d_b | d_b | | m | | §2.2 | memory: present buffer distance; it approaches a new d_b slowly
 d | d | n_r | m | | line 4 | signed distances
 p_a | p_a | n_r 3 | m | world | line 4 | closest points on l_a
 p_b | p_b | n_r 3 | m | world | line 4 | closest points on l_b
 normal | n | n_r 3 | 1 | world | (21) | signed normals from l_a to l_b
-core | | n_r 3 | m | world | (21) | points of the core of l_b behind p_b
+core | | n_r 3 | m | world | (21) | points of the core of l_b that belong to p_b
 J | J_r | n_r n | m/rad, 1 | reduced | (21) | Jacobians of the distances
 Jdqd | J̇_r q̇ | n_r | m/s² | | (21) | accelerations of the distances at q̈ = 0
 d_dot | ḋ | n_r | m/s | | (21) | speeds of the distances
 beta | β | n_p | 1 | | Fig. 10 | activation of each pair
-beta_m | β_m | | 1 | | (28) | largest activation of L_m; the base's rows have B
+beta_m | β_m | | 1 | | (28) |
+    largest activation of L_m; `B` has the activation that the base's rows use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
 p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score
 p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point
 tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n
 alpha | α | n_mob | m | | (13) | step size
 f | f_m,i | n_mob 3 | N | base | (14) | force on the base, 0 while β = 0
-xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) | desired base acceleration, before β_m
+xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) |
+    desired base acceleration of the force, without the factor β_m
 # Tasks
 J_sca | J_sca | n_s n | | | (25) | Jacobian of T_sca
 b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand side of T_sca
@@ -155,62 +162,64 @@ x_ref | x_d | 4 3 | 1, m | world | (26) |
 v_ref | ẋ_d | 6 | m/s, rad/s | world | (26) | reference velocity
 a_ref | ẍ_d | 6 | m/s², rad/s² | world | (26) | reference acceleration
 x_sent | | 4 3 | 1, m | world | references | memory: pose of the newest reference; NaN before
-v_sent | | 6 | m/s, rad/s | world | references | memory: its velocity
-a_sent | | 6 | m/s², rad/s² | world | references | memory: its acceleration
+v_sent | | 6 | m/s, rad/s | world | references | memory: velocity of this reference
+a_sent | | 6 | m/s², rad/s² | world | references | memory: acceleration of this reference
 x_origin | | 4 3 | 1, m | world | references | memory: first pose of the interpolating polynomial
-way | | 6 6 | m, rad | world | references | memory: its coefficients, by power of the time
-way_time | | | s | | references | memory: time since its beginning
-way_duration | | | s | | references | memory: its duration; 0 without a polynomial
-way_continues | | | 1 | | references | memory: 1 if it does not end at rest
+way | | 6 6 | m, rad | world | references |
+    memory: coefficients of this polynomial by the power of time
+way_time | | | s | | references | memory: time since the beginning of this polynomial
+way_duration | | | s | | references | memory: duration of the polynomial; 0 without one
+way_continues | | | 1 | | references | memory: 1 if the polynomial does not end at rest
 since_sample | | | s | | references | memory: time since the newest sample of a planner
-sample_interval | | | s | | references | memory: mean time between samples; 0 without a motion
+sample_interval | | | s | | references | memory: mean time between the samples of a motion; else 0
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
 b_ee | | 6 | m/s², rad/s² | world | (26) | right-hand side of T_ee
 lm_damping | λ | | m² | | end_effector_task | Levenberg-Marquardt damping of T_ee
 q_posture |  | n_m | rad, m | joints | posture_objective |
-    memory: posture, that of the first valid measurement; NaN before
+    memory: arm posture of the first valid measurement; NaN before
 u_free | u_0 | n_m | N m, N | joints | free_arm_torque | torque of a guided arm without avoidance
-H_low | H | n n | | reduced | (26) | Hessian of the lowest task: posture, or guided arm
-c_low | c | n | | reduced | (26) | its linear term
+H_low | H | n n | | reduced | (26) |
+    Hessian of the task with the lowest priority: posture, or guided arm
+c_low | c | n | | reduced | (26) | linear term of that task
 H | H | n n | | reduced | (26) | Hessian of all tasks below T_sca
-c | c | n | | reduced | (26) | its linear term
+c | c | n | | reduced | (26) | linear term of these tasks
 # Limits, the base, the arm
 u_min | | n_m | N m, N | joints | torque_range | smallest torque of this step
 u_max | | n_m | N m, N | joints | torque_range | largest torque of this step
 C | C | n_l n | | | limits.py | rows of the limits l ≤ C q̈ ≤ u
 l | l | n_l | | | limits.py | lower limits
 u | u | n_l | | | limits.py | upper limits
-slack_weight | ε² | n_l | 1 | | limits.py | a limit with a larger one is softer; 0 is hard
+slack_weight | ε² | n_l | 1 | | limits.py | softness of each limit; a limit with 0 is hard
 n_limits | | | 1 | | limits.py | rows of C in the arm's QP
 a_base_free | | n_b | m/s², rad/s² | axes | (29) | base acceleration without the base's rows
 a_base_des | | n_b | m/s², rad/s² | axes | (29) | desired base acceleration: the blend of (29)
 a_base_cmd |  | n_b | m/s², rad/s² | axes | command_base |
     commanded base acceleration, input of the admittance law
 a_base_meas | | n_b | m/s², rad/s² | axes | assume_base |
-    base acceleration in the arm's QP: by the drive's model, by the caller, or as commanded
+    base acceleration in the arm's QP: of the drive's model, of the caller, or the commanded one
 qdd | q̈ | n | rad/s², m/s² | reduced | (29) |
     solution of the arm's QP; NaN with the fallback command
 u_cmd | u | n_m | N m, N | joints | (26) | commanded arm torque
 u_a | u | n_m | N m, N | joints | (26) |
     memory: commanded arm torque after the first measured posture; NaN before
-solved | | | 1 | | | 1 if the command solves the QP, 0 for the fallback command
-failures | | | 1 | | | memory: steps with the fallback command
-given_up | | | 1 | | | memory: steps in which the base's QP had no solution
-a_sum | | n_b | m/s, rad/s | axes | §4.1 | memory: a_base_cmd summed over the command period
+solved | | | 1 | | | 1 if the command is the QP's solution, 0 if it is the fallback command
+failures | | | 1 | | | memory: number of steps with the fallback command
+given_up | | | 1 | | | memory: number of steps without a solution of a QP of the base
+a_sum | | n_b | m/s, rad/s | axes | §4.1 | memory: integral of a_base_cmd over the command period
 t_sum | | | s | | §4.1 | memory: time since the last velocity command
-command_due | | | 1 | | §4.1 | 1 if the velocity command is new
+command_due | | | 1 | | §4.1 | 1 in a step with a new velocity command
 v_before | | n_b | m/s, rad/s | axes | §4.1 | velocity command of the last command period
-v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: velocity command in force
-# A problem that Python has to solve, by ProxQP
-qp_open | | | 1 | | | 1 to 4: the problem for Python to solve; 0 none
-qp_x | | 4 n | | reduced | | solutions of these problems by ProxQP; NaN: none
-qp_tried | | 4 | 1 | | | 1 where ProxQP was tried
+v_cmd | ν_cmd | n_b | m/s, rad/s | axes | §4.1 | memory: present velocity command
+# A QP that Python has to solve
+qp_open | | | 1 | | | number 1 to 4 of the QP that Python has to solve; 0 without one
+qp_x | | 4 n | | reduced | | solutions of the four QPs from Python; NaN without a solution
+qp_tried | | 4 | 1 | | | 1 for each QP that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
-qp_c | | n | | reduced | | its linear term
-qp_fixed | | n_b | | reduced | | its fixed first entries
-qp_rows | | | 1 | | | rows of its limits in C, l, u, slack_weight
+qp_c | | n | | reduced | | linear term of the open QP
+qp_fixed | | n_b | | reduced | | fixed first entries of the solution
+qp_rows | | | 1 | | | number of its rows in C, l, u and slack_weight
 """
-"""Of each quantity: name | symbol | shape | unit | frame | source | meaning."""
+"""A line for each quantity: name | symbol | shape | unit | frame | source | meaning."""
 
 
 def _read_table(text: str) -> tuple[Quantity, ...]:
@@ -246,7 +255,7 @@ STEP = struct_type(
 class ControlStep:
     """The quantities of one control step, by the names of the table.
 
-    Each is an array that the next step overwrites; numbers are arrays of no dimension.
+    Each quantity is an array that the next step overwrites; a number is an array without dimension.
     """
 
     def __init__(
@@ -262,11 +271,11 @@ class ControlStep:
             sizes: The dimensions of `DIMENSIONS`.
             pinocchio: The views of `PINOCCHIO`.
             pairs: The link pairs, those of L_m first.
-            rows: For each pair: its row among the distances, and those of its convex parts.
+            rows: For each pair: the row of its distance, and the rows of its convex parts.
         """
         self.pairs, self.rows = tuple(pairs), rows
         self.pinocchio: object = None
-        """The owner of the views' memory; it lives as long as they."""
+        """The owner of the memory of these views; it must exist as long as the views."""
         self.n_b, self.n_mob = sizes["n_b"], sizes["n_mob"]
         shapes = [
             [sizes[size] if size in sizes else int(size) for size in each.shape.split()]
@@ -294,11 +303,11 @@ class ControlStep:
 
     @property
     def base_avoidance(self) -> Array:
-        """(n_b,) [m/s² or rad/s²] β_m ẍ_m of the method, 0 if it has no such term."""
+        """(n_b,) [m/s² or rad/s²] β_m ẍ_m; 0 if the method does not move the base."""
         return self.B[: self.n_b] * self.xdd_m
 
     def copy(self) -> Self:
-        """The same values in separate memory, which no step overwrites."""
+        """A copy in separate memory, which no step overwrites."""
         copied = type(self).__new__(type(self))
         copied.__dict__.update(
             {

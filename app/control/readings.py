@@ -1,15 +1,17 @@
-"""Which instant the readings belong to, and whether they can be true.
+"""The age and the plausibility of the readings, and the present state of the robot.
 
-A step runs once a period, whether or not there is a new reading. The estimate of the arm belongs
-to the newest reading; torques and base have moved the robot since then, and the state of now is
-predicted from that, over the reading's age. So a reading that is repeated, dropped or known to be
-late is one and the same case. Three quantities are found in the readings themselves:
+A step runs once in each period, with or without a new reading. The Kalman filter estimates the
+state of the arm at the newest reading. The present state is predicted from this state over the age
+of the reading, with the known torques and the motion of the base. Thus repeated readings, lost
+readings, and readings with a known delay are the same case. Three properties are estimated from the
+readings themselves:
 
-- **The lag**, by which the accelerations that torques and base make appear in the positions.
-- **The period**: the way of a joint, divided by its velocities' integral over the stated period,
-  is 1; three times another ratio in a row, while the readings come at regular intervals, and the
-  loop does not run at that period.
-- **Velocities** that no period explains, for their ratio is out of all proportion, are not used.
+- **The lag** is the delay with which accelerations by the torques and by the base appear in the
+  measured positions.
+- **The period**: the motion of a joint, divided by the integral of its velocity over the stated
+  period, is 1. If the readings arrive at regular intervals, and three successive ratios agree on
+  another value, the loop does not run at the stated period.
+- **The velocities** are not used if no plausible period explains their ratio to the positions.
 """
 
 import math
@@ -26,48 +28,49 @@ from app.structs import fill, put, put_rows
 
 FAULTS = {
     "invalid": "a position, the base's pose or its velocity is not a finite number",
-    "implausible": "a joint is farther beyond its limits than half its range: degrees, or another "
-    "order of the joints?",
-    "velocity": "joint velocities are missing, or do not belong to the positions: the positions "
-    "alone are used",
-    "repeated": "the readings are the last ones again: the motion since then is predicted",
-    "stale": "the readings have not changed for 0.1 s although the robot moves: the fallback "
-    "command is in force",
-    "jump": "the arm cannot have moved to this reading: the estimate begins anew there",
-    "lag": "the readings are older than stated: compensated up to 24 periods",
-    "period": "the loop does not run at its stated period: the measured one is used from now on",
+    "implausible": "a joint is beyond its limits by more than half its range: check the unit "
+    "(degrees?) and the order of the joints",
+    "velocity": "joint velocities are missing, or do not match the positions: only the positions "
+    "are used",
+    "repeated": "the readings have not changed: the motion since the last new reading is predicted",
+    "stale": "the readings have not changed for 0.1 s although the robot moves: the step returns "
+    "the fallback command",
+    "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
+    "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
+    "period": "the loop does not run at its stated period: it uses the measured period from now on",
     "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
-    "load": "a force straight down acts on the end-effector: state a load as `payload.mass`",
+    "load": "a constant downward force acts on the end-effector: set `payload.mass` for a load",
 }
-"""Possible faults of the readings of a step, by name, in the order of `ControlStep.faults`."""
+"""The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
 INVALID, IMPLAUSIBLE, VELOCITY, REPEATED, STALE, JUMP, LAG, PERIOD, LOCALISATION, LOAD = range(10)
 
 HISTORY = 128
-"""Periods over which a reading's age can be bridged."""
-_MAX_AGE = 0.1  # [s] without a new reading, until the fallback command
-_STILL = 1e-7  # [rad] of predicted motion in a period with which a robot may be at rest
-_FARTHEST = 10.0  # [-] of the base's way at its top speed; else its pose has jumped
-_LEAST_WAY = 0.002  # [rad] over which the period is measured
-_NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
-_AGREED = 2  # intervals that agree with the first one on another ratio
-_MOST_LAG = 24  # periods
-_CLEARLY = 10.0  # [-] squared errors of other predictions, in that of a lag that is right
-_CONVINCING = 10.0  # readings that must speak for another lag
-_LEAST_LOAD = 0.3  # [kg] that is reported
-_LOAD_BEGINS = 0.03  # [s] in which a load is there
-_LOAD_TIME = 0.15  # [s] from its begin, until which its mass must stay the same
-_LOAD_CHANGES = 0.05  # [-] of a mass that is the same
+"""Largest age of a reading in periods over which the motion can be predicted."""
+_MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
+_STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
+_FARTHEST = 10.0  # [-] multiple of the motion at top speed above which the pose has jumped
+_LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
+_NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
+_AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
+_MOST_LAG = 24  # [periods] largest lag
+_CLEARLY = 10.0  # [-] required ratio of squared errors: other predictions to the right lag
+_CONVINCING = 10.0  # number of readings that must support another lag
+_LEAST_LOAD = 0.3  # [kg] smallest reported load
+_LOAD_BEGINS = 0.03  # [s] time within which a load reaches its mass
+_LOAD_TIME = 0.15  # [s] time from its beginning during which its mass must be constant
+_LOAD_CHANGES = 0.05  # [-] largest relative change of a constant mass
 _GRAVITY = 9.81  # [m/s²]
-_LEAST_CURVE = 1e-14  # [rad²] of a reading's surprise, from which it says anything about the lag
+_LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones show no lag
 
 
 @compiled()
 def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
-    """The positions (n_m,) without leaps of a full turn, where the joint's limits allow that.
+    """The positions (n_m,) without jumps by full turns, if the limits (2, n_m) of the joint allow
+    it.
 
-    A driver may wrap a joint that turns without end to ±π. The turn is the one nearest to the last
-    position (n_m,), at the first reading the one within the limits (2, n_m).
+    A driver may wrap the position of a joint without limits to ±π. The result is the position
+    nearest to the `last` one (n_m,), and at the `first` reading the one within the limits.
     """
     found = q.copy()
     for i in range(len(q)):
@@ -86,7 +89,7 @@ def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
 
 @compiled()
 def _same(a: Array, b: Array) -> bool:
-    """Whether two arrays agree to the bit; not a number agrees with itself."""
+    """Whether two arrays are equal; two entries that are NaN count as equal."""
     for i in range(len(a)):
         if a[i] != b[i] and not (math.isnan(a[i]) and math.isnan(b[i])):
             return False
@@ -95,7 +98,7 @@ def _same(a: Array, b: Array) -> bool:
 
 @compiled()
 def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether readings say that the robot moves, or do not say whether it does."""
+    """Whether the robot moves according to its readings; `unknown` if all velocities are 0."""
     for v in base_velocity:
         if v != 0.0:
             return True
@@ -109,7 +112,7 @@ def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
 def _is_repeated(
     w: Any, base_pose: Array, base_velocity: Array, q: Array, qd: Array, dt: float
 ) -> bool:
-    """Whether these are the last readings again, of a robot that has moved since."""
+    """Whether the readings equal the last readings although the robot has moved."""
     if not (
         _same(q, w.reading[0])
         and _same(qd, w.reading[1])
@@ -131,10 +134,10 @@ def _is_repeated(
 
 @compiled()
 def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
-    """Periods in which a robot at rest began to move, while its readings were repeated.
+    """Number of periods in which a robot at rest began to move while its readings were repeated.
 
-    A robot at rest may send the same readings again and again; that the driver repeats them shows
-    in the next ones: they are farther away than a joint moves in one period.
+    Equal readings of a robot at rest do not show whether the driver repeats them. It has repeated
+    them if the next reading is farther away than a joint moves in one period.
     """
     if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
         w.rested[()] = 0.0 if first else w.rested[()] + 1.0
@@ -149,7 +152,7 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
 
 @compiled()
 def _implausible(q: Array, limits: Array) -> bool:
-    """Whether a joint is farther beyond its limits (2, n_m) than half its range."""
+    """Whether a joint is beyond its limits (2, n_m) by more than half its range."""
     for i in range(len(q)):
         half = 0.5 * (limits[1, i] - limits[0, i])
         if q[i] < limits[0, i] - half or q[i] > limits[1, i] + half:
@@ -159,7 +162,7 @@ def _implausible(q: Array, limits: Array) -> bool:
 
 @compiled()
 def _recall(w: Any, ago: int, count: int) -> Array:
-    """(count, n_m) accelerations of `count` periods; the last of them is `ago` periods old."""
+    """(count, n_m) predicted accelerations of `count` periods; the newest is `ago` periods old."""
     found = np.empty((count, w.history.shape[1]))
     for k in range(count):
         put(found[k], w.history[(int(w.periods[()]) - ago - count + 1 + k) % HISTORY])
@@ -168,7 +171,7 @@ def _recall(w: Any, ago: int, count: int) -> Array:
 
 @compiled()
 def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool) -> None:
-    """Add the acceleration of the period that has just ended to those that are known."""
+    """Store the predicted acceleration of the period that has just ended."""
     if math.isnan(w.v_last[0]) or math.isnan(w.u_a[0]):
         w.known[()] = 0.0  # a gap
         return
@@ -185,7 +188,7 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 @compiled()
 def _explained(w: Any, dt: float, count: int) -> Array:
-    """(count, n_m) [rad] ways that the known accelerations explain, since the oldest period.
+    """(count, n_m) [rad] motion since the oldest period that the stored accelerations predict.
 
     The first row is the newest period.
     """
@@ -201,7 +204,9 @@ def _explained(w: Any, dt: float, count: int) -> Array:
 
 @compiled()
 def _parabola(ages: Array) -> Array:
-    """(3,) weights of values of some ages, with which the parabola through them is at age 0."""
+    """(3,) weights with which values of the given ages (3,) extrapolate to age 0 along a
+    parabola.
+    """
     found = np.ones(3)
     for k in range(3):
         for j in range(3):
@@ -212,12 +217,12 @@ def _parabola(ages: Array) -> Array:
 
 @compiled()
 def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
-    """Measure by how many periods the readings are late, in `w.lag`.
+    """Estimate `w.lag`, the delay of the readings in periods.
 
-    Each lag predicts how far the newest reading lies from the parabola through the three before
-    it. A lag gains evidence where it predicts that far better than the one in use, and than no
-    prediction at all; else it loses some (the sums of a CUSUM test). A reading counts for one at
-    most, so that no single event decides.
+    Each possible lag predicts the deviation of the newest reading from the parabola through the
+    three readings before it. A lag gains evidence if its prediction is far better than that of the
+    present lag and than a prediction of 0; otherwise it loses evidence (the sums of a CUSUM test).
+    A single reading adds at most 1, so no single event can decide.
     """
     ages = w.read_ages
     for k in range(3):
@@ -239,12 +244,12 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
 
 @compiled()
 def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: float) -> None:
-    """Count the evidence of one more reading, and use the lag for which it is clear.
+    """Update the evidence with one reading, and change the lag if the evidence is sufficient.
 
     Args:
         w: `STEP`.
         weights: (3,) of `_parabola`.
-        measured: (n_m,) [rad] from the parabola to the newest reading.
+        measured: (n_m,) [rad] deviation of the newest reading from the parabola.
         ways: (k, n_m) [rad] of `_explained`.
         size: [rad²] squared length of `measured`: the error without any prediction.
     """
@@ -270,7 +275,7 @@ def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: floa
 
 @compiled()
 def _measure_from(w: Any, q: Array) -> None:
-    """Measure the period anew from the positions q (n_m,) on."""
+    """Restart the measurement of the period at the positions q (n_m,)."""
     put(w.travel[0], q)
     fill(w.travel[1], 0.0)
     w.since[()] = 0.0
@@ -278,9 +283,9 @@ def _measure_from(w: Any, q: Array) -> None:
 
 @compiled()
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
-    """Compare the joints' ways with the integral of their velocities.
+    """Estimate `w.ratio`, the motion of a joint divided by the integral of its velocity.
 
-    `w.ratio` is 1 where both agree; `w.no_velocity` is 1 where no period can explain it.
+    `w.no_velocity` becomes 1 if no plausible period explains the ratio.
     """
     irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
     if w.known[()] == 0.0 or irregular:  # a gap, or lost readings
@@ -308,25 +313,25 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         agrees = abs(ratio - w.ratio[()]) < 0.15 * ratio
         w.agreed[()] = w.agreed[()] + 1.0 if agrees else 0.0
         w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
-        w.samples[()] = 0.0  # the readings themselves, until this is clear
+        w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = ratio
     _measure_from(w, q)
 
 
 @compiled()
 def _begin(gains: Any, w: Any, q: Array) -> None:
-    """The first valid reading."""
+    """Initialise the memory with the first valid reading."""
     put(w.q_posture, q)
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 1.0
     _measure_from(w, q)
     for k in range(3):
-        w.read_ages[k] = HISTORY * (k + 1.0)  # there are no readings before
+        w.read_ages[k] = HISTORY * (k + 1.0)  # no earlier readings exist
 
 
 @compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Take the base's readings, and notice a pose that leaps."""
+    """Store the readings of the base, and detect a jump of its pose."""
     if not first:
         steps = 1.0 + w.age[()]
         far = _FARTHEST * steps * gains.dt * max(robot.v_max[0], 1.0)
@@ -341,10 +346,10 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 
 @compiled()
 def _estimate_load(gains: Any, w: Any) -> None:
-    """The mass whose weight at the end-effector explains the external torques best.
+    """Estimate the mass at the end-effector whose weight best explains the external torques.
 
-    It is reported where it does so at once, and by the same mass for a while. The force of a person
-    grows, and changes as the hand moves.
+    The fault `load` reports a mass that appears within 0.03 s and then stays constant. A person's
+    force, in contrast, grows slowly and changes while the hand moves.
     """
     n_b = len(w.g) - len(w.q_m)
     torque, lift = times(w.M[n_b:, n_b:], w.x_est[2]), w.J_ee[2, n_b:]
@@ -364,7 +369,7 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if began:
         changed = abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * w.load_first[()]
     elif w.loaded[()] > _LOAD_BEGINS:
-        changed = w.load[()] < 2.0 * w.load_first[()]  # it was there before, or grows slowly
+        changed = w.load[()] < 2.0 * w.load_first[()]  # an earlier or slowly growing force
         w.load_first[()] = w.load[()]
     else:
         changed = False
@@ -375,7 +380,9 @@ def _estimate_load(gains: Any, w: Any) -> None:
 
 @compiled()
 def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
-    """Predict the arm's velocity for the fallback command, which damps the arm as it moves now."""
+    """Predict the arm's velocity without valid readings, for the damping of the fallback
+    command.
+    """
     w.age[()] += 1.0
     w.known[()] = 0.0
     fill(w.v_last, math.nan)
@@ -384,7 +391,7 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
         at_rest = np.zeros(robot.n_b)
         put(known[0], predicted_joint_acceleration(w.M, w.h, w.L_aa, w.u_a, at_rest))
         advance(w.x_est, known, gains.dt)
-        decay = math.exp(-gains.dt / gains.noise_window)  # nobody pulls the same for long
+        decay = math.exp(-gains.dt / gains.noise_window)  # an external force does not stay constant
         for i in range(len(w.q_m)):
             w.x_est[2, i] *= decay
         put(w.qd[robot.n_b :], w.x_est[1])
@@ -401,7 +408,7 @@ def take_readings(
     qd_m: Array,
     drive: Array,
 ) -> None:
-    """Estimate the robot's state of now from the readings; `w.valid` says whether there is one.
+    """Estimate the present state of the robot from the readings, if they are valid (`w.valid`).
 
     Paper: Algorithm 2, line 2, before the kinematics.
 
@@ -412,8 +419,8 @@ def take_readings(
         base_pose: (3,) x, y [m], φ [rad].
         base_velocity: (n_b,) [m/s or rad/s].
         q_m: (n_m,) [rad or m] positions.
-        qd_m: (n_m,) [rad/s or m/s] velocities; NaN, thus not checked, where the driver has none.
-        drive: (n_d,) of the drive.
+        qd_m: (n_m,) [rad/s or m/s] velocities; NaN if the driver does not measure them.
+        drive: (n_d,) state of the drive.
     """
     fill(w.faults, 0.0)
     first, repeated, q, qd = math.isnan(w.q_posture[0]), False, q_m.copy(), qd_m.copy()
@@ -455,7 +462,7 @@ def take_readings(
 
 @compiled()
 def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) -> None:
-    """Update the estimate by new readings q, qd (n_m,); velocities not to be used become NaN."""
+    """Update the estimate with new readings q and qd (n_m,); unusable velocities become NaN."""
     age = int(w.age[()])
     if first:
         _begin(gains, w, q)

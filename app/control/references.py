@@ -1,13 +1,14 @@
 """The reference of each control step, and the interpolation of a planner's samples.
 
-A planner's references arrive in steps, at 10 or 30 Hz with jitter. A reference whose pose leaps, in
-comparison with its own velocity, is a sample. At each sample a polynomial of fifth degree starts
-from the present reference position, velocity and acceleration. It ends at the sample, with the mean
-velocity since the previous one, after two mean intervals of samples: a steady motion stays steady,
-and jitter has no effect. Without a further sample it comes to rest at the last one. A sample that
-is farther away than the correction speed allows, such as the first one after a stall, is approached
-at that speed. The first reference, and references without leaps, pass unchanged: the law itself
-limits the correction speed towards them. A repeated reference is no sample.
+The references of a planner arrive in steps, for example at 10 or 30 Hz with jitter. A reference is
+a sample if its pose jumps, which means that its own velocity does not explain the change of the
+pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
+acceleration of the reference. It ends at the sample after two mean intervals, with the mean
+velocity since the previous sample. Thus a steady motion stays steady, and jitter has no effect.
+Without a further sample the reference comes to rest at the last sample. If a sample is farther away
+than the correction speed allows, as after a stall, the reference approaches it at that speed. The
+first reference and references without jumps are used unchanged: the law itself limits the
+correction speed. A repeated reference is no sample.
 """
 
 import math
@@ -24,8 +25,8 @@ from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
-_LEAP = 10.0  # [m/s² and rad/s²] acceleration in one period above which a reference is a sample
-_RATE = 0.3  # [-] weight of the newest interval in the mean time between samples
+_LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
+_RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _LATE = 1.75  # [-] mean intervals after which no further sample is expected
 _PEAK = 1.875  # [-] ratio of largest to mean speed of the polynomial from rest to rest
@@ -36,7 +37,7 @@ _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 
 @compiled()
 def forget_reference(w: Any) -> None:
-    """The next reference is the first one."""
+    """Forget all references, so that the next one counts as the first."""
     fill(w.x_sent[3], math.nan)
     w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
 
@@ -71,7 +72,7 @@ def _differs(w: Any, R: Array, p: Array, v: Array, a: Array) -> bool:
 
 @compiled()
 def _leaps(way: Array, v: Array, dt: float) -> bool:
-    """Whether the velocity v (6,) does not explain the way (6,) since the last reference."""
+    """Whether the velocity v (6,) does not explain the motion (6,) since the last reference."""
     leaps = False
     for i in range(6):
         leaps = leaps or abs(way[i] - dt * v[i]) > _LEAP * dt**2
@@ -80,7 +81,9 @@ def _leaps(way: Array, v: Array, dt: float) -> bool:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Aim at the newest sample, which is a way (6,) from the last one."""
+    """Start a polynomial to the newest sample, at the relative pose `way` (6,) to the last
+    sample.
+    """
     between = w.since_sample[()]
     w.since_sample[()] = 0.0
     if between > _LONGEST:  # the first sample of a motion
@@ -97,7 +100,11 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
 
 @compiled()
 def _aim(gains: Any, w: Any, v_end: Array) -> None:
-    """Start a polynomial from the present reference to the newest sample, which ends at v_end."""
+    """Start a polynomial from the present reference to the newest sample, with the velocity v_end.
+
+    If v_end is 0, or if the sample is too far away for the correction speed, the polynomial ends at
+    rest.
+    """
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
     goal = pose_error(w.x_origin[3], w.x_origin[:3].T, w.x_sent[3], w.x_sent[:3].T)
@@ -113,7 +120,10 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 
 @compiled()
 def _continue_way(gains: Any, w: Any) -> None:
-    """The reference on the polynomial, which comes to rest without a further sample."""
+    """Write the reference of this step on the polynomial.
+
+    If no further sample arrives in time, a new polynomial comes to rest at the last sample.
+    """
     w.way_time[()] += gains.dt
     late = w.since_sample[()] > _LATE * w.sample_interval[()]
     if w.way_continues[()] != 0.0 and late:
@@ -130,7 +140,9 @@ def _continue_way(gains: Any, w: Any) -> None:
 
 @compiled()
 def _state(way: Array, t: float) -> tuple[Array, Array, Array]:
-    """(6,) way from the origin, velocity and acceleration of a polynomial (6, 6) by power of t."""
+    """Relative pose, velocity and acceleration, each (6,), of the polynomial `way` (6, 6) at time
+    t.
+    """
     at, v, a = np.zeros(6), np.zeros(6), np.zeros(6)
     for k in range(5, -1, -1):
         at = at * t + way[k]
@@ -143,7 +155,7 @@ def _state(way: Array, t: float) -> tuple[Array, Array, Array]:
 
 @compiled()
 def _put_moved(x: Array, origin: Array, way: Array) -> None:
-    """Write the pose (4, 3) that is a way (6,) of `pose_error` from the origin (4, 3)."""
+    """Write into x (4, 3) the pose `origin` (4, 3), moved by the pose difference `way` (6,)."""
     R = rotation_by(way[3:])
     for i in range(3):
         x[3, i] = origin[3, i] + way[i]
@@ -153,9 +165,10 @@ def _put_moved(x: Array, origin: Array, way: Array) -> None:
 
 @compiled()
 def _write_quintic(way: Array, v: Array, a: Array, goal: Array, v_end: Array, T: float) -> None:
-    """Write the coefficients (6, 6), by power, from 0 at velocity v and acceleration a (6,).
+    """Write the coefficients (6, 6) of a polynomial of fifth degree, by the power of time.
 
-    It arrives at the goal (6,) after T [s], at the velocity v_end (6,) and without acceleration.
+    It starts at 0 with the velocity v (6,) and the acceleration a (6,). After T [s] it reaches the
+    goal (6,) with the velocity v_end (6,) and without acceleration.
     """
     rest = goal - T * v - T**2 / 2.0 * a
     slope, bend = T * (v_end - v - T * a), -(T**2) * a
@@ -177,10 +190,10 @@ def take_reference(
         gains: `GAINS`.
         w: `STEP`.
         R: (3, 3) rotation of the reference, in the world.
-        p: (3,) [m] its position.
-        v: (6,) its velocity, linear [m/s] over angular [rad/s].
-        a: (6,) its acceleration, linear [m/s²] over angular [rad/s²].
-        interpolate: Whether references that leap are interpolated.
+        p: (3,) [m] position of the reference.
+        v: (6,) velocity: linear [m/s], then angular [rad/s].
+        a: (6,) acceleration: linear [m/s²], then angular [rad/s²].
+        interpolate: Whether to interpolate references that jump.
 
     Returns:
         Whether R is a rotation and all numbers are finite; otherwise nothing is written.

@@ -1,7 +1,8 @@
-"""The tasks below self-collision avoidance: end-effector, posture, guided arm, base at rest.
+"""The tasks with a lower priority than self-collision avoidance: end-effector, posture, guided arm
+and base at rest.
 
-Each is an objective ½ q̈ᵀ H q̈ + cᵀ q̈ over the reduced accelerations q̈ (n,), the base's n_b
-first.
+Each task is an objective ½ q̈ᵀ H q̈ + cᵀ q̈ over the reduced accelerations q̈ (n,); the first n_b
+are those of the base.
 """
 
 import math
@@ -22,14 +23,14 @@ class Reference(NamedTuple):
     pose: pin.SE3
     """T_world_ee."""
     velocity: Array
-    """(6,) velocity, linear [m/s] over angular [rad/s]."""
+    """(6,) velocity: linear [m/s], then angular [rad/s]."""
     acceleration: Array
-    """(6,) acceleration, linear [m/s²] over angular [rad/s²]."""
+    """(6,) acceleration: linear [m/s²], then angular [rad/s²]."""
 
 
 @compiled()
 def rotation_vector(R: Array) -> Array:
-    """(3,) [rad] axis times angle of a rotation R (3, 3), the angle within [0, π]."""
+    """(3,) [rad] rotation axis times angle of R (3, 3); the angle is within [0, π]."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     q = np.empty(4)  # w, then the vector part, by the largest of the four
     if trace > 0.0:
@@ -69,7 +70,10 @@ def rotation_by(vector: Array) -> Array:
 
 @compiled()
 def pose_error(p: Array, R: Array, p_ref: Array, R_ref: Array) -> Array:
-    """x_d ⊖ x, (6,): linear [m] over angular [rad], as a rotation vector in axes of the world."""
+    """x_d ⊖ x, (6,): the linear error [m], then the angular error [rad] as a rotation vector.
+
+    Both are in axes of the world.
+    """
     error = np.empty(6)
     for i in range(3):
         error[i] = p_ref[i] - p[i]
@@ -87,13 +91,13 @@ def end_effector_task(
 ) -> tuple[Array, float]:
     """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d − ẋ) + k_p (x_d ⊖ x).
 
-    The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times a speed, so this is
-    the upper bound of the approach speed of a distant target.
+    The linear and the angular part of k_p (x_d ⊖ x) are bounded by k_v times `max_speed`. Therefore
+    the end-effector approaches a distant target with this speed.
 
     Paper: Eq. (26), its task T_2.
 
     Args:
-        pose: (6,) error of the pose, linear [m] over angular [rad].
+        pose: (6,) error of the pose: linear [m], then angular [rad].
         velocity: (6,) error of the velocity.
         acceleration: (6,) ẍ_d − J̇_ee q̇.
         k_p: [1/s²] position gain.
@@ -101,7 +105,7 @@ def end_effector_task(
         max_speed: [m/s] and [rad/s] upper bound of the correction speed.
 
     Returns:
-        (6,) the right-hand side of J_ee q̈ = b; and λ [m²], the square of the bounded error.
+        The right-hand side b (6,) of J_ee q̈ = b; and λ [m²], the square of the bounded error.
     """
     b, rest = np.empty(6), 0.0
     for part in range(0, 6, 3):
@@ -123,10 +127,10 @@ def add_tracking(
 ) -> tuple[Array, Array]:
     """Add T_ee to the posture task (H, c): the cost ½ w ‖J_ee q̈ − b‖² with a large weight w [-].
 
-    A strict level would demand unbounded accelerations if a limit or another task makes it
-    nearly dependent; the weighted task yields there, with an error of 1/w of the posture's demand.
-    A remaining error damps the posture, λ ‖q̈ + k_v q̇‖² in the metric H with λ the square of the
-    error (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
+    If a limit or another task makes a strict level nearly dependent, this level would demand
+    unbounded accelerations. The weighted task instead has an error of 1/w of the posture's demand.
+    A remaining error adds a damping λ ‖q̈ + k_v q̇‖² in the metric H, where λ is the square of the
+    error (Levenberg and Marquardt, by Sugihara 2011). Thus an arm at full stretch comes to rest.
 
     Paper: Eq. (26).
 
@@ -173,10 +177,11 @@ def posture_objective(
     """Move the arm towards a posture and the base to rest, at a far higher cost of the base's
     acceleration.
 
-    Without this task (26) leaves the null space of T_2 open: nine accelerations, six rows. At the
-    fraction s from the middle of its range to a limit, a joint has a restoring acceleration
-    proportional to s⁵: small near the middle, and large at a limit, so that no wrist ends in a
-    corner while the tasks above leave another solution.
+    Without this task (26) does not determine the motion in the null space of T_2, because there are
+    nine accelerations for six rows. A joint also has a restoring acceleration proportional to s⁵,
+    where s is 0 in the middle of its range and ±1 at a limit. It is small near the middle and large
+    at a limit: a joint does not stay at its limit if the tasks of higher priority have another
+    solution.
 
     Args:
         qd: (n,) q̇.
@@ -240,7 +245,7 @@ def guided_objective(M: Array, h: Array, u_0: Array) -> tuple[Array, Array]:
 def add_base_rest_task(
     H: Array, c: Array, L_aa: Array, qd: Array, weight: float, damping: float, n_b: int
 ) -> tuple[Array, Array]:
-    """The guided objective over base and arm: the base comes to rest, with its own weight."""
+    """The objective of a guided arm, extended by the task that brings the base to rest."""
     n = len(c)
     H, c = H.copy(), c.copy()
     share = np.empty((n - n_b, n_b + 1))
@@ -264,9 +269,9 @@ def reaction_torque(d: Array, J: Array, f: float, d_b: float, n_b: int) -> Array
     """Σ J_aᵀ f (1 − d/d_b) (n_m,) [N m or N]: the arm's reaction to the force of pairs with the
     base.
 
-    Our extension: the force (14) acts on the base alone, so a released arm would stay in the buffer
-    and drive the base on. `d` (k,) [m] and `J` (k, n) belong to the pairs of L_m, f [N] is the
-    force at contact.
+    This is our extension. The force (14) acts on the base alone; without a reaction a released arm
+    would stay in the buffer, and the base would move on. `d` (k,) [m] and `J` (k, n) are distances
+    and Jacobians of the pairs of L_m; f [N] is the force at contact.
     """
     u = np.zeros(J.shape[1] - n_b)
     for i in range(len(d)):

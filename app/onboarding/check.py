@@ -1,4 +1,4 @@
-"""`dbb check-robot`: compares a description with the robot itself, check by check."""
+"""`dbb check-robot`: the checks of a description against its URDF and meshes."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ _STATES = 20  # [-] random states for comparing the dynamics
 _AGREE = 1e-6  # [-] tolerance relative to the largest entry
 _FASTEST = 20.0  # [rad/s or m/s] largest plausible speed of a joint
 _STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a revolute, [N] of a prismatic joint
-_MARGIN = 0.02  # [-] margin of the ready pose to a limit, relative to the range
-_OUT_OF_BASE = 0.01  # [m] largest overhang of a base's mesh over its body; a buffer has 0.1 m
-_LAYER = 0.05  # [m]
-_NEAR_POSES = 1000
-_MANY = 500  # [-] points nearer than the border in a layer that counts as reached
+_MARGIN = 0.02  # [-] smallest margin of the ready pose to a limit, relative to the joint's range
+_OUT_OF_BASE = 0.01  # [m] largest distance by which a mesh of the base may extend beyond l_m
+_LAYER = 0.05  # [m] height of a layer of the border
+_NEAR_POSES = 1000  # [-] random poses for the share inside of a buffer
+_MANY = 500  # [-] smallest number of points inside the border in a layer that the arm reaches
 _FEW = 10  # [-] smallest number of border points in a layer that is not empty
 _TOUCHED = {
     "contacts": "arm and base",
@@ -54,8 +54,8 @@ _TOUCHED = {
 }
 _STILL = f"; the base moves away by less than {GIVES_WAY:g} m"
 _HELD = (
-    ", because the arm cannot hold its end-effector in place (`hand held`) and avoids by itself; a "
-    "smaller ee_hold.weight lets the base give way more"
+    ", because the arm cannot hold its end-effector in place (`hand held`) and avoids the base by "
+    "itself; with a smaller ee_hold.weight the base moves more"
 )
 
 
@@ -64,10 +64,10 @@ class Row(NamedTuple):
 
     name: str
     outcome: Outcome
-    """passed, warned or failed, or "nothing to show" without a suitable case."""
+    """passed, warned, failed, or "nothing to show" if the check has no case that tests it."""
     text: str
     numbers: dict[str, float]
-    """The measured values; keys end in their unit."""
+    """The measured values; each key ends in its unit."""
 
 
 def check_robot(
@@ -78,14 +78,19 @@ def check_robot(
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
 ) -> Iterator[Row]:
-    """All checks of a readable description, one by one.
+    """All checks of a description; each row follows as soon as its check ends.
 
-    A check that is not possible fails with the reason; checks that depend on it are left out.
+    If a check is not possible, it fails with the reason, and the checks that depend on it are left
+    out. The checks use the robot's own parameters.
 
-    The checks use the robot's own parameters. `runs` that guide the end-effector take longest;
-    all cores, or `processes`, sample the border.
+    Args:
+        description: The description, which is readable.
+        runs: Whether to guide the end-effector in runs, which takes most of the time.
+        tell: Called with the name of each check before it begins.
+        processes: Number of processes that sample the border; None means all cores.
+        sampling: Parameters of a coarser border, or None.
     """
-    tell("compiling")
+    tell("loading the robot")
     try:
         model = RobotModel(description)
     except DbbError as error:
@@ -124,7 +129,7 @@ def check_robot(
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
-    """The row of a check; any exception of a library makes it fail."""
+    """The row of a check; the check fails on any exception of a library."""
     try:
         return check()
     except DbbError as error:
@@ -135,9 +140,9 @@ def _done(name: str, check: Callable[[], Row]) -> Row:
 
 
 def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
-    """M and C q̇ + g in random states, from pinocchio and from an engine."""
+    """Compare M and C q̇ + g of pinocchio with those of an engine, in random states."""
     if not find_spec(name):
-        return Row(name, "warned", f"not installed here: pip install {name}", {})
+        return Row(name, "warned", f"{name} is not installed; try: pip install {name}", {})
     from app.simulation.plants.planar import planar_plant
 
     engine = planar_plant(name, model)
@@ -161,9 +166,14 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """Pictures and contacts of both engines in random poses."""
+    """Compare the pictures and the contacts of both engines in random poses."""
     if not find_spec("pybullet"):
-        return Row("engines", "warned", "pybullet is not installed: nothing to compare with", {})
+        return Row(
+            "engines",
+            "warned",
+            "pybullet is not installed, so there is no second engine for a comparison",
+            {},
+        )
     from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 
     found = compare_engines(model)
@@ -178,7 +188,7 @@ def engines_row(model: RobotModel) -> Row:
 
 
 def limits_row(model: RobotModel) -> Row:
-    """Plausible limits of motors, torques that hold gravity, inertias that suit the step."""
+    """Check the motors' limits, the torques against gravity, and the inertias."""
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
@@ -193,46 +203,46 @@ def limits_row(model: RobotModel) -> Row:
     ]
     wrong += [f"{name} moves no inertia" for name, m in zip(names, least, strict=True) if m <= 1e-9]
     weak = [
-        f"{name} holds {effort:g} of {most:.3g} N m (or N)"
+        f"{name} has {effort:g} of the required {most:.3g} N m (or N)"
         for name, effort, most in zip(names, model.tau_max, load, strict=True)
         if effort < most
     ]
     share = float((load / model.tau_max).max())
     if wrong:
         return Row("limits", "failed", "; ".join(wrong), {"gravity_share": share})
-    text = f"gravity takes at most {share:.0%} of a joint's torque"
+    text = f"gravity requires {share:.0%} of a joint's torque limit or less"
     if weak:
-        text = f"gravity is more than a joint holds in some poses: {'; '.join(weak)}"
+        text = f"some joints cannot hold the arm's weight in all poses: {'; '.join(weak)}"
     return Row("limits", "warned" if weak else "passed", text, {"gravity_share": share})
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Nested links, whose contacts plants ignore, touch as often as nested links should."""
+    """Check that nested links touch in many poses, because plants ignore their contacts."""
     touches = nested_touches(model, _geometry(model))
     least = min(touches.values())
     seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
-    text = f"they touch in at least {least:.0%} of random poses"
+    text = f"each pair of nested links touches in at least {least:.0%} of random poses"
     if seldom:
-        text = f"plants ignore contacts of links that touch in few poses: {', '.join(seldom)}"
+        text = f"plants ignore the contacts of links that touch in few poses: {', '.join(seldom)}"
     numbers = {"least_touching_share": least}
     return Row("nested links", "warned" if seldom else "passed", text, numbers)
 
 
 def base_row(model: RobotModel) -> Row:
-    """Every point of the meshes of l_m's links above the floor is inside of l_m."""
+    """Check that l_m encloses all points above the floor of the meshes of its links."""
     unit = units_of_links(model, _geometry(model))[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]
     if not len(points):
         return Row("base's body", "failed", "the base's links have no shapes", {})
     out = float(MobileBody(model).distance(points).max())
-    text = f"the base's meshes stick out of it by at most {max(out, 0.0):.4f} m"
+    text = f"the base's meshes extend beyond its body by at most {max(out, 0.0):.4f} m"
     good = out <= _OUT_OF_BASE
     return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that bodies enclose their links, and that a pair sees each collision of links."""
+    """Check that the bodies enclose their links, and that a pair sees each collision of links."""
     found = unseen_collisions(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.poses),
@@ -244,8 +254,8 @@ def arm_row(model: RobotModel) -> Row:
         "left_out_poses": float(found.left_out),
     }
     text = (
-        f"of {found.poses} poses with colliding links, among {found.looked_at:,} random ones, "
-        f"bodies of a pair meet in all but {found.unseen}"
+        f"links collide in {found.poses} of {found.looked_at:,} random poses; in all but "
+        f"{found.unseen} of these, bodies of a pair meet"
     )
     if found.unseen:
         text += f", mostly {found.worst}"
@@ -253,10 +263,10 @@ def arm_row(model: RobotModel) -> Row:
         text += f"; bodies do not enclose their links in {found.missed} of {found.watched} "
         text += f"collisions, by at most {found.deepest:.3f} m"
     if found.left_out:
-        text += f"; a rule excludes {found.left_out} poses in which only links meet that are "
+        text += f"; a rule excludes {found.left_out} poses where only links meet that are "
         text += f"neighbours or close by design: {found.rule}"
     if found.blind:
-        text += f"; {', '.join(found.blind)} does not enclose its colliding links"
+        text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
         return Row("arm's bodies", "failed", text, numbers)
     if not found.poses:
         return Row("arm's bodies", "nothing to show", text, numbers)
@@ -272,7 +282,7 @@ def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
 
 
 def holding_row(model: RobotModel) -> Row:
-    """Warns if the base's motion moves the end-effector: the base moves less there."""
+    """Warn if the arm cannot hold its end-effector in place while the base moves."""
     carried = carried_hand(model)
     numbers = {
         f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
@@ -280,23 +290,25 @@ def holding_row(model: RobotModel) -> Row:
         for what in ("place", "pose")
     }
     worst = max(each.place for each in carried)
-    text = f"the arm holds its end-effector in place in {1 - worst:.0%} of poses"
+    text = f"the arm can hold its end-effector in place in {1 - worst:.0%} of the poses"
     warning = holding_warning(carried)
     return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warns if a person can push the arm against the base with every controller."""
+    """Warn if a person can push the arm against the base, with any controller."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no part of the arm can meet the base", {})
-    text = f"the joints' torques resist {borne.min():.0f} N towards the base in all poses near it"
+    text = f"in all poses near the base, the joint torques resist a push of {borne.min():.0f} N"
     warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
     return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """There are pairs, each body of L_m has a reachability, and no pair is always near."""
+    """Check that pairs exist, that bodies of L_m have a reachability, and that no pair is always
+    near.
+    """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
@@ -308,18 +320,18 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     names = [pair.name for pair in pairs.all]
     numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
     if missing:
-        text = f"no reachability of {', '.join(missing)}, which can meet the base"
+        text = f"{', '.join(missing)} can meet the base, but has no reachability"
         return Row("pairs", "failed", text, numbers)
     always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
     if always:
-        text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of free poses"
+        text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of the free poses"
         return Row("pairs", "warned", text, numbers)
-    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of free poses"
+    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free poses"
     return Row("pairs", "passed", text, numbers)
 
 
 def ready_row(model: RobotModel, data: BorderData) -> Row:
-    """The ready pose: away from the limits and outside of every buffer."""
+    """Check that the ready pose is away from the joint limits and outside of every buffer."""
     if not data.pairs.all:
         return Row("ready pose", "passed", "no bodies can meet", {})
     q_m = np.array(model.description.arm.ready_position)
@@ -327,21 +339,23 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
     ready = judge_ready(model, data.pairs, q_m)
     numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
-    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer, joints "
-    text += f"{left:.0%} of their range or more from a limit"
+    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer; the smallest "
+    text += f"distance of a joint from its limits is {left:.0%} of its range"
     good = ready.clearance >= 0 and left >= _MARGIN
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 
 def border_row(model: RobotModel, data: BorderData) -> Row:
-    """The borders of the pairs of L_m have no gap between their lowest and highest height.
+    """Check that the border of each pair of L_m has points at all heights between its ends.
 
-    At the lowest and highest heights of the arm its reach may be shorter than the border's
-    distance, and a rare pair may have no points: there the exact offset of l_m replaces them, which
-    the row reports.
+    At its lowest and highest heights, the arm may not reach the border, and a pair that is rarely
+    near may have no points at all. The exact offset of l_m replaces missing points, and the row
+    reports where.
     """
     if not data.clouds:
-        return Row("border", "warned", "no part of the arm can meet the base: there is none", {})
+        return Row(
+            "border", "warned", "no part of the arm can meet the base, so there is no border", {}
+        )
     border, top = model.description.config.border, float(MobileBody(model).upper[2])
     empty, ends, numbers = [], [], {}
     for name, cloud in data.clouds.items():
@@ -358,24 +372,24 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
                 between = lowest < z - _LAYER and z + _LAYER < highest
                 (empty if between else ends).append(f"{name} at z = {z:.2f} m")
     if not any(numbers.values()):
-        return Row("border", "failed", "no pair has any points", numbers)
+        return Row("border", "failed", "no pair has border points", numbers)
     counts = ", ".join(f"{n.removeprefix('points_')} {c:,.0f} points" for n, c in numbers.items())
-    text = f"at every height that the arm reaches beside the base: {counts}"
+    text = f"points at every height that the arm reaches beside the base: {counts}"
     if empty:
         text = f"no points of {', '.join(empty)}"
     if ends:
         text += (
-            f"; the exact offset replaces them at heights with a shorter reach: {', '.join(ends)}"
+            f"; the exact offset replaces the points that the arm does not reach: {', '.join(ends)}"
         )
     return Row("border", "warned" if empty else "passed", text, numbers)
 
 
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
-    """A guiding run, beside the same one without avoidance.
+    """Guide the end-effector towards the base, and compare with a run without avoidance.
 
-    A robot with its own lines uses no others. If the arm cannot start there, the row warns; if
-    the end-effector does not enter the inner half of the buffer even without avoidance, the run
-    shows nothing.
+    If the description has its own lines, only these are used. If the arm cannot start on the line,
+    the row has a warning. If the end-effector does not enter the inner half of the buffer even
+    without avoidance, the outcome is "nothing to show".
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
@@ -385,7 +399,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         run = partial(run_scenario, model, data, scenario_of(model.description, name), config)
         figures, bare = run().figures, run(controller="none", physics="kinematic").figures
     except UnreachableError as error:
-        return Row(name, "warned", f"not done: {error}", {})
+        return Row(name, "warned", f"the run cannot start: {error}", {})
     steps = {what: int(figures[key]) for key, what in _TOUCHED.items() if figures[key]}
     touched = sum(steps.values())
     failures, moved = int(figures["solver_failures"]), float(figures["base_displacement_m"])
@@ -395,7 +409,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         "solver_failures": float(failures),
         "base_displacement_m": moved,
     }
-    text = f"{touched} steps in contact, {failures} without a solution"
+    text = f"{touched} steps with contact, {failures} steps without a solution of the QP"
     if steps:
         text += f" ({', '.join(f'{what} in {count}' for what, count in steps.items())})"
     if near is not None:

@@ -1,4 +1,4 @@
-"""From a URDF to a robot's folder: all steps in order, and each number with its source."""
+"""From a URDF to a robot's folder: all steps in order. Each number gets a source."""
 
 from __future__ import annotations
 
@@ -77,14 +77,14 @@ from app.system import whole_folder, write_whole
 _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
-"""[-] random poses in which the links' hulls are compared, or more if collisions are rare."""
-_MAX_FITS = 3  # of bodies that miss a collision; each has random poses of its own
+"""[-] smallest number of random poses in which the hulls of the links are compared."""
+_MAX_FITS = 3  # [-] fits of bodies if they miss a collision; each uses other random poses
 _OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
 _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 PREFIX = "arm_"
-"""Prefix of an arm's links and joints whose names the base has too."""
+"""Prefix for links and joints of the arm whose names also occur in the base."""
 _URDF = "robot.urdf"
-"""The new URDF, in the robot's folder."""
+"""Name of the new URDF in the robot's folder."""
 
 
 def finish(
@@ -96,12 +96,12 @@ def finish(
     sampling: SamplingConfig | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Make a robot and its border, and move its complete folder into place.
+    """Create a robot and its border, and move the complete folder into place.
 
-    All usable cores, or `processes`, sample the border; a coarse one, with its own `sampling`, is
-    made in this process, which takes less time than starting others. `workers` share the other
-    parallel work. `tell` takes the present activity, `on_progress` the finished share of a long
-    step, 0 to 1: of bodies, border and places.
+    `workers` do all parallel work except sampling the border: for this there are `processes`, by
+    default one for each usable core. A coarse border, with its own `sampling`, is sampled in this
+    process, because starting others takes longer. `tell` is called with the name of each step, and
+    `on_progress` with the finished share of a long step, 0 to 1: bodies, border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
@@ -135,11 +135,11 @@ def finish(
         )
         say("searching lines for guiding")
         lines = _lines(robot, data, workers, on_progress)
-        # Imported here, because the processes, which import this module, start sooner without
+        # Imported here: the worker processes import this module, and start faster without
         # matplotlib.
         from app.onboarding.report import VIEW, draw, report_html
 
-        pictures = workers.map(draw, [(robot, data)])  # in the process that finishes its line first
+        pictures = workers.map(draw, [(robot, data)])  # in the worker that finishes its line first
         robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
@@ -151,14 +151,14 @@ def finish(
 
 @contextmanager
 def _one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert any exception of a library to one line that names the step; the log has its trace."""
+    """Convert any exception of a library to a message of one line that names the step."""
     try:
         yield
     except DbbError:
         raise
     except Exception as error:  # pinocchio, coal, qhull, trimesh: without a common base class
         _log.debug("%s", doing(), exc_info=True)
-        why = " ".join(str(error).split())[:300] or "no reason given"
+        why = " ".join(str(error).split())[:300] or "no reason stated"
         raise RobotFileError(
             f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; "
             "check that check_urdf accepts the file, then report it with the URDF"
@@ -166,10 +166,10 @@ def _one_message(doing: Callable[[], str]) -> Iterator[None]:
 
 
 _UNWATCHED = {
-    True: "chosen: some of their links are nearer than d_b by design",
+    True: "chosen: some of its links are nearer than d_b by design",
     False: "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions",
 }
-"""Why a pair is not monitored: because of its links, or of its bodies alone."""
+"""Why a pair is not monitored: because of its links (True), or of its bodies alone (False)."""
 
 
 def make_robot(
@@ -181,10 +181,18 @@ def make_robot(
     tell: Callable[[str], None] = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Everything except guiding and the report, which `finish` adds; its arguments and errors.
+    """Create a robot without lines for guiding and without a report, which `finish` adds.
 
-    It writes the URDF into the given temporary folder; `border` returns pairs and clouds, and
-    `workers` share random poses and reachability maps.
+    Args:
+        request: The input.
+        folder: Temporary folder for the URDF.
+        border: Returns the pairs and the clouds of border points of a model.
+        workers: Worker processes for random poses and reachability maps.
+        tell: As in `finish`.
+        on_progress: As in `finish`.
+
+    Raises:
+        DbbError: As in `finish`.
     """
     tell("reading the URDF")
     whole = _whole_robot(request)
@@ -222,8 +230,8 @@ def make_robot(
 def _lines(
     robot: NewRobot, data: BorderData, workers: Workers, on_progress: OnProgress
 ) -> Iterator[tuple[str, Place | str]]:
-    """The line of guiding from each side, or why there is none, by the scenario."""
-    # An arm that cannot hold its end-effector avoids by itself: there any line shows it.
+    """For each scenario its line for guiding, or the reason for a missing line."""
+    # An arm that cannot hold its end-effector avoids the base by itself, on any line.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
     sides = [Side(name, robot.model, data, anyway=anyway) for name in names]
     return zip(names, workers.map(line_from, sides, on_progress, tells=True), strict=True)
@@ -232,7 +240,7 @@ def _lines(
 def _with_lines(
     robot: NewRobot, data: BorderData, folder: Path, found: Mapping[str, Place | str]
 ) -> NewRobot:
-    """The robot with its lines, and all warnings."""
+    """The robot with its lines and all warnings."""
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     lines = {name: place.content() for name, place in places.items()}
@@ -251,7 +259,7 @@ class _Embodied(NamedTuple):
     meetings: Meetings
     grouping: Grouping
     unwatched: dict[str, str]
-    """Why pairs of bodies are not watched, by their names."""
+    """Why a pair of bodies is not monitored, by the pair's name."""
     unseen: Unseen
 
 
@@ -264,9 +272,9 @@ def _embodied(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Embodied:
-    """Bodies around groups of links, fitted again if new poses show a collision that they miss.
+    """Fit bodies around groups of links, again if they miss a collision in new random poses.
 
-    Of several fits it takes the one whose bodies miss the fewest collisions of links.
+    The result is the fit whose bodies miss the fewest collisions of links.
     """
     tell("sampling random poses")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -301,7 +309,7 @@ def _embodied(
     if best.unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(best.unseen.blind)} do not enclose their colliding links; "
-            f"choose another number of --bodies than {len(best.grouping.bodies) - 1}, or "
+            f"choose a number of --bodies other than {len(best.grouping.bodies) - 1}, or "
             "another --seed"
         )
     return best
@@ -310,9 +318,11 @@ def _embodied(
 def _moving(
     request: Request, parsed: Parsed, model: RobotModel, ready: Ready
 ) -> tuple[Sourced, Sourced]:
-    """Numbers of the base, and those of the arm that follow from its bodies and masses."""
+    """Numbers of the base, and numbers of the arm that depend on its bodies and masses."""
     base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, parsed.steering)
-    why = "chosen: as the paper's robot, less where a light joint would not be damped stably in "
+    why = (
+        "chosen: as for the paper's robot, but smaller for a light joint, so that it is stable in "
+    )
     return base, {
         "ready_position": (
             tuple(float(q) for q in ready.q_m),
@@ -323,17 +333,18 @@ def _moving(
 
 
 def parse(request: Request) -> Parsed:
-    """Read and check the URDF; all its errors are reported here.
+    """Read and check the URDF.
 
     Raises:
-        RobotFileError: It cannot become a robot; names the reason, and the helpful option.
+        RobotFileError: The URDF cannot become a robot; the message names the reason and the option
+            that helps.
         AssetError: A package is not installed.
     """
     return _parsed(request, _whole_robot(request))
 
 
 def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
-    """The checked robot, and its new URDF for a folder, where some meshes are written anew."""
+    """The checked robot, and the text of its new URDF; it converts some meshes into `folder`."""
     parsed = _parsed(request, whole)
     header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
     return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
@@ -351,8 +362,8 @@ def _parsed(request: Request, whole: _Whole) -> Parsed:
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(
-            f"no link between {base!r} and {tip!r} has a shape; give the arm's links a "
-            "<collision> or <visual>, or another --tip"
+            f"no link between {base!r} and {tip!r} has a shape; add a <collision> or <visual> to "
+            "the arm's links, or choose another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
         arm = find_arm(tree, str(base), str(tip), arm.joints[0].child)
@@ -369,7 +380,8 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
     if len(request.ready) != len(arm.joints):
         names = ", ".join(joint.name for joint in arm.joints)
         raise RobotFileError(
-            f"--ready: {len(request.ready)} numbers; the arm has {len(arm.joints)} joints: {names}"
+            f"--ready: it has {len(request.ready)} numbers, but the arm has {len(arm.joints)} "
+            f"joints: {names}"
         )
     for joint, q, low, high in zip(
         arm.joints, request.ready, limits.lower, limits.upper, strict=True
@@ -381,13 +393,13 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
 
 
 class _Whole(NamedTuple):
-    """A robot with its arm, before it is checked."""
+    """A complete robot with its arm, before the checks."""
 
     robot: Element
     tip: str
-    """The name of its tip."""
+    """Name of the link of the end-effector."""
     left_out: list[str]
-    """Sentences on left-out shapes."""
+    """Sentences on shapes that are left out."""
 
 
 def _whole_robot(request: Request) -> _Whole:
@@ -398,20 +410,20 @@ def _whole_robot(request: Request) -> _Whole:
     if request.arm_urdf is None:
         return _Whole(robot, tip, left_out)
     arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
-    for part in (robot, arm):  # reports the errors of each separately
+    for part in (robot, arm):  # each URDF has its own error messages
         tree = make_tree(part)
-    tree.link(tip, "--tip")  # of the arm
+    tree.link(tip, "--tip")  # the tree is now that of the arm
     names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
     tip = PREFIX + tip if tip in names[0] & names[1] else tip
     return _Whole(_composed(robot, arm, request), tip, left_out + also)
 
 
 def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
-    """The robot with distinct names, and the changes.
+    """The robot with distinct names, and the new names of links by the old ones.
 
-    A joint with the name of a link or of a library gets `_joint` after its name, and a link with
-    one of our own names gets `_link`. A URDF may have such names, but pinocchio and MuJoCo cannot
-    distinguish them.
+    `_joint` is added to a joint's name that is also a name of a link or of a library. `_link` is
+    added to a link's name that is also one of our own names. A URDF may contain such names, but
+    pinocchio and MuJoCo cannot distinguish them.
     """
     names = {tag: [str(e.get("name")) for e in robot.findall(tag)] for tag in ("link", "joint")}
     links = _distinct(names["link"], _OWN_LINKS, {*names["link"], *names["joint"]}, "_link")
@@ -423,10 +435,10 @@ def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
 def _distinct(
     names: Sequence[str], foreign: Collection[str], taken: set[str], end: str
 ) -> dict[str, str]:
-    """New, unique names with a suffix for names that are also foreign ones."""
+    """New, unique names with a suffix for all names that are also in `foreign`."""
     renamed = {}
     for name in names:
-        if name and name in foreign and names.count(name) == 1:  # else the tree refuses it
+        if name and name in foreign and names.count(name) == 1:  # `make_tree` refuses duplicates
             new = name + end
             while new in taken:
                 new += "_"
@@ -436,7 +448,7 @@ def _distinct(
 
 
 def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
-    """A copy with other names of links and joints, including references to them."""
+    """A copy with new names of links and joints, also in references to them."""
     robot = deepcopy(robot)
     for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
         ends = [(each, "name") for each in robot.findall(tag)]
@@ -448,10 +460,9 @@ def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
 
 
 def _composed(base: Element, arm: Element, request: Request) -> Element:
-    """One robot: the arm's root is fixed to --base; duplicate names of the arm get the prefix
-    `arm_`.
+    """One robot from two: the root of the arm is fixed to --base.
 
-    Neither input changes.
+    Names of the arm that also occur in the base get the prefix `arm_`. The inputs do not change.
     """
     taken = {
         tag: [str(each.get("name")) for each in base.findall(tag)] for tag in ("link", "joint")

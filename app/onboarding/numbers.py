@@ -1,6 +1,6 @@
-"""A description's numbers, each with its source: limits, damping, base and reachability.
+"""The numbers of a description with their sources: limits, damping, base and reachability.
 
-Values that the URDF does not state are measured, counted, or assumed and marked so.
+A value that the URDF does not state is measured, counted or assumed; its source says which.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from app.robot.state import RobotState, at_rest
 Array = np.ndarray
 
 Sourced = Mapping[str, tuple[Any, str]]
-"""Values by the field of the description, with their sources."""
+"""Values with their sources, by the field of the description."""
 
-_TURN = np.pi  # [rad] range in each direction of a joint without limits
+_TURN = np.pi  # [rad] assumed limit in both directions of a joint without limits
 _SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
-_LARGEST = 1000.0  # [rad] or [m] a larger limit means none
-_DEGREES = 4 * np.pi  # [rad] a larger limit of a joint that is no wheel is in degrees
+_LARGEST = 1000.0  # [rad] or [m] a larger limit means that there is no limit
+_DEGREES = 4 * np.pi  # [rad] a larger limit of a joint of the arm is in degrees
 _TOO_FAR = 5.0  # [m] largest plausible limit of a slide
-_FASTEST = 20.0  # [rad/s] or [m/s] a larger speed means no limit
+_FASTEST = 20.0  # [rad/s] or [m/s] a larger speed means that there is no limit
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
 _MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
-_DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], for slides [N s/m]
+_DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] effort of a strong joint
-_STABLE = 0.3e-3  # [s] largest ratio of damping to inertia is a third of 1/step
-_SAMPLES = 400  # [-] random poses for the loads
+_STABLE = 3e-3  # [s] smallest stable ratio of a joint's inertia to its damping: three steps
+_SAMPLES = 400  # [-] random poses for gravity loads and inertias
 
 
 def with_source(
     before: Mapping[str, Any], numbers: Sourced, after: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
-    """A table of a description: numbers among other fields, and the sources of the numbers."""
+    """A table of a description: `numbers` between other fields, then the sources of the numbers."""
     values = {name: value for name, (value, _) in numbers.items()}
     sources = {name: why for name, (_, why) in numbers.items()}
     return {**before, **values, **after, "source": sources}
 
 
 class Limits(NamedTuple):
-    """Limits of all joints [rad or m, rad/s or m/s, N m or N]; `source` has their sources."""
+    """Limits of all joints [rad or m, rad/s or m/s, N m or N], and the sources of these limits."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -61,7 +61,7 @@ class Limits(NamedTuple):
 
     @property
     def numbers(self) -> Sourced:
-        """The form of a description."""
+        """The limits in the form of a description."""
         return {
             name: (values, why)
             for (name, why), values in zip(self.source.items(), self[:4], strict=True)
@@ -69,18 +69,18 @@ class Limits(NamedTuple):
 
 
 def read_limits(arm: Arm) -> Limits:
-    """The limits in the URDF; 0 stands for a missing effort.
+    """The limits in the URDF; an effort of 0 means that it is missing.
 
     Raises:
-        RobotFileError: The limits of joints are empty, or not in radians and metres; names
-            all of them.
+        RobotFileError: The limits of some joints are empty, or not in radians and metres; the
+            message names all of these joints.
     """
     _check_ranges(arm.joints)
     ranges = [_range(joint) for joint in arm.joints]
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
     endless = [j.name for j, limits in zip(arm.joints, ranges, strict=True) if limits is None]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
-    position = _origin(endless, "half a turn either way")
+    position = _origin(endless, "half a turn in both directions")
     return Limits(
         tuple(-_TURN if limits is None else limits[0] for limits in ranges),
         tuple(_TURN if limits is None else limits[1] for limits in ranges),
@@ -96,9 +96,9 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits, with an assumed effort where the URDF has none: a multiple of the gravity load.
+    """The limits; an effort that the URDF does not state is a multiple of the gravity load.
 
-    The model's inertias are used, but not its efforts.
+    The gravity load depends on the masses of `model`, but not on its efforts.
     """
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
@@ -112,29 +112,27 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
 
 
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
-    """[N m s/rad or N s/m] D of guiding: as in the paper's robot, if the step allows it.
+    """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
-    The largest damping that pybullet simulates stably is a third of the joint's inertia over a
-    step.
+    It is the damping of the paper's robot, but at most m/(3 dt), which pybullet simulates stably.
+    m is the smallest inertia of the joint in random poses, and dt the step of 1 ms.
     """
 
     def lightness(q: Array) -> Array:
         M = pin.crba(model.pin, model.pin.createData(), q)
         M = np.triu(M) + np.triu(M, 1).T
-        return np.diag(np.linalg.inv(M))[3:]  # inverse inertia of the joint alone
+        return np.diag(np.linalg.inv(M))[3:]  # inverse inertia of each joint with the others free
 
     least = 1.0 / largest_of_poses(model, lightness)
     wanted = [
         _DAMPING["prismatic" if _kind(j) == "prismatic" else "strong" if e >= _STRONG else "weak"]
         for j, e in zip(arm.joints, limits.effort, strict=True)
     ]
-    return tuple(
-        float(f"{min(d, m / _STABLE * 0.1):.2g}") for d, m in zip(wanted, least, strict=True)
-    )
+    return tuple(float(f"{min(d, m / _STABLE):.2g}") for d, m in zip(wanted, least, strict=True))
 
 
 def gravity_load(model: RobotModel) -> Array:
-    """(n_m,) [N m or N] the largest torques of gravity in random poses."""
+    """(n_m,) [N m or N] largest torques that gravity requires in random poses."""
     data = model.pin.createData()
     return largest_of_poses(
         model, lambda q: np.abs(pin.computeGeneralizedGravity(model.pin, data, q)[3:])
@@ -142,7 +140,7 @@ def gravity_load(model: RobotModel) -> Array:
 
 
 def largest_of_poses(model: RobotModel, values: Callable[[Array], Array]) -> Array:
-    """(n_m,) largest values, of pinocchio's configuration, over random poses."""
+    """(n_m,) maximum over random poses of `values`, a function of pinocchio's configuration."""
     poses = sample_joints(model, _SAMPLES, np.random.default_rng(0))
     return np.max([values(model.configuration((0.0, 0.0, 0.0), pose)) for pose in poses], axis=0)
 
@@ -156,21 +154,23 @@ def _range(joint: Joint) -> tuple[float, float] | None:
 
 
 def _check_ranges(joints: Sequence[Joint]) -> None:
-    """Refuse implausible limits, of all joints at once, each with its correction."""
+    """Refuse implausible limits; one message names all joints and their corrections."""
     wrong: dict[str, list[str]] = {}
     for joint in joints:
         limits = _range(joint)
         if limits is None:
             why = "slide without limits; give each a <limit>" if joint.kind == "prismatic" else ""
         elif limits == (0.0, 0.0):
-            why = "have limits of 0, as exporters leave them; write those of the real joints, as "
+            why = "have limits of 0, as some exporters write; write those of the real joints, as "
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
         elif not limits[0] < limits[1]:
-            why = "have a lower limit that is not below the upper; mend the <limit>"
+            why = "have a lower limit that is not below the upper limit; correct the <limit>"
         elif joint.kind == "prismatic" and max(map(abs, limits)) > _TOO_FAR:
-            why = "slide by many metres, which looks like millimetres; write metres"
+            why = "have limits of many metres, which are probably millimetres; write metres"
         elif joint.kind == "revolute" and max(map(abs, limits)) > _DEGREES:
-            why = "turn by more than two turns, which looks like degrees; write radians (90 "
+            why = (
+                "have limits of more than two turns, which are probably degrees; write radians (90 "
+            )
             why += 'degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
             why = ""
@@ -182,7 +182,7 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
 
 
 def _within(value: float | None, most: float) -> float:
-    """A meaningful limit, or 0."""
+    """The value if it is a plausible limit, otherwise 0."""
     return value if value and 0 < value < most else 0.0
 
 
@@ -196,17 +196,17 @@ def _origin(assumed: list[str], what: str) -> str:
     return f"from the URDF; assumed for {', '.join(assumed)}: {what}"
 
 
-_BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as the paper's robot
-_ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as the paper's robot
-_FRICTION = 0.5  # [-]
-_YAW_FACTOR = 2.0  # [-] of the yaw inertia, as the paper's robot
-_TIME_CONSTANT = 0.05  # [s]
+_BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as for the paper's robot
+_ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as for the paper's robot
+_FRICTION = 0.5  # [-] coefficient of friction between wheels and floor
+_YAW_FACTOR = 2.0  # [-] factor of the yaw inertia, as for the paper's robot
+_TIME_CONSTANT = 0.05  # [s] of the drive
 _GRAVITY = 9.81  # [m/s²]
-_AS_PAPERS = "assumed: as the paper's robot"
+_AS_PAPERS = "assumed: as for the paper's robot"
 
 
 def wheel_fields(kind: str, wheels: Wheels, steering: Steering | None) -> dict[str, Any]:
-    """The fields of the description's base that name joints."""
+    """The fields that name joints, for the base of a description."""
     if kind == "differential":
         return {"left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right}
     if steering is None:
@@ -222,7 +222,7 @@ def base_numbers(
     half_track: float | None,
     steering: Steering | None = None,
 ) -> Sourced:
-    """Numbers of the base in the ready pose q_m (n_m,); `half_track` [m] is optional."""
+    """Numbers of the base, for the ready pose q_m (n_m,); None means a measured half track [m]."""
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
     mass, yaw = float(M[0, 0]), float(M[2, 2])
@@ -247,14 +247,14 @@ def base_numbers(
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
         "traction_limit_n": (
             round(_FRICTION * _GRAVITY * mass, 1),
-            f"assumed: friction coefficient {_FRICTION:g} on the whole weight",
+            f"assumed: friction coefficient {_FRICTION:g}, with the whole weight on driven wheels",
         ),
         "drive_time_constant_s": (_TIME_CONSTANT, "assumed: half of a 10 Hz command period"),
     }
-    if kind != "car-like":  # there the steering limits the turning
+    if kind != "car-like":  # the steering limits its angular velocity
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
-        one_wheel = "assumed: one wheel at rest at the largest speed of the other"
+        one_wheel = "assumed: one wheel is at rest, the other has its largest speed"
         found |= {
             "max_angular_velocity_radps": (
                 round(w, 3),
@@ -268,7 +268,7 @@ def base_numbers(
 def _geometry(
     kind: str, wheels: Wheels, half_track: float | None, steering: Steering | None
 ) -> dict[str, tuple[Any, str]]:
-    """Radius, track and steering, if the kind has them."""
+    """Wheel radius, half track and steering, for the kinds that have them."""
     how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
@@ -279,45 +279,44 @@ def _geometry(
         return dict(zip(names, zip(values, steering.sources, strict=True), strict=True)) | radius
     track = "measured: half of the distance between the wheels' joints"
     if len(wheels.left) > 1:
-        track += "; on a base that skids the effective one is wider"
+        track += "; the effective half track of a base that skids is larger"
     if half_track:
         track = "given: --half-track"
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 
 SHARE = 0.5
-"""[-] share of the peak above which (9) is fitted: the upper part is a parabola, the tails are
-not."""
+"""[-] share of the peak above which (9) is fitted, because the tails are no parabola."""
 COUNTED_POSES = 20_000
-"""[-] joint positions for counting a reachability."""
-_REACH_SAMPLES = 2000
+"""[-] random joint positions for counting a reachability."""
+_REACH_SAMPLES = 2000  # [-] random poses for an assumed reachability
 _WIDTH = 3.0  # [-] standard deviations of ρ at which an assumed reachability is zero
-_MIN_WIDTH = 0.1  # [m]
+_MIN_WIDTH = 0.1  # [m] smallest half width of an assumed reachability
 
 
 class Reach(NamedTuple):
-    """A [1/m²], B [m] and C [-] of (9) for one body."""
+    """The coefficients A [1/m²], B [m] and C [-] of (9) for one body."""
 
     A: float
     B: float
     C: float
     source: str
     counted: ReachMap | None
-    """The map, or None for assumed coefficients."""
+    """The counted map, or None for assumed coefficients."""
     fit: ReachFit | None
 
     def content(self) -> dict[str, Any]:
-        """The form of a description."""
+        """The coefficients in the form of a description."""
         values = {"A_per_m2": round(self.A, 1), "B_m": round(self.B, 4), "C": round(self.C, 1)}
         return with_source({}, {name: (value, self.source) for name, value in values.items()})
 
 
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
-    """The coefficients of all bodies that may come near the base, with their names.
+    """The names and coefficients of all bodies that may come near the base.
 
-    `workers` start at once, so other work can run before the results are read. A body that fewer
-    than three joints move, or whose map does not fit (9), gets a parabola about its
-    distances in random poses, marked as assumed.
+    `workers` start at once, so the caller can do other work before it reads the results. If fewer
+    than three joints move a body, or if (9) does not fit its map, the coefficients are assumed: a
+    parabola about the distances of the body in random poses.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -342,7 +341,7 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """A parabola about the middle of the distances of the body's shape from the mount."""
+    """A parabola about the mean distance of the body's first shape from the mount."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []
@@ -351,5 +350,5 @@ def _assumed(model: RobotModel, body: str, why: str) -> Reach:
         at = state.data.oMi[shape.parentJoint] * shape.placement
         rho.append(float(np.linalg.norm(at.translation - mount)))
     B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _MIN_WIDTH)
-    source = f"assumed: a parabola about the body's distances in random poses; {why}"
+    source = f"assumed: a parabola about the body's mean distance in random poses; {why}"
     return Reach(PEAK / width**2, B, PEAK, source, None, None)

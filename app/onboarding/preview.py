@@ -1,4 +1,4 @@
-"""Links outside of all bodies, by design or by mistake, and a page that shows them."""
+"""Links that extend beyond their bodies, by design or by mistake, and a page that shows them."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ Array = np.ndarray
 Bare = Literal["design", "mistake"]
 
 COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
-"""Colours of links inside of bodies, and of those outside."""
+"""Colours of links: inside of their bodies, or beyond them by design or by mistake."""
 _BARE = 0.005  # [m] largest overhang of a link over its body
 _BODY = "#0072B2"
 
 
 def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
-    """Links that extend beyond their body in the ready pose, `placed` by joint.
+    """Links that extend beyond their body, and whether by design or by mistake.
 
-    This is by design if no monitored body can reach that part of the link.
+    It is by design if no monitored body can reach the part of the link that extends. `placed` are
+    the poses of the joints in the ready pose.
     """
     found: dict[str, Bare] = {}
     for k, body in enumerate(robot.bodies):
@@ -46,7 +47,7 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
 
 
 def view_html(robot: NewRobot, placed: Sequence[pin.SE3]) -> str:
-    """A page that shows the links by colour, and the bodies over them, in three dimensions."""
+    """A page that shows the coloured links and the bodies over them in three dimensions."""
     scene, bare = trimesh.Scene(), bare_links(robot, placed)
     for mesh, colour, alpha in _meshes(robot, placed, bare):
         r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))

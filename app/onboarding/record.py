@@ -1,4 +1,4 @@
-"""Records of a new robot: the content of its URDF, and the robot made from it."""
+"""Records of a new robot: the content of its URDF, and the robot that is made from it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from app.robot.model import RobotModel
 
 @dataclass(frozen=True)
 class Parsed:
-    """Values that the URDF states."""
+    """The content of the URDF."""
 
     tree: Tree
     arm: Arm
@@ -29,7 +29,7 @@ class Parsed:
     limits: Limits
     steering: Steering | None = None
     changes: tuple[str, ...] = ()
-    """Sentences on differences from the URDF: shapes left out, telescopes."""
+    """Sentences on differences from the URDF: shapes that are left out, joined telescopes."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class NewRobot:
     urdf: str
     """Text of the new URDF."""
     content: dict[str, Any]
-    """The description, in the form of `RobotDescription`, with its URDF by name."""
+    """The description in the form of `RobotDescription`; it refers to the URDF by name."""
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]
@@ -50,12 +50,12 @@ class NewRobot:
     unseen: Unseen
     ready: Ready
     reach: dict[str, Reach]
-    """Reachabilities, by the name of the body."""
+    """Reachability by the name of the body."""
     places: dict[str, Place]
-    """Lines of guiding, by the name of the scenario."""
+    """Line for guiding by the name of the scenario."""
     lacking: dict[str, str]
-    """Why a scenario has no line."""
+    """Reason for a missing line, by the name of the scenario."""
     held: str
-    """A warning if the arm cannot hold its end-effector in place, or empty."""
+    """Warning that the arm cannot hold its end-effector in place, or empty."""
     warnings: list[str]
-    """Warnings, one sentence each."""
+    """Warnings; each is one sentence."""

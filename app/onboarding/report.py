@@ -1,4 +1,4 @@
-"""The report of a new robot: one page with pictures, tables and warnings."""
+"""The report of a new robot: a page with pictures, tables and warnings."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ Array = np.ndarray
 
 
 class Pictures(NamedTuple):
-    """Pictures of a new robot, as PNG."""
+    """Pictures of a new robot in PNG format."""
 
     bodies: bytes
     border: bytes | None
-    """The border, or None if there is none."""
+    """The border, or None for a robot without a border."""
     reach: bytes | None
-    """The reachability, or None if none was counted."""
+    """The reachability, or None without a counted reachability."""
     view: str
-    """A separate page: the bodies in three dimensions."""
+    """Text of a separate page, which shows the bodies in three dimensions."""
     bare: dict[str, Bare]
-    """Links outside of all bodies, by design or by mistake."""
+    """Links that extend beyond their bodies, by design or by mistake."""
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """The pictures of a robot and its border, which are independent of its lines of guiding."""
+    """The pictures of a robot and its border; they do not depend on the lines for guiding."""
     robot, data = job
     placed = _placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
@@ -54,7 +54,7 @@ def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
 
 
 def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
-    """The self-contained page for a robot and its border."""
+    """The report of a robot and its border, as a page without external files."""
     more = (("Border", pictures.border), ("Reachability", pictures.reach))
     parts = [
         Part("Warnings", points=robot.warnings or ["none"]),
@@ -63,7 +63,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
             png=pictures.bodies,
             tables=[_bodies(robot)],
             points=_bare(pictures.bare),
-            note=f"The same in three dimensions: {VIEW}, beside this file.",
+            note=f"The file {VIEW} in the same folder shows the bodies in three dimensions.",
         ),
         Part("Pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
         *(Part(title, png=png) for title, png in more if png is not None),
@@ -76,14 +76,14 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
 
 
 VIEW = "bodies.html"
-"""The page beside the report that shows the bodies in three dimensions."""
+"""Name of the page that shows the bodies in three dimensions."""
 
 
 def _bare(bare: dict[str, Bare]) -> list[str]:
-    """Sentences on the links outside of all bodies."""
+    """Sentences on the links that extend beyond their bodies."""
     whys = {
-        "design": "extend beyond their bodies by design, where no monitored body can come",
-        "mistake": "extend beyond their bodies where a monitored body can come: a mistake",
+        "design": "extend beyond their bodies by design: no monitored body can reach these parts",
+        "mistake": "extend beyond their bodies by mistake: a monitored body can reach these parts",
     }
     links = {why: [link for link, each in bare.items() if each == why] for why in whys}
     return [f"{', '.join(links[why])} {text}" for why, text in whys.items() if links[why]]
@@ -104,7 +104,7 @@ def _bodies(robot: NewRobot) -> Grid:
         for fit in body.fits
     ]
     return Grid(
-        ("body", "frame", "links", "shape", "volume [l]", "over hull's", "protrusion [m]"), rows
+        ("body", "frame", "links", "shape", "volume [l]", "volume / hull", "protrusion [m]"), rows
     )
 
 
@@ -134,9 +134,9 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
 def _verdict(robot: NewRobot) -> list[str]:
     verdict, ready, share = robot.verdict, robot.ready, robot.unseen.share
     return [
-        f"random poses with a collision that no pair sees: {share:.1%}",
-        f"random poses without a collision in which bodies meet: {verdict.false:.1%}",
-        f"ready pose: {ready.nearest} is nearest, {ready.clearance:+.3f} m from its buffer",
+        f"share of the colliding random poses that no pair sees: {share:.1%}",
+        f"share of the free random poses in which bodies of a pair overlap: {verdict.false:.1%}",
+        f"ready pose: the nearest pair {ready.nearest} is {ready.clearance:+.3f} m from its buffer",
     ]
 
 
@@ -179,7 +179,10 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 
 
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
-    """The ready pose from three sides: hulls of the links, coloured where bare, and bodies."""
+    """The bodies over the hulls of the links in the ready pose, from three sides.
+
+    Links that extend beyond their bodies have the colours of `COLOURS`.
+    """
     model = robot.model
     placed = _placements(model, robot.ready.q_m)
     units = robot.meetings.units
@@ -207,7 +210,7 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
 
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
-    """The border of each pair of L_m at half the base's height and above its top; None if none."""
+    """The border of each pair of L_m at half the base's height and above its top, or None."""
     model, d_b = robot.model, robot.request.d_b
     eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
@@ -243,7 +246,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """Means of the reachability over shells, and (9); None if none was counted."""
+    """The counted reachability as means over shells, with the fit of (9), or None."""
     counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
     if not counted:
         return None
@@ -264,7 +267,7 @@ def reach_png(robot: NewRobot) -> bytes | None:
 
 
 def body_corners(model: RobotModel, placed: Sequence[pin.SE3], name: str) -> list[Array]:
-    """Corners (N, 3) [m] of each shape of a body, the base at the origin."""
+    """Corners (N, 3) [m] of each shape of a body, with the base at the origin."""
     corners = []
     for shape, k in zip(model.description.body(name).shapes, model.shape_ids[name], strict=True):
         item = model.geometry.geometryObjects[k]
@@ -282,9 +285,11 @@ def _placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
 def _fill(
     axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float, label: str | None = None
 ) -> None:
-    """The outline of a convex body seen along an axis."""
+    """Draw the projection of a convex body on the axes x and y."""
     flat = points[:, [x, y]]
-    ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]  # a plate is a line from its side
+    ring = flat[
+        ConvexHull(flat, qhull_options="QJ").vertices
+    ]  # the projection of a plate can be a line
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
     axes.add_collection(PolyCollection([ring], label=label, linewidth=1.0, **style))
 
@@ -294,7 +299,11 @@ def _legend(figure: Figure, names: Sequence[str]) -> None:
         Patch(color=BODY_COLOURS[k % len(BODY_COLOURS)], alpha=0.5, label=name)
         for k, name in enumerate(names)
     ]
-    kinds = {None: "enclosed links", "design": "bare by design", "mistake": "bare by mistake"}
+    kinds = {
+        None: "enclosed links",
+        "design": "beyond their body by design",
+        "mistake": "beyond their body by mistake",
+    }
     links = [Patch(color=COLOURS[kind], label=text) for kind, text in kinds.items()]
     handles = [*patches, *links]
     figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))

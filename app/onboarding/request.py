@@ -1,4 +1,4 @@
-"""The input of `dbb new-robot`, with checks before anything is read."""
+"""The input of `dbb new-robot`, and checks of this input before any file is read."""
 
 from __future__ import annotations
 
@@ -18,71 +18,74 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 @dataclass(frozen=True)
 class Request:
-    """A robot to make; missing numbers and names are determined automatically."""
+    """Input for a new robot; missing numbers and names are determined automatically."""
 
     urdf: str
-    """The URDF or xacro, package://PACKAGE/PATH for one of an installed package, or a zip with a
-    URDF and its meshes; nothing in a zip is executed."""
+    """A URDF or xacro file, package://PACKAGE/PATH for a file of an installed package, or a zip
+    with a URDF and its meshes; nothing in a zip is executed."""
     base: str
-    """Link that moves with the base, z up."""
+    """Link that moves with the base; its z axis points up."""
     tip: str
     """Link that carries the end-effector."""
     out: Path
-    """Folder of the new description, such as robot_assets/NAME; its name is the robot's."""
+    """Folder of the new description, such as robot_assets/NAME; NAME becomes the robot's name."""
     wheels: tuple[str, str] | None = None
-    """Joints (or links) of a left and a right driven wheel, for a car-like base the rear ones;
-    default: found automatically."""
+    """Joints (or links) of a left and a right driven wheel; for a car-like base, of the rear
+    wheels. Default: found automatically."""
     arm_urdf: str | None = None
-    """Another URDF with the arm, to be fixed to --base; --tip is then a link of it."""
+    """A separate URDF of the arm, which is fixed to --base; --tip is then a link of the arm."""
     mount_xyz: Vector3 = (0.0, 0.0, 0.0)
-    """[m] position of the root of --arm-urdf in --base."""
+    """[m] position of the root link of --arm-urdf in the frame of --base."""
     mount_rpy: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] its rotation there."""
+    """[rad] rotation of the root link of --arm-urdf in the frame of --base."""
     mount: str | None = None
-    """Link at whose origin the arm starts; default: the parent of its first joint."""
+    """Link at whose origin the arm starts; default: the parent link of the arm's first joint."""
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
-    """[m] the end-effector's origin in --tip."""
+    """[m] position of the end-effector's frame in the frame of --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] its rotation there; its z points out of the gripper."""
+    """[rad] rotation of the end-effector's frame in the frame of --tip; its z axis points out of
+    the gripper."""
     half_track: float | None = None
     """[m] effective half track of the base; default: measured between the wheels."""
     wheel_radius: float | None = None
-    """[m] wheel radius of a base whose URDF has no wheels; needs --half-track too."""
+    """[m] wheel radius, for a URDF without wheels; also needs --half-track."""
     kind: str = "differential"
-    """Kind of the base: differential, holonomic (which needs no wheels) or car-like."""
+    """Kind of the base: differential, holonomic or car-like; a holonomic base needs no wheels."""
     wheelbase: float | None = None
-    """[m] wheelbase of a car-like base; default: measured to its steered wheels."""
+    """[m] wheelbase of a car-like base; default: measured between its rear and its steered
+    wheels."""
     steering_limit: float | None = None
-    """[rad] steering limit to either side; default: the URDF's."""
+    """[rad] steering limit to either side; default: from the URDF."""
     steering_rate: float | None = None
-    """[rad/s] steering rate; default: the URDF's, or 1.5."""
+    """[rad/s] steering rate; default: from the URDF, or 1.5."""
     ready: tuple[float, ...] | None = None
-    """(n_m,) [rad or m] ready pose; default: chosen among random poses."""
+    """(n_m,) [rad or m] joint positions of the ready pose; default: the best of random poses."""
     bodies: int | None = None
-    """Number of bodies of the arm; default: four, or another number if four do not suffice."""
+    """Number of bodies of the arm; default: four, or another number if four are not sufficient."""
     assume_inertia: bool = False
-    """Compute masses from volumes if the arm's URDF states none at all."""
+    """Compute masses from volumes if the URDF states no mass at all for the arm."""
     title: str | None = None
-    """Title of the robot; default: its name."""
+    """Displayed title of the robot; default: its name."""
     licence: str | None = None
     """Licences of the files that the URDF refers to."""
     seed: int = 0
     """Seed of all random poses."""
     d_b: float = Config().border.d_b
-    """[m] d_b of this robot, which determines its bodies and ready pose."""
+    """[m] buffer distance d_b of this robot; the bodies and the ready pose depend on it."""
     file: str | None = None
-    """Path of the URDF in a zip with several."""
+    """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None
-    """Displayed source of the robot if it is not `urdf`, or None."""
+    """Displayed source of the robot; None means `urdf`."""
     package: tuple[str, ...] = ()
-    """Folders of ROS packages, as NAME=FOLDER. Without them, packages are folders of that name
-    upwards from the URDF, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed."""
+    """Folders of ROS packages, as NAME=FOLDER. The program searches for other packages in the
+    folders above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed
+    packages."""
     xacro: tuple[str, ...] = ()
-    """Arguments of a xacro, as NAME=VALUE, such as ur_type=ur20."""
+    """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
 
     @property
     def told(self) -> str:
-        """The displayed source of the robot: the URDF, or the zip that contains it."""
+        """The displayed source of the robot: the URDF, or the zip that contains the URDF."""
         return self.source or self.urdf
 
     @property
@@ -95,13 +98,14 @@ class Request:
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
             raise RobotFileError(
-                f"--out: the folder's name {name!r} becomes the robot's: letters, digits and _ only"
+                f"--out: the folder's name {name!r} becomes the robot's name: use only letters, "
+                "digits and _"
             )
         return name
 
 
 class Bounds(NamedTuple):
-    """Bounds of an optional number, in its unit, and the only kind of base that has it, if any."""
+    """Bounds of an optional number in `unit`; only bases of `kind` have the number."""
 
     low: float
     high: float
@@ -118,7 +122,7 @@ BOUNDS = {
     "bodies": Bounds(1, 8),
 }
 """Bounds by the field of `Request`."""
-_FARTHEST = 10.0  # [m] or [rad] largest place or rotation; more is a typing error
+_FARTHEST = 10.0  # [m] or [rad] largest coordinate; a larger one is a typing error
 
 
 def option(field: str) -> str:
@@ -127,11 +131,11 @@ def option(field: str) -> str:
 
 
 def check_request(request: Request) -> None:
-    """Refuse numbers out of bounds, those of another kind of base, and packages without a folder.
+    """Refuse numbers out of bounds, options of another kind of base, and packages without a folder.
 
     Raises:
         UnknownNameError: The kind of base does not exist.
-        ConfigError: Names the option and the valid range.
+        ConfigError: An option is wrong; the message names the option and the valid values.
     """
     known = parameter("border.d_b")
     check_range("--buffer-distance", request.d_b, known.low, known.high, known.unit)
@@ -142,8 +146,8 @@ def check_request(request: Request) -> None:
     for field in ("mount_xyz", "mount_rpy"):
         if request.arm_urdf is None and any(getattr(request, field)):
             raise ConfigError(
-                f"{option(field)}: is for an arm in its own file; give --arm-urdf, or leave "
-                "it out: in one URDF the joint of the arm's mount has its place"
+                f"{option(field)}: is for an arm with its own URDF; add --arm-urdf, or remove "
+                f"{option(field)}: in a single URDF a joint sets the place of the arm"
             )
     # Imported here: coal and pinocchio would delay the start of `dbb --help`.
     from app.robot.description import KINDS
@@ -158,24 +162,26 @@ def check_request(request: Request) -> None:
         check_range(option(field), value, *bounds[:3])
         if bounds.kind not in ("", kind):
             raise ConfigError(
-                f"{option(field)}: a {kind} base has none; leave it out, or give "
+                f"{option(field)}: a {kind} base does not have this; remove the option, or set "
                 f"--kind {bounds.kind}"
             )
     package_folders(request.package)
     named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:
-        raise ConfigError("--wheels: a holonomic base is described without them; leave them out")
+        raise ConfigError(
+            "--wheels: a holonomic base is described without wheels; remove the option"
+        )
     if request.wheel_radius is not None and (
         request.half_track is None or request.wheels is not None
     ):
-        raise ConfigError("--wheel-radius: needs --half-track, and no --wheels")
+        raise ConfigError("--wheel-radius: needs --half-track, and excludes --wheels")
 
 
 def package_folders(given: Sequence[str]) -> dict[str, Path]:
     """The folders of packages by their names, from `NAME=FOLDER`.
 
     Raises:
-        ConfigError: One has another form, or is not a folder.
+        ConfigError: An entry has another form, or its folder does not exist.
     """
     folders = named("--package", given, "FOLDER")
     if lost := [folder for folder in folders.values() if not Path(folder).is_dir()]:
@@ -184,10 +190,10 @@ def package_folders(given: Sequence[str]) -> dict[str, Path]:
 
 
 def named(option: str, given: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by name, from `NAME=…`.
+    """The values of an option by name, from entries of the form `NAME=…`.
 
     Raises:
-        ConfigError: One has another form.
+        ConfigError: An entry has another form.
     """
     found = {}
     for each in given:

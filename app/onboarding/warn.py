@@ -1,6 +1,7 @@
 """Warnings that a user should read before using a new robot.
 
-One of them applies to every robot: whether its arm can hold the end-effector while the base moves.
+`dbb check-robot` repeats two of them for every robot: whether the arm can hold the end-effector
+while the base moves, and whether a person can push the arm against the base.
 """
 
 from __future__ import annotations
@@ -32,20 +33,20 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _IN_FLOOR = 0.005  # [m] largest depth below the floor
-_OVER = 2.0  # [-] largest ratio of a body's volume to that of its links
+_OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
 _FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
 _POSES, _SAMPLES = 100, 2000
-_NEAR = 0.30  # [m] largest distance from the base of a pose that counts
+_NEAR = 0.30  # [m] largest distance of the arm to the base in a pose near the base
 _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not compensate
-_LEVER = 0.3  # [m] lever that weights rotation against translation
-_NOTHING = 1e-6  # [m/s or rad/s] remainder that counts as zero
-_OUT = 0.005  # [m] largest overhang over a body
-_OFTEN = 0.25  # [-] share of poses from which on a warning is given
+_LEVER = 0.3  # [m] lever that converts a rotation to a translation
+_NOTHING = 1e-6  # [m/s or rad/s] largest remainder that counts as zero
+_OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
+_OFTEN = 0.25  # [-] share of poses above which a warning is given
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
-    """One sentence each, the most serious first."""
+    """All warnings, one sentence each; the most serious ones are first."""
     return [
         *_scale(robot),
         *_places(robot),
@@ -63,7 +64,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
 
 
 def _places(robot: NewRobot) -> Iterator[str]:
-    """Misplaced parts of the arm in the ready pose: in the floor, in the base."""
+    """Parts of the arm that are below the floor or inside the base in the ready pose."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
     own = robot.request.arm_urdf is None
     look = f"look at {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
@@ -80,7 +81,7 @@ def _places(robot: NewRobot) -> Iterator[str]:
         elif (base.distance(corners) <= 0.0).all():
             where = "the base's body, so nothing can meet it" if fixed else "the base's body"
             look = "" if fixed and own else f" in the ready pose: {look}"
-            yield f"{names} is wholly inside of {where}{look}"
+            yield f"{names} is completely inside of {where}{look}"
 
 
 def _poses(robot: NewRobot) -> Iterator[str]:
@@ -88,16 +89,16 @@ def _poses(robot: NewRobot) -> Iterator[str]:
     if ready.clearance < 0:
         yield (
             f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
-            "pose; give another by --ready, or use a smaller --buffer-distance"
+            "pose; set another pose by --ready, or use a smaller --buffer-distance"
         )
     for name in robot.verdict.always:
         yield (
             f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of random "
-            f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; try a smaller "
-            "--buffer-distance, or other --bodies"
+            f"poses (more than {ALWAYS:.0%}): its task is nearly always active; try a smaller "
+            "--buffer-distance, or another number of --bodies"
         )
     near_for_good = ", ".join(robot.verdict.always)
-    always = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else ""
+    always = f"{near_for_good} is nearly always inside its buffer" if near_for_good else ""
     whys = {name: always or why for name, why in robot.lacking.items()}
     for why in dict.fromkeys(whys.values()):
         names = ", ".join(name for name, each in whys.items() if each == why)
@@ -109,23 +110,26 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
     if robot.unseen.unseen:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
-            f"mostly {robot.unseen.worst}: bodies that are neighbours or close by design are no "
-            "pair, so try another number of --bodies, or limit the joints between them"
+            f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
+            "pair: try another number of --bodies, or limit the joints between them"
         )
     if robot.unseen.left_out:
         yield (
             f"in {robot.unseen.left_out} of {robot.unseen.looked_at:,} random poses links meet "
-            f"that no buffer can monitor, neighbours or close by design: {robot.unseen.rule}; "
-            "limit the joints between them"
+            "that no pair can monitor, because they are neighbours or close by design: "
+            f"{robot.unseen.rule}; limit the joints between them"
         )
     for name, by_links in verdict.unwatched.items():
         if not by_links:
-            yield f"{name} is not monitored: its bodies are near in most poses, its links in none"
+            yield (
+                f"{name} is not monitored: its bodies are within d_b of each other in most poses, "
+                "although its links are not"
+            )
     for pair in sorted(meetings.nested):
         a, b = (meetings.units[unit].links[0] for unit in pair)
-        yield f"{a} and {b} touch in most of the poses: taken as nested"
+        yield f"{a} and {b} touch in most poses: they count as nested, and are no pair"
     for name in verdict.spurious:
-        yield f"the pair {name} meets as bodies, but the links in them never do"
+        yield f"the bodies of the pair {name} can meet, but their links never do"
     for body in robot.bodies:
         worst = max(fit.over_cover for fit in body.fits)
         if worst > _OVER:
@@ -136,8 +140,8 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
     for name, reach in robot.reach.items():
         if reach.fit is not None and reach.fit.r_squared < _FITTED:
             yield (
-                f"the reachability of {name} is counted, but (9) fits it badly, with an R² of "
-                f"{reach.fit.r_squared:.2f}: the scores of the border follow it only roughly"
+                f"(9) fits the counted reachability of {name} badly, with an R² of "
+                f"{reach.fit.r_squared:.2f}: the scores of the border are only approximate"
             )
     bare = [
         link
@@ -146,11 +150,11 @@ def _reaches(robot: NewRobot) -> Iterator[str]:
         if not robot.parsed.geometry[link].shapes and robot.parsed.inertias[link].inertia.mass > 0
     ]
     if bare:
-        yield f"no shape, so no body stands for them: {', '.join(bare)}"
+        yield f"these links have no shape, so no body encloses them: {', '.join(bare)}"
 
 
 def _scale(robot: NewRobot) -> Iterator[str]:
-    """Shapes of another scale than the joints, such as a mesh that is not in metres."""
+    """Shapes with another scale than the joints, such as a mesh that is not in metres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
         max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
@@ -160,8 +164,8 @@ def _scale(robot: NewRobot) -> Iterator[str]:
     apart = sum(float(np.linalg.norm(T.translation)) for T in pin.jointPlacements[3:])
     if sum(sizes) > _TOO_LARGE * apart:
         yield (
-            f"the arm's links are {sum(sizes):.2g} m long one after the other, its joints "
-            f"{apart:.2g} m apart: look in the report whether meshes are too large, and give those "
+            f"the arm's links have a total length of {sum(sizes):.2g} m, but its joints are only "
+            f"{apart:.2g} m apart in total: if meshes are too large in the report, set their "
             'scale="..." in the URDF'
         )
 
@@ -172,8 +176,9 @@ def _joints(robot: NewRobot) -> Iterator[str]:
     for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True):
         if (low, high) != (lower, upper):
             yield (
-                f"{joint.name} is limited to {low:g} … {high:g}, not {lower:g} … {upper:g}: beyond "
-                "that a link would meet the base, which one says the source of position_lower"
+                f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}: "
+                "beyond these limits a link would meet the base; the source of position_lower "
+                "names the link"
             )
     for field, text in limits.source.items():
         if "assumed for" in text and field != "position_upper":
@@ -191,20 +196,20 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
     arm = robot.parsed.arm
     for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
         if sum(inertias[link].inertia.mass for link in links) <= 0:
-            yield f"nothing that {joint.name} alone moves has a mass: its inertia is zero"
+            yield f"no link that {joint.name} alone moves has a mass: the inertia is zero"
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Suspensions that count as rigid, and moving parts beside the arm: another arm, a head, legs.
+    """Joints that are fixed in the model: suspensions, and joints of another arm, a head or legs.
 
-    Wheels and casters turn without limits: they roll.
+    Wheels and casters are not reported: they turn without limits.
     """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind == "prismatic"]:
         travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
         names = ", ".join(j.name for j in rigid)
-        yield f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}"
+        yield f"suspensions of wheels, with a travel of up to {travel:g} m, count as rigid: {names}"
     own = {joint.name for joint in (*arm.joints, *rigid)}
     own.update(parsed.steering.joints if parsed.steering else ())
     carried = {link for links in arm.segments for link in links}
@@ -216,15 +221,18 @@ def held_still(parsed: Parsed) -> Iterator[str]:
     ]
     if held:
         names = ", ".join(held)
-        yield f"not of the arm to --tip, so held still at zero or the nearest limit: {names}"
+        yield (
+            "these joints are not between the base and --tip, so they are fixed at zero or at the "
+            f"limit nearest to zero: {names}"
+        )
     if free := [joint.name for joint in tree.joints.values() if joint.kind in FREE]:
         free = [name for name in free if tree.joints[name].child in tree.below(arm.base)[1:]]
     if free:
-        yield f"links on joints that are free in space are taken as fixed: {', '.join(free)}"
+        yield f"planar and floating joints are fixed: {', '.join(free)}"
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Distances by which links that move beside the arm can leave their bodies."""
+    """Distances by which moving links beside the arm's chain can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     chain = [joint.name for joint in arm.joints]
     roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
@@ -241,11 +249,14 @@ def _moving_beside(robot: NewRobot) -> Iterator[str]:
                     outs[link] = float(outside(model, body.name, corners).max())
             if outs and (out := max(outs.values())) > _OUT:
                 link = max(outs, key=outs.__getitem__)
-                yield f"{link} can move {out:.2f} m out of {body.name}, its body at rest"
+                yield f"{link} can move {out:.2f} m out of its body {body.name}"
 
 
 def outside(model: RobotModel, body: str, points: Array) -> Array:
-    """(N,) [m] lower bound of the distances of points in a body's joint frame to its shapes."""
+    """(N,) [m] lower bounds of the distances of points to the shapes of a body.
+
+    The points (N, 3) [m] are in the frame of the body's joint.
+    """
     found = np.full(len(points), np.inf)
     for k, shape in zip(model.shape_ids[body], model.description.body(body).shapes, strict=True):
         own = moved(points, model.geometry.geometryObjects[k].placement.inverse())
@@ -256,7 +267,7 @@ def outside(model: RobotModel, body: str, points: Array) -> Array:
 
 
 def wheels_carried(parsed: Parsed) -> list[str]:
-    """Joints without limits on fixed links of a separate arm's file."""
+    """Joints without limits on the fixed links of a separate URDF of the arm."""
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
@@ -268,14 +279,14 @@ def _base(robot: NewRobot) -> Iterator[str]:
     wheels, tree = robot.parsed.wheels, robot.parsed.tree
     if carried := wheels_carried(robot.parsed):
         yield (
-            f"--arm-urdf has wheels of its own: {', '.join(carried)}; if it is a whole robot, its "
-            "base now stands on --base, with its mass and shapes"
+            f"--arm-urdf has its own wheels: {', '.join(carried)}; if it is a complete robot, its "
+            "base is now mounted on --base, with its mass and shapes"
         )
     skids = robot.request.kind == "differential" and len(wheels.left) > 1
     if skids and robot.request.half_track is None:
         yield (
             f"{2 * len(wheels.left)} driven wheels skid when the base turns: its effective half "
-            f"track is wider than the {wheels.b:.3f} m between the wheels; give it by --half-track"
+            f"track is larger than the measured {wheels.b:.3f} m; set it by --half-track"
         )
     if robot.request.kind == "holonomic":
         yield "the base's speed, acceleration and traction are assumed"
@@ -289,8 +300,8 @@ def _base(robot: NewRobot) -> Iterator[str]:
     if ahead[axis] < 0 or axis != 0:
         way = f"{'-' if ahead[axis] < 0 else ''}{'xyz'[axis]}"
         yield (
-            f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz counts "
-            "along the axes of that link"
+            f"the base drives along the {way} axis of {robot.parsed.arm.base}: --mount-xyz is in "
+            "the frame of that link"
         )
     inertias, seen = robot.parsed.inertias, []
     for link, each in robot.parsed.geometry.items():
@@ -298,25 +309,25 @@ def _base(robot: NewRobot) -> Iterator[str]:
             continue
         if inertias[link].assumed and all(shape.kind == "sphere" for shape in each.shapes):
             yield (
-                f"{link} is a sphere with a visual only, without a mass: it counts as a part of "
+                f"{link} is a sphere with only a <visual> and no mass: it counts as a part with "
                 f"{inertias[link].inertia.mass:.2g} kg; if it is a marker, remove its <visual>"
             )
         else:
             seen.append(link)
     if seen:
-        yield f"no collision shape, so the visual one is used: {', '.join(seen)}"
+        yield f"links without a collision shape, whose visual shape is used: {', '.join(seen)}"
     mesh_paths = robot.urdf.count('filename="/')
     if mesh_paths:
         yield (
-            f"{mesh_paths} meshes are in no installed package and stand by their absolute path: "
-            "this description works on this machine only"
+            f"{mesh_paths} meshes are not in an installed package, so the URDF has their absolute "
+            "paths: this description works only on this machine"
         )
     if not np.isfinite(robot.ready.clearance):
         yield "no pair of bodies can meet: there is nothing to avoid"
 
 
 class Carried(NamedTuple):
-    """How often the arm cannot hold the end-effector while the base moves along an axis."""
+    """Share of poses in which the arm cannot hold the end-effector while the base moves."""
 
     axis: Axis
     """Axis of the base's motion."""
@@ -325,21 +336,21 @@ class Carried(NamedTuple):
     place: float
     """[-] share of the poses in which the arm cannot hold the end-effector's position."""
     pose: float
-    """[-] share in which it cannot hold position and orientation."""
+    """[-] share of the poses in which it cannot hold both position and orientation."""
 
     @property
     def text(self) -> str:
-        """The sentence part after "while the base"."""
+        """The words after "while the base" in a warning."""
         if self.axis.angular:
             return f"turns at {self.speed:g} rad/s"
         return f"moves {self.axis.way} at {self.speed:g} m/s"
 
 
 def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
-    """How often the arm is too slow, or lacks a joint, to hold its end-effector in place.
+    """Shares of poses in which the arm cannot hold its end-effector, for each axis of the base.
 
-    It samples random clear poses near the base, with each of the base's axes at its largest
-    commanded speed: see `lost_hand`.
+    The arm is then too slow, or lacks a joint. The poses are random poses near the base without
+    contact. The base moves along one axis at its largest commanded speed; see `lost_hand`.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
@@ -361,9 +372,9 @@ def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
     The function computes the smallest remainder of J_arm q̇ = -J_base ν within the joints' velocity
-    limits. With orientation, the angular part has a lever of 0.3 m. A part is lost if its remainder
-    exceeds a tenth of the base's motion: of the motion of that part, or of the other part by the
-    lever if that is larger.
+    limits. If the orientation counts too, a lever of 0.3 m converts the angular part to metres. The
+    position is lost if its remainder exceeds a tenth of the linear motion. The pose is lost if the
+    remainder of one part exceeds a tenth of the larger part of the motion.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
@@ -389,26 +400,26 @@ def _least(J: Array, moved: Array, qd_max: Array) -> Array:
 
 
 def holding_warning(carried: tuple[Carried, ...]) -> str:
-    """A sentence on the base's axes along which the arm often cannot compensate, or empty."""
+    """A warning of the base's motions that the arm often cannot compensate, or empty."""
     often = [each for each in carried if each.place > _OFTEN]
     if not often:
         return ""
     ways = ", or while it ".join(
-        f"{each.text} (in {each.place:.0%} of poses near it; with its orientation too in "
-        f"{each.pose:.0%})"
+        f"{each.text} (in {each.place:.0%} of the poses near the base; in {each.pose:.0%} if the "
+        "orientation counts too)"
         for each in often
     )
     return (
-        f"the arm cannot hold its end-effector in place while the base {ways}: there the base "
-        "moves less, so that the end-effector stays in place"
+        f"the arm cannot hold its end-effector in place while the base {ways}; during avoidance "
+        "the base moves less in these directions"
     )
 
 
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
-    One value for each of N random poses at rest near the base, for the nearest pair of L_m
-    (`force_bound`).
+    There is one value for each of N random poses at rest near the base: `force_bound` of the
+    nearest pair of L_m.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
@@ -423,20 +434,23 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def push_warning(borne: Array) -> str:
-    """A sentence on an arm that a person can push against the base, or empty."""
+    """A warning of an arm that a person can push against the base, or empty."""
     person = PersonConfig().f_max
     weak = float((borne < person).mean()) if len(borne) else 0.0
     if weak <= _OFTEN:
         return ""
     return (
         f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of the poses "
-        f"near the base the joint torques resist less than that, in the worst {_OFTEN:.0%} at most "
-        f"{np.quantile(borne, _OFTEN):.0f} N"
+        f"near the base the joint torques resist a smaller force; in the worst {_OFTEN:.0%} they "
+        f"resist {np.quantile(borne, _OFTEN):.0f} N or less"
     )
 
 
 def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
-    """(N, n_m) random poses without contact and with the arm near the base, or any poses."""
+    """(N, n_m) random poses without contact and with the arm near the base.
+
+    If too few of these exist, the poses may be anywhere.
+    """
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))
     clear, near = [], []

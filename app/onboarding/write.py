@@ -1,4 +1,4 @@
-"""A new robot's folder: its description, its URDF with its root on the floor, and its sources."""
+"""The files of a new robot: description, URDF with the root on the floor, list of sources."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from app.onboarding.request import Request
 
 MESH_FOLDER = "meshes"
-"""Folder of the rewritten meshes in a robot's folder."""
+"""Folder of the converted meshes within a robot's folder."""
 _ENDLESS = "1e6"  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
-    """Write the description, its URDF and the sources of its assets into a folder."""
+    """Write the description, the URDF and the list of sources into a folder."""
     write_whole(folder / "robot.urdf", robot.urdf)
     title = f"{robot.content['title']}, from {robot.request.told}"
     text = description_text(robot.content, title)
@@ -55,9 +55,9 @@ def write_robot(robot: NewRobot, folder: Path) -> None:
 
 
 def _sources_text(robot: NewRobot) -> str:
-    """`SOURCES.md`: the files that the robot is made of."""
+    """The text of `SOURCES.md`, which lists the files that the robot consists of."""
     request, lines = robot.request, []
-    copied = "No mesh is copied: `robot.urdf` names the files of the installed packages."
+    copied = "No mesh is copied: `robot.urdf` refers to the files of the installed packages."
     for what, path in (("robot", request.told), ("arm", request.arm_urdf)):
         if path is not None:
             lines.append(f"- URDF of the {what}: `{path}`")
@@ -74,41 +74,43 @@ def _sources_text(robot: NewRobot) -> str:
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
         lines.append(
-            f"- Meshes in the folder `{MESH_FOLDER}`: of another unit or format, or with very many "
-            "triangles, they are written anew as STL in metres"
+            f"- Meshes in the folder `{MESH_FOLDER}`: they had another unit or format, or too many "
+            "triangles, and are converted to STL in metres"
         )
         copied = "No other mesh is copied."
     licence = request.licence or (
-        "Not stated by `--licence`: look it up in the packages before passing this folder on."
+        "`--licence` was not set: find the licences in the packages before you publish this folder."
     )
     warnings = "\n".join(f"- {warning}" for warning in robot.warnings) or "- none"
     return (
-        f"# Where {robot.content['title']} comes from\n\n" + "\n".join(lines) + f"\n\n{copied}\n\n"
+        f"# Sources of {robot.content['title']}\n\n" + "\n".join(lines) + f"\n\n{copied}\n\n"
         f"Licence: {licence}\n\n## Warnings of `dbb new-robot`\n\n{warnings}\n"
     )
 
 
 class HandMade(NamedTuple):
-    """A person's changes of a robot."""
+    """Changes that a person makes to a robot."""
 
     shapes: dict[tuple[str, int], Shape]
-    """Shapes, by the name of the body and the index."""
+    """New shapes, by the name of the body and the index of the shape."""
     unwatched: dict[str, str]
-    """Why a pair is not monitored, by its name; for all such pairs."""
+    """All pairs that are not monitored: the reasons by the name of the pair."""
     ready: tuple[float, ...] | None
-    """(n_m,) [rad or m] the ready pose, or None for no change."""
+    """(n_m,) [rad or m] the new ready pose, or None for no change."""
 
 
 BY_HAND = "set by hand"
-"""The source of a person's changes."""
+"""Source of a number that a person has changed."""
 
 
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
-    """Write a robot's folder with changes, in place or as a copy; everything else stays the same.
+    """Write a robot's folder with changes; all other content stays the same.
+
+    If `out` is the folder `source`, the changes are made in place; otherwise `out` is a copy.
 
     Raises:
-        DescriptionError: It would be no robot that the core takes, or the present description
-            takes more than its budget to read.
+        DescriptionError: The result is not a valid description, or reading the present description
+            exceeds its budget.
         OutputError: `out` is another robot's folder, or cannot be written.
     """
     before = file_text(source / "robot.toml")
@@ -118,7 +120,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         text = within_budget(_changed_text, before, name, changes, size=len(before))
     except BudgetError as error:
         raise DescriptionError(f"{source / 'robot.toml'}: {error}") from None
-    with temporary_folder() as tried:  # an invalid robot must not replace it
+    with temporary_folder() as tried:  # an invalid description must not replace a valid one
         write_whole(tried / "robot.toml", text)
         load_description(tried / "robot.toml")
     if in_place:
@@ -130,7 +132,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
 
 
 def _changed_text(text: str, name: str | None, changes: HandMade) -> str:
-    """A description's text with changes, and with another name if one is given."""
+    """The text of a description with changes, and with a new name unless `name` is None."""
     document: Any = tomlkit.parse(text)
     if name is not None:
         document["name"], document["title"] = name, f"{document['title']} ({BY_HAND})"
@@ -150,21 +152,21 @@ def _changed_text(text: str, name: str | None, changes: HandMade) -> str:
 
 
 def shape_content(shape: Shape) -> dict[str, Any]:
-    """A shape in the form of a description, which leaves out a zero rotation."""
+    """A shape in the form of a description, without a rotation of zero."""
     return {k: v for k, v in shape.model_dump().items() if k != "rpy_rad" or any(v)}
 
 
 _HEADER = (
     "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
     "Each number is measured, from the URDF, given, chosen, counted or assumed; check the "
-    "assumed ones.",
+    "assumed numbers.",
 )
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
-    """The text of `robot.toml`: a title, and each number's kind of source, as comments.
+    """The text of `robot.toml`, with comments: the title, and the kind of each number's source.
 
-    Empty tables, such as missing lines, are left out.
+    Empty tables are left out, such as `lines` of a robot without lines.
     """
     document = tomlkit.document()
     for line in (title, *_HEADER):
@@ -180,7 +182,10 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 
 
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
-    """Add the part of a number's source before its colon as a comment; a mixed one in full."""
+    """Add comments with the source of each number, up to its first colon.
+
+    A short source with several parts is a comment in full.
+    """
     for key, value in content.items():
         if isinstance(value, Mapping):
             _comment(item[key], value)
@@ -193,11 +198,12 @@ def _comment(item: Any, content: Mapping[str, Any]) -> None:
 def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = None) -> str:
     """The text of the new URDF.
 
-    It has the base and everything below it, on a root on the floor, x forward. Meshes keep their
-    files. A link with a visual only collides with it too. Endless joints become revolute with wide
-    limits, and joints that follow others are fixed, so that all libraries read the same robot.
+    Its root is on the floor with x forward; the base and all links below the base follow. If a link
+    has only a visual shape, this is its collision shape too. So that all libraries read the same
+    robot, a joint without limits becomes a revolute joint with wide limits, and a joint that is
+    free in space becomes fixed.
 
-    Meshes below `home`, the folder of the new URDF, have relative paths.
+    Meshes keep their files. Those in `home`, the folder of the new URDF, have relative paths.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -227,10 +233,11 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
 
 
 def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
-    """The name of a mesh in the new URDF: relative below its own folder, which may move.
+    """The name of a mesh in the new URDF.
 
-    This has precedence, also if Python takes a folder above for a package. The address is that of
-    `mesh_address`. A mesh that libraries read differently is written there as an STL in metres.
+    It is a relative path for a mesh in `home`, because that folder may move; this has precedence
+    over `package://`. Otherwise it is `address`, an address of `mesh_address`. A mesh that
+    libraries read differently is first converted to STL in metres, in `home`.
     """
     path = mesh_path(address).resolve()
     if home is None:
@@ -268,7 +275,7 @@ def _copies(element: Element, *tags: str) -> list[Element]:
 
 
 def _colour_only(material: Element) -> Element:
-    """A material without its texture, which is never drawn."""
+    """A material without its texture, because textures are never drawn."""
     kept = Element("material", name=material.get("name") or "unnamed")
     kept.extend(_copies(material, "color"))
     return kept
@@ -290,9 +297,10 @@ def _joint(old: Element) -> Element:
 
 
 def _hold_within_limits(element: Element, joint: Joint) -> None:
-    """Let a fixed joint be at its limit nearest to zero, if zero is not within the limits.
+    """Shift the zero of a joint beside the arm to the limit nearest to zero, if zero is outside.
 
-    Libraries place such a joint at zero: a finger would be inside of the gripper.
+    Libraries place a joint that does not move at zero; otherwise a finger could be inside of the
+    gripper.
     """
     low, high = joint.lower or 0.0, joint.upper or 0.0
     if (at := held_at(joint)) == 0.0:
@@ -308,7 +316,7 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
 
 
 def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
-    """Let a joint follow another from their rest positions; without that joint it is fixed."""
+    """Adapt a mimic joint to the shifted zeros; remove the mimic if its leader does not exist."""
     if (mimic := element.find("mimic")) is None or joint.mimic is None:
         return
     leader, multiplier, offset = joint.mimic
@@ -339,11 +347,17 @@ def description(
     moving: tuple[Sourced, Sourced] | None = None,
     unwatched: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """A description, with its URDF by name; without numbers and bodies, for kinematics and
-    dynamics.
+    """The content of a description; it refers to the URDF by name.
 
-    It has points as bodies, ones for the `moving` values of base and arm, and the joints' middle.
-    `unwatched` says why a pair of bodies is not monitored, by its name.
+    Without `bodies` and `moving` it is sufficient for kinematics and dynamics: the bodies are small
+    spheres, the numbers of the base are 1, and the ready pose is the middle of the joints' ranges.
+
+    Args:
+        request: The input.
+        parsed: The content of the URDF.
+        bodies: The fitted bodies.
+        moving: Numbers of the base and of the arm with their sources.
+        unwatched: Why a pair of bodies is not monitored, by the name of the pair.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
@@ -391,8 +405,8 @@ def _body(body: FittedBody) -> dict[str, Any]:
     nested = "; nested: links that touch in most of the random poses" if body.nested else ""
     return {
         "name": body.name,
-        "source": f"fitted around the hulls of the covered links where they can meet others: "
-        f"{over} times their volume, at most {out:.3f} m outside of them{nested}",
+        "source": f"fitted around the parts of the covered links that can meet other links: {over} "
+        f"times their volume, at most {out:.3f} m outside of their hulls{nested}",
         "frame": body.frame,
         "covers": body.links,
         **({"nested": dict(body.nested)} if body.nested else {}),
@@ -401,9 +415,9 @@ def _body(body: FittedBody) -> dict[str, Any]:
 
 
 def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
-    """The robot of a description and a URDF.
+    """The model of a description and a URDF.
 
     Raises:
-        DescriptionError: It is not a valid robot.
+        DescriptionError: The description is not valid.
     """
     return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))

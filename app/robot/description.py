@@ -46,9 +46,10 @@ class ArmDescription(Sourced):
     end_effector_link: str
     """URDF link that carries the end-effector."""
     end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
-    """[m] origin of the end-effector's frame in that link."""
+    """[m] origin of the end-effector's frame in the frame of `end_effector_link`."""
     end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
-    """[rad] its fixed-axis roll, pitch and yaw in that link; z points out of the gripper."""
+    """[rad] fixed-axis roll, pitch and yaw of the end-effector's frame; its z points out of the
+    gripper."""
     position_lower: tuple[Finite, ...] | None = None
     """[rad or m] lower joint limits; default: from the URDF."""
     position_upper: tuple[Finite, ...] | None = None
@@ -58,15 +59,16 @@ class ArmDescription(Sourced):
     max_effort: tuple[Positive, ...] | None = None
     """[N m or N] joint torque limits; default: from the URDF."""
     ready_position: tuple[Finite, ...]
-    """[rad or m] a pose well inside the limits and outside every buffer."""
+    """[rad or m] joint positions of the ready pose, far from the limits and outside of all
+    buffers."""
     joint_damping: tuple[NonNegative, ...]
-    """[N m s/rad or N s/m] D of the arm during guiding."""
+    """[N m s/rad or N s/m] damping D of the joints while a person guides the arm."""
 
     @model_validator(mode="after")
     def _one_number_a_joint(self) -> Self:
         n = len(self.joints)
         if len(set(self.joints)) != n:
-            raise ValueError("`joints` has a joint twice")
+            raise ValueError("`joints` names a joint twice")
         for name in (
             "position_lower",
             "position_upper",
@@ -77,7 +79,7 @@ class ArmDescription(Sourced):
         ):
             value = getattr(self, name)
             if value is not None and len(value) != n:
-                raise ValueError(f"{name}: needs {n} numbers, one a joint, has {len(value)}")
+                raise ValueError(f"{name}: needs {n} numbers, one for each joint; has {len(value)}")
         return self
 
 
@@ -89,18 +91,18 @@ class BodyDescription(Strict):
     name: Name
     """Name, as in the pair `lm-lEE`."""
     frame: str
-    """URDF link whose frame the shapes use."""
+    """URDF link in whose frame the shapes are."""
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
-    """URDF links that this body encloses: its distances and contacts count as theirs. A part of a
-    link that can meet no other body may extend beyond it."""
+    """URDF links that this body encloses: the distances and contacts of the body represent these
+    links. A part of a link that cannot meet another body may extend beyond the body."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
-    """By one of those links, links of other bodies that are nested with it: their touching is no
-    contact."""
+    """For links in `covers`, the links of other bodies that are nested with them. If nested links
+    touch, this is no contact."""
 
 
 class ReachabilityDescription(Sourced):
-    """A, B, C of (9) for one body of the arm."""
+    """The coefficients A, B and C of (9) for one body of the arm."""
 
     A_per_m2: Positive
     """[1/m²]"""
@@ -122,15 +124,15 @@ class LinePlace(Sourced):
 class RobotDescription(Strict):
     """All data of a robot that the method uses.
 
-    `bodies` are in the order of the kinematic chain, the mobile robot l_m first; neighbours in it
-    are connected by joints and never a pair.
+    `bodies` are in the order of the kinematic chain; the mobile robot l_m is first. Two neighbours
+    in this order are connected by a joint and are never a pair.
     """
 
     name: Name
     title: str
     """Displayed title."""
     urdf: str
-    """The robot's URDF, a file beside the description or the address of one in a package."""
+    """The robot's URDF: a file in the folder of the description, or an address in a package."""
     licence: str
     """Licences of the assets that the URDF refers to."""
     base: SerializeAsAny[BaseKind]
@@ -138,14 +140,15 @@ class RobotDescription(Strict):
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
-    """By the name of the body; every body that may come near l_m needs one."""
+    """Reachability by the name of the body; every body that can come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
-    """By the name of the scenario; a scenario towards the base's sides needs a line or a specified
-    start."""
+    """Lines by the name of the scenario. A scenario that leads towards the base needs a line or a
+    specified start."""
     without_line: dict[str, str] = Field(default_factory=dict)
-    """Why the robot has no line, by the name of the scenario."""
+    """Reasons for missing lines, by the name of the scenario."""
     unwatched: dict[str, str] = Field(default_factory=dict)
-    """Why a pair of bodies is not monitored, by its name such as `lm-l2`; neighbours never are."""
+    """Reasons why pairs of bodies are not monitored, by the pair's name, such as `lm-l2`.
+    Neighbours are never monitored."""
     config: Config = Config()
     """Parameters whose default differs for this robot, such as its d_b."""
 
@@ -164,8 +167,8 @@ class RobotDescription(Strict):
             unknown = body.nested.keys() - set(body.covers)
             if unknown := unknown | set(chain(*body.nested.values())) - foreign:
                 raise ValueError(
-                    f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: its keys are links "
-                    "that this body covers, its values links that others cover"
+                    f"bodies.{body.name}.nested: {', '.join(sorted(unknown))}: the keys must be "
+                    "links that this body covers, the values links that other bodies cover"
                 )
         pairs = [f"{a}-{b}" for a, b in combinations(names, 2)]
         if unknown := self.unwatched.keys() - set(pairs):
@@ -191,13 +194,15 @@ class RobotDescription(Strict):
         return self.bodies[0]
 
     def with_mobile_shapes(self, *shapes: Shape) -> Self:
-        """The same robot with additions on its base, such as cargo: shapes in the frame of l_m."""
+        """A copy of the description with further shapes on the base, such as cargo, in the frame of
+        l_m.
+        """
         first, *others = self.bodies
         loaded = first.model_copy(update={"shapes": (*first.shapes, *shapes)})
         return self.model_copy(update={"bodies": (loaded, *others)})
 
     def body(self, name: str) -> BodyDescription:
-        """The body of that name."""
+        """The body with this name."""
         return next(body for body in self.bodies if body.name == name)
 
 
@@ -205,7 +210,7 @@ def register_base_kind(kind: type[BaseKind]) -> None:
     """Register another kind of base for descriptions: a record whose `kind` is a `Literal`.
 
     Raises:
-        DescriptionError: The name is not a single one, or another kind has it.
+        DescriptionError: The `Literal` has not exactly one name, or another kind has this name.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -223,7 +228,7 @@ for _kind in (DifferentialBase, HolonomicBase, CarLikeBase):
 
 
 def differential(description: RobotDescription) -> DifferentialBase:
-    """The base of a robot with a differential one.
+    """The base of a robot with a differential base.
 
     Raises:
         DescriptionError: The base has another kind.

@@ -27,22 +27,23 @@ Result = TypeVar("Result")
 class RobotModel:
     """The constant data of a robot.
 
-    The base moves within its kind: the first columns of S are its T J_m.
+    The first n_b columns of S are T J_m of the base's kind.
 
     Attributes:
-        description: The description it was compiled from.
-        pin: pinocchio's model: a planar joint, then the arm's; all other joints are locked at zero.
+        description: The description of the robot.
+        pin: pinocchio's model: a planar joint, then the joints of the arm; all other joints are
+            locked at zero.
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
-        body_joints: Pinocchio's joint that moves each body, by its name.
+        body_joints: Number of the joint in pinocchio that moves a body, by the name of the body.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
         n_d: Number of states of the base's drive besides its velocity.
         n_m: Degrees of freedom of the arm.
-        reading_shapes: Valid shapes of each array of a measurement, in its order.
-        J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
-        J_m_inv: (n_b, n_b) its inverse.
-        base_rows: (n_b, n) [J_m O], the rows of (16) and of the limits of the base on q̈.
-        S: (3 + n_m, n) from the reduced velocity to pinocchio's.
+        reading_shapes: Valid shapes of each array of a `Measurement`, in the order of its fields.
+        J_m: (n_b, n_b) Jacobian of the base; for a differential base that of (19).
+        J_m_inv: (n_b, n_b) inverse of J_m.
+        base_rows: (n_b, n) [J_m O], the rows of (16), and of the base's acceleration limits.
+        S: (3 + n_m, n) map from the reduced velocity to pinocchio's velocity.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] limits of the base's axes.
         base_inertia: (n_b,) [kg or kg m²] mass or inertia along each axis.
         joint_damping: (n_m,) [N m s/rad or N s/m] damping of the arm's joints.
@@ -87,7 +88,9 @@ class RobotModel:
 
     @property
     def body_names(self) -> list[str]:
-        """Names of the bodies, the mobile robot first, then outwards along the arm."""
+        """Names of the bodies: the mobile robot, then the bodies of the arm from the base
+        outwards.
+        """
         return [body.name for body in self.description.bodies]
 
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:

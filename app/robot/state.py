@@ -1,11 +1,11 @@
 """The robot's present state: kinematics and dynamics, computed once per step, then only read.
 
 The kernels use pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
-(6, 3 + n_m) is the twist per unit of the k-th velocity of all bodies that it moves, linear over
-angular, at the origin of the world. Joint 1 is the planar base with columns 0 to 2, and each joint
-after it moves all later ones: the columns before j + 2 move a body on joint j. `B` (3, n_b) maps
-the base's reduced velocities to its own twist (v_x, v_y, ω_z), and the reduced velocity q̇ means
-(B q̇_b, q̇_m).
+(6, 3 + n_m) is the twist that one unit of the k-th velocity gives to all bodies that this velocity
+moves. The first three rows are linear, at the origin of the world, and the last three are angular.
+Joint 1 is the planar base with the columns 0 to 2, and each joint moves all later joints. Thus a
+body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced velocities q̇_b of
+the base to its twist (v_x, v_y, ω_z).
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ class Measurement(NamedTuple):
     base_pose: Array
     """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
     base_velocity: Array
-    """(n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one."""
+    """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base."""
     q_m: Array
     """(n_m,) [rad or m] the arm's joint positions."""
     qd_m: Array
     """(n_m,) [rad/s or m/s] the arm's joint velocities."""
     drive: Array = np.zeros(0)
-    """(n_d,) further states of the base's drive, such as a steering angle [rad]; default: at
-    rest."""
+    """(n_d,) further states of the base's drive, such as a steering angle [rad]; the default is the
+    state at rest."""
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats.
 
     Raises:
-        MeasurementError: An array has a wrong number of values; names it.
+        MeasurementError: An array has a wrong number of values; the message names the array.
     """
     for each, shapes in zip(measurement, model.reading_shapes, strict=True):
         if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
@@ -67,12 +67,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 
 def is_finite(measurement: Measurement) -> bool:
-    """Whether no reading is infinite or not a number."""
+    """Whether all readings are finite numbers."""
     return all_finite(*measurement)
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
-    """The readings of a robot at rest; default: with its base at the origin."""
+    """The readings of a robot at rest; without `base_pose`, the base is at the origin."""
     pose = np.zeros(3) if base_pose is None else base_pose
     base = model.description.base
     return Measurement(pose, np.zeros(model.n_b), q_m, np.zeros(model.n_m), base.drive_at_rest())
@@ -191,13 +191,17 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """The first velocities alone move a joint's body: their number, 0 for the world."""
+    """Number of velocities that move the body on a joint, which are the first ones; 0 for the
+    world.
+    """
     return joint + 2 if joint > 0 else 0
 
 
 @compiled()
 def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
-    """Velocity of a point at p (3,) [m] per unit of the k-th velocity, if that moves it."""
+    """Velocity of a point at p (3,) [m] for one unit of the k-th velocity, if this moves the
+    point.
+    """
     return (
         J[0, k] + J[4, k] * p[2] - J[5, k] * p[1],
         J[1, k] + J[5, k] * p[0] - J[3, k] * p[2],
@@ -207,7 +211,7 @@ def _column(J: Array, k: int, p: Array) -> tuple[float, float, float]:
 
 @compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
 def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
-    """(3, n) Jacobian of the point of a joint's body at the present place p (3,) [m]."""
+    """(3, n) Jacobian of the point of a joint's body that is now at p (3,) [m]."""
     n_b = B.shape[1]
     reduced = np.zeros((3, n_b + J.shape[1] - 3))
     for k in range(carrying(joint)):
@@ -230,11 +234,11 @@ def distance_motions(
 ) -> tuple[Array, Array, Array]:
     """Motion of points of bodies along normals that are fixed to other bodies: ḋ and d̈.
 
-    J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a:
-    the printed (p_b − p_a)/‖p_b − p_a‖ flips in penetration. A face keeps its normal while the
-    closest points of a round link slide along it, and the point of the link's core, its radius
-    behind p_b, does not move on the link: then d̈ is exact. With the term |v_⊥|²/d of two fixed
-    points its error would be ten times as large.
+    J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a,
+    because the printed (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
+    round link near a face: the normal of the face is constant while the closest points slide along
+    the face, and the point of the core does not move on the link. With the term |v_⊥|²/d of two
+    fixed points the error of d̈ would be ten times as large.
 
     Paper: Eq. (21).
 
@@ -285,7 +289,7 @@ def tip_motion(
 ) -> tuple[Array, Array, Array]:
     """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) on the last body.
 
-    Linear over angular, in axes of the world.
+    The linear rows are above the angular rows; both are in axes of the world.
     """
     last, n_b = len(twists) - 1, B.shape[1]
     J_p = np.zeros((6, n_b + J.shape[1] - 3))
@@ -328,7 +332,7 @@ def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> No
 def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     """Pinocchio's results as arrays that later calls overwrite, by their names in a control step.
 
-    For each joint (n_j, 4, 3) `oMi` has the columns of its rotation and its origin [m]; pinocchio
+    `oMi` (n_j, 4, 3) has the columns of the rotation and the origin [m] of each joint; pinocchio
     stores them contiguously.
     """
     joints, first = len(data.oMi), data.oMi[0].rotation
@@ -354,9 +358,9 @@ class RobotState:
         g: (n,) g of (26).
         R_ee: (3, 3) rotation of the end-effector in the world.
         p_ee: (3,) [m] position of the end-effector in the world.
-        J_ee: (6, n) Jacobian of the end-effector, linear over angular, in axes of the world.
-        v_ee: (6,) J_ee q̇.
-        Jdqd_ee: (6,) J̇_ee q̇.
+        J_ee: (6, n) Jacobian of the end-effector in axes of the world: linear, then angular rows.
+        v_ee: (6,) J_ee q̇, velocity of the end-effector.
+        Jdqd_ee: (6,) J̇_ee q̇, acceleration of the end-effector at q̈ = 0.
         R_world_base: (3, 3) rotation of the base.
         p_o: (3,) [m] the base's centre on the floor, in the world.
     """
@@ -380,7 +384,7 @@ class RobotState:
     def __init__(self, model: RobotModel) -> None:
         self.model = model
         self.data = model.pin.createData()
-        # In pinocchio's memory, because reading them again costs more.
+        # These are views of pinocchio's memory, because reading them again takes longer.
         root, data = self.data.oMi[1], self.data
         self.R_world_base, self.p_o = root.rotation, root.translation
         self._dynamics, self._J = (data.M, data.nle, data.g), data.J
@@ -390,7 +394,7 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """Use the memory of a control step from now on, which updates it."""
+        """From now on use the memory of a control step, which the step updates."""
         present = {name: getattr(self, name) for name in _SHARED}
         for name in _SHARED:
             setattr(self, name, getattr(step, name))

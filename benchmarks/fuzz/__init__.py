@@ -6,16 +6,16 @@ from typing import NamedTuple
 
 
 class Length(NamedTuple):
-    """How long there is fuzzing: for a time, or until a count.
+    """Length of a fuzz test: a time or a number.
 
     Attributes:
-        seconds: [s]
-        count: Of messages, or of files of each kind; the time does not count then.
+        seconds: [s] duration.
+        count: Number of messages, or of files of each kind, instead of the duration; or None.
     """
 
     seconds: float
     count: int | None = None
 
     def share(self, gone: float, done: int) -> float:
-        """The share that is done after a time [s], 1 or more at the end."""
+        """The finished share after a time [s]; 1 or more at the end."""
         return gone / self.seconds if self.count is None else done / self.count

@@ -21,13 +21,13 @@ def main(
     keep: Path = Path("out/fuzz"),
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
-    """Fuzz messages and files, half of the time each; status 1 if anything was found.
+    """Fuzz messages and files for half of the time each; the status is 1 after a finding.
 
     Args:
-        seconds: [s] for all of it, beside the starts.
-        seed: Of the mutations.
+        seconds: [s] total duration, without the starts of processes.
+        seed: Seed of the mutations.
         what: Messages, files or both.
-        count: So many messages, and as many files of each kind, however long that takes.
+        count: Number of messages, and number of files of each kind, instead of the duration.
         keep: Folder for the files of findings.
         json: Print one JSON object.
     """
@@ -52,7 +52,7 @@ def main(
 
 
 def _found(result: dict[str, Any]) -> dict[str, str]:
-    """The findings anywhere in it."""
+    """All findings in a nested result."""
     found = dict(result.get("findings", {}))
     for each in result.values():
         if isinstance(each, dict):

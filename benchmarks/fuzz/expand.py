@@ -1,4 +1,4 @@
-"""Files that are small and made to become large: long keys, nesting, repetitions, claims."""
+"""Small files that expand: long keys, deep nesting, repetitions, wrong sizes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _XML: tuple[Callable[[int], str], ...] = (
 
 
 def _joint(k: int) -> str:
-    """A link that turns about the one before."""
+    """A link that turns about the previous link."""
     return (
         f"<link name='l{k + 1}'/><joint name='j{k}' type='revolute'><parent link='l{k}'/>"
         f"<child link='l{k + 1}'/><axis xyz='0 0 1'/>"
@@ -65,7 +65,7 @@ def _csv(right: bytes, n: int, rng: np.random.Generator) -> bytes:
 
 
 def _parquet(right: bytes, n: int, _: np.random.Generator) -> bytes:
-    """Many equal rows, which take a few bytes a column."""
+    """Many equal rows, with a few bytes for each column."""
     table, sink = pq.read_table(io.BytesIO(right)).slice(0, 1), io.BytesIO()
     columns = {}
     for name in table.column_names:
@@ -79,7 +79,7 @@ def _parquet(right: bytes, n: int, _: np.random.Generator) -> bytes:
 
 
 def _npz(_: bytes, n: int, rng: np.random.Generator) -> bytes:
-    """Arrays that claim, or have, far more than the file."""
+    """Arrays that state, or have, a far larger size than the file."""
     head, sink = io.BytesIO(), io.BytesIO()
     form = {"descr": "|u1", "fortran_order": False, "shape": (1000 * n,)}
     np.lib.format.write_array_header_1_0(head, form)
@@ -90,7 +90,7 @@ def _npz(_: bytes, n: int, rng: np.random.Generator) -> bytes:
 
 
 def _zip(_: bytes, n: int, rng: np.random.Generator) -> bytes:
-    """Content that packs well, or many files."""
+    """Content with a high compression ratio, or many files."""
     sink = io.BytesIO()
     with zipfile.ZipFile(sink, "w", zipfile.ZIP_DEFLATED) as archive:
         if rng.random() < 0.5:
@@ -114,7 +114,7 @@ def _png(_: bytes, n: int, __: np.random.Generator) -> bytes:
 
 
 def _stl(_: bytes, n: int, rng: np.random.Generator) -> bytes:
-    """A count of triangles that are not there, or the same one again and again."""
+    """A number of triangles that the file does not contain, or the same triangle many times."""
     one = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
     if rng.random() < 0.5:
         return b"\0" * 80 + struct.pack("<I", 2**32 - 1) + one
@@ -139,7 +139,7 @@ _TEXTS = {
 
 
 def expanded(kind: str, right: bytes, rng: np.random.Generator) -> bytes:
-    """A file of a kind whose reading could take far more than its size."""
+    """A file that could need far more memory or time than its size suggests."""
     n = int(10 ** rng.uniform(_MIN_POWER, _MAX_POWER))
     if kind in _TEXTS:
         texts = _TEXTS[kind]

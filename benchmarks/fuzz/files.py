@@ -1,8 +1,9 @@
-"""Files of every kind that the project reads, mutated: one line or a right result, nothing else.
+"""Mutated files of every kind that the project reads: each must give one error line or a correct
+result.
 
-They are read in a process of its own, because one of them may end it. Files that the project reads
-in a child are read in a fork of that process, within the same limits: it starts in milliseconds,
-not in a second. One of a hundred is read in the project's own child.
+A separate process reads the files, because a file may crash it. Files that the project reads in a
+child process are read in a fork of that process, with the same limits: a fork starts in
+milliseconds instead of a second. One of a hundred files is read in the project's own child process.
 """
 
 from __future__ import annotations
@@ -78,10 +79,10 @@ class Kind(NamedTuple):
     """A kind of file.
 
     Attributes:
-        name: Of a file of it, with its ending.
-        seed: Writes a right one to a path.
-        take: Reads the file and runs the first steps of the commands with it.
-        mutate: Writes a mutated one to a path, from the bytes of a right one.
+        name: Name of a file of this kind, with its ending.
+        seed: Writes a valid file to a path.
+        take: Reads a file and runs the first steps of the commands with it.
+        mutate: Writes a mutated file to a path, from the bytes of a valid file.
     """
 
     name: str
@@ -95,7 +96,7 @@ def _mutate_bytes(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 def _mutate_json(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """The tree, or its text."""
+    """Mutate the tree of the file, or its text."""
     if rng.random() < 0.3:
         _mutate_bytes(path, right, rng)
         return
@@ -104,7 +105,7 @@ def _mutate_json(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 def _mutate_csv(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """A cell, the meta data, or any bytes."""
+    """Mutate a cell, the meta data, or any bytes."""
     lines = right.split(b"\n")
     choice = rng.random()
     if choice < 0.4:
@@ -120,7 +121,7 @@ def _mutate_csv(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """Its bytes, or its meta data, a column or its rows under checksums that hold."""
+    """Mutate the bytes; or the meta data, a column or the rows, with valid checksums."""
     if rng.random() < 0.3:
         _mutate_bytes(path, right, rng)
         return
@@ -148,7 +149,7 @@ def _table(right: bytes) -> pa.Table:
 
 
 def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """Its bytes, or its arrays under checksums that hold."""
+    """Mutate the bytes; or the arrays, with valid checksums."""
     if rng.random() < 0.3:
         _mutate_bytes(path, right, rng)
         return
@@ -187,7 +188,7 @@ def _write_zip(path: Path, urdf: bytes = _URDF.encode(), name: str = "robot/r.ur
 
 
 def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """Its URDF, the name of its URDF, or its bytes."""
+    """Mutate the URDF in the zip, the name of the URDF, or the bytes of the zip."""
     choice = rng.random()
     if choice < 0.6:
         _write_zip(path, mutated_bytes(_URDF.encode(), rng))
@@ -199,7 +200,7 @@ def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 def _open_zip(path: Path) -> None:
-    """Look into it, and unpack it as a robot's."""
+    """List the content of a zip, and unpack it as a robot."""
     (first, *_) = look_into(path)
     with tempfile.TemporaryDirectory() as folder:
         open_package(path, Path(folder), first)
@@ -242,7 +243,7 @@ def _journal(path: Path) -> None:
 
 
 def _go_on(path: Path) -> None:
-    """Go on with the study of a folder whose journal that is."""
+    """Continue the study of a folder with this journal."""
     folder = path.parent / "study"
     folder.mkdir(exist_ok=True)
     shutil.copyfile(path, folder / "cases.jsonl")
@@ -251,7 +252,7 @@ def _go_on(path: Path) -> None:
 
 
 def _mine(path: Path) -> None:
-    """Load the user's own robot whose URDF that is."""
+    """Load a user's robot with this URDF."""
     folder = path.parent / "robots" / "mine"
     folder.mkdir(parents=True, exist_ok=True)
     os.environ["DBB_ROBOTS"] = str(folder.parent)
@@ -268,7 +269,9 @@ def _mesh(path: Path) -> None:
 
 
 def _shape(path: Path) -> None:
-    """Fit a link with that mesh; each has its own name, because results are cached by it."""
+    """Fit a link with this mesh; each mesh has its own name, because results are cached by the
+    name.
+    """
     mesh = path.with_name(f"{next(_numbers)}.stl")
     path.rename(mesh)
     try:
@@ -314,8 +317,8 @@ class Outcome(NamedTuple):
 
     Attributes:
         result: `right`, `line` or `finding`.
-        text: For a finding, the output instead of a line.
-        lost: Whether the process that reads is lost with it.
+        text: The output of a finding.
+        lost: Whether the reading process has crashed or hangs.
     """
 
     result: str
@@ -326,11 +329,11 @@ class Outcome(NamedTuple):
 def fuzz_files(
     length: Length, seed: int, keep: Path, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Mutate files of all kinds in turn; figures of each kind.
+    """Mutate files of all kinds in turn, and return the results of each kind.
 
     Args:
-        length: Of it, beside the starts of the process that reads.
-        seed: Of the mutations; file k of a kind follows from it alone.
+        length: Length of the test, without the starts of the reading process.
+        seed: Seed of the mutations; file k of a kind depends only on it.
         keep: Folder for the files of findings.
         on_progress: Called with the share that is done.
     """
@@ -357,7 +360,7 @@ def fuzz_files(
 
 
 def _answered(child: Child) -> Outcome:
-    """The answer of the reading process, or a timeout."""
+    """The answer of the reading process, or the outcome of a timeout."""
     try:
         if child.receiver.poll(_SILENT):
             return child.receiver.recv()
@@ -367,7 +370,7 @@ def _answered(child: Child) -> Outcome:
 
 
 def _kept(path: Path, keep: Path, k: int) -> str:
-    """A copy of a file beside those of other findings; its name."""
+    """Copy a file to the folder of the findings, and return its name."""
     keep.mkdir(parents=True, exist_ok=True)
     copy = keep / f"{k}-{path.name}"
     copy.write_bytes(path.read_bytes() if path.exists() else b"")
@@ -375,7 +378,7 @@ def _kept(path: Path, keep: Path, k: int) -> str:
 
 
 def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> None:
-    """Main function of the reading process: file k of a kind at a time, on request."""
+    """Main function of the reading process, which reads file k of a kind on request."""
     folder = Path(at)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     signal.signal(signal.SIGPROF, _too_long)
@@ -399,7 +402,7 @@ def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> 
 
 
 def _forked(work: Callable[..., Any], *args: Any, **_: object) -> Any:
-    """The result of `run_in_process`, from a fork; its errors, too."""
+    """The result or the error of `run_in_process`, from a fork."""
     receiver, sender = Pipe(duplex=False)
     child = os.fork()
     if not child:
@@ -420,7 +423,7 @@ def _forked(work: Callable[..., Any], *args: Any, **_: object) -> Any:
 
 
 def _within_budget(kind: Kind, path: Path) -> Outcome:
-    """The outcome for a file, including too much time or memory."""
+    """The outcome for a file; too much time or memory is a finding."""
     before, begin = peak_memory(), _times()
     outcome = _outcome(kind, path)
     own, of_children = _times() - begin
@@ -432,7 +435,7 @@ def _within_budget(kind: Kind, path: Path) -> Outcome:
 
 
 def _times() -> np.ndarray:
-    """[s] of a core so far, of this process and of those that it has begun."""
+    """[s] processor time of this process and its child processes so far."""
     of = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return np.array([sum(resource.getrusage(each)[:2]) for each in of])
 

@@ -1,7 +1,8 @@
-"""Messages of every kind that a page may send, mutated, to a dashboard that is really served.
+"""Mutated messages of every kind that a page may send, to a real dashboard server.
 
-Each message first passes the gate's own check in this process. A rejected one ends its sender's
-connection, so only some of those go over a socket, from a client that connects again.
+The gate's own check first judges each message in this process. A rejected message ends the
+connection of its sender, so only some of the rejected messages are sent through a socket, and the
+client then connects again.
 """
 
 from __future__ import annotations
@@ -59,10 +60,10 @@ def fuzz_messages(
     """Send mutated messages; returns the counts and the findings.
 
     Args:
-        length: Of it.
-        seed: Of the mutations.
-        keep: Not needed here: a message follows from the seed.
-        on_progress: Called with the share that is done.
+        length: Length of the test.
+        seed: Seed of the mutations.
+        keep: Not used, because a message follows from the seed.
+        on_progress: Called with the finished share.
     """
     model, data = load_robot_and_border("husky_panda")
     q_start = np.array(model.description.arm.ready_position)
@@ -82,9 +83,9 @@ def fuzz_messages(
 
 @contextlib.contextmanager
 def _elsewhere() -> Iterator[None]:
-    """In a folder and with robots of its own: buttons that are pressed write files.
+    """Use a separate folder and separate robots, because pressed buttons write files.
 
-    Films and pictures of whole pages find no browser: each would take a core for seconds.
+    Films and pictures of pages find no browser, because each would use a core for seconds.
     """
     before, name = os.getcwd(), getattr(_viser, "_make_uuid")  # noqa: B009  # pyright: private
 
@@ -104,7 +105,7 @@ def _elsewhere() -> Iterator[None]:
 
 
 class _Fuzz:
-    """One client that fuzzes, one that only looks on, and the server."""
+    """The fuzzing client, a second client that only watches, and the server."""
 
     def __init__(self, server: DashboardServer, loop: ProcessLoop, seed: int) -> None:
         self._server, self._loop = server, loop
@@ -115,7 +116,7 @@ class _Fuzz:
         self._page: Any = None
 
     def run(self, length: Length, on_progress: Callable[[float], None]) -> dict[str, Any]:
-        """Send until it is long enough."""
+        """Send messages until the end of the test."""
         first = last = None
         with RawClient(self._server.address) as witness, _errors_in(self._findings):
             self._wait(lambda: self._server.pages, "no page for who looks on")
@@ -146,7 +147,7 @@ class _Fuzz:
         }
 
     def _client(self) -> None:
-        """A sender, and the page that was made for it."""
+        """Connect a sender, and wait for its page."""
         known = set(self._server.pages)
         self._sender = RawClient(self._server.address)
         self._wait(lambda: set(self._server.pages) - known, "no page for who comes")
@@ -175,7 +176,9 @@ class _Fuzz:
                 self._client()
 
     def _in_parts(self, data: bytes) -> Iterator[bytes]:
-        """A message in pieces: few or many, empty or large, which the server may cut off."""
+        """Send a message in few or many pieces, empty or large; the server may close the
+        connection.
+        """
         count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
         self._tally["parts"] += count
         yield data
@@ -200,7 +203,7 @@ class _Fuzz:
         return self._page._client.gui._gui_input_handle_from_uuid
 
     def _message(self, kind: type) -> Any:
-        """A message of a kind, mutated more often than not."""
+        """A message of a kind, in most cases mutated."""
         fields = [f for f in dataclasses.fields(kind) if f.init]
         hints = get_type_hints(kind)
         message = {f.name: self._right(f.name, hints[f.name]) for f in fields}
@@ -214,7 +217,7 @@ class _Fuzz:
         return {"type": kind.__name__, **message} if isinstance(message, dict) else message
 
     def _right(self, name: str, hint: Any) -> Any:
-        """A value of a type that viser has for a field."""
+        """A random value of the type that viser has for a field."""
         options = get_args(hint)
         if name in ("render_uuid", "request_uuid"):
             return _asked[-1] if _asked else ""
@@ -237,7 +240,7 @@ class _Fuzz:
         return plain.get(hint, None if hint is type(None) else {})
 
     def _look(self, seen: Callable[[], bool]) -> None:
-        """Whether everything works and the parameters are in their ranges; ends started work."""
+        """Check that the server works and the parameters are in their ranges; end started work."""
         for job in self._jobs():  # nobody waits for its end: a picture's may take half a minute
             job.cancel()
         t = self._loop.latest().t
@@ -255,13 +258,13 @@ class _Fuzz:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
     def _jobs(self) -> list[Job]:
-        """The work that buttons begin: each takes a core, and that it begins is enough."""
+        """Replace the work that buttons start; it is sufficient that the work starts."""
         shared = self._server.shared
         jobs = [shared.robot_switch, shared.robot_build]
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:
-        """[MiB] of this process and the simulation's, once no work is under way."""
+        """[MiB] memory of this process and of the simulation, after all work has ended."""
         for job in self._jobs():
             job.close()
         here = psutil.Process()
@@ -279,7 +282,7 @@ class _Fuzz:
 
 @contextlib.contextmanager
 def _errors_in(findings: dict[str, str]) -> Iterator[None]:
-    """Each error in the log is a finding, by the line that raised it."""
+    """Count each error in the log as a finding, by the line that raised it."""
 
     class Errors(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -295,5 +298,5 @@ def _errors_in(findings: dict[str, str]) -> Iterator[None]:
 
 
 def _plain(value: Any) -> Any:
-    """A widget's value as a page sends it."""
+    """A message with the value of a widget, in the form of a page."""
     return list(value) if isinstance(value, tuple) else value

@@ -29,7 +29,7 @@ HOSTILE: tuple[Any, ...] = (
     {},
     [[0.0] * 3] * 3,
 )
-"""Values in the place of any other."""
+"""Values that replace any other value."""
 _WORDS = (
     b"nan",
     b"inf",
@@ -50,7 +50,7 @@ _NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE]-?\d+)?")
 
 
 def mutated(tree: Any, rng: np.random.Generator, hostile: tuple[Any, ...] = HOSTILE) -> Any:
-    """A copy of a tree of dicts, lists and scalars in which one node, or a few, are others."""
+    """A copy of a tree of dicts, lists and scalars with a few changed nodes."""
     root = [copy.deepcopy(tree)]
     for _ in range(int(rng.geometric(0.6))):
         holder, key = _place(root, rng)
@@ -71,7 +71,7 @@ def mutated(tree: Any, rng: np.random.Generator, hostile: tuple[Any, ...] = HOST
 
 
 def _place(root: list[Any], rng: np.random.Generator) -> tuple[Any, Any]:
-    """A container and a key of it, somewhere in the tree."""
+    """A random container of the tree, and one of its keys."""
     holder, key = root, 0
     while isinstance(holder[key], dict | list) and len(holder[key]) and rng.random() < 0.8:
         holder = holder[key]
@@ -88,7 +88,9 @@ def _nested(depth: int) -> Any:
 
 
 def mutated_bytes(data: bytes, rng: np.random.Generator) -> bytes:
-    """The same bytes with some changed, cut, doubled, or with a number or a word in their place."""
+    """The bytes with a change: some are changed, removed, repeated, or replaced by a number or a
+    word.
+    """
     for _ in range(int(rng.geometric(0.5))):
         at = int(rng.integers(len(data) + 1))
         end = min(len(data), at + int(rng.integers(1, 200)))

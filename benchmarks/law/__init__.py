@@ -1,1 +1,1 @@
-"""Measurements by which the control law is judged, through the project's public API only."""
+"""Measurements of the control law, which use only the public API of the project."""

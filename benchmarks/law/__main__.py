@@ -36,14 +36,14 @@ MEASUREMENTS: dict[str, Callable[..., Report]] = {
     "energy": energy,
     "buffer": buffer,
 }
-"""By their names on the command line."""
+"""The measurements by their names on the command line."""
 
 
 def main() -> None:
     """Run the chosen measurement and print its table.
 
     Raises:
-        SystemExit: A name or a number was wrong; says which.
+        SystemExit: A name or a number is wrong; the message says which.
     """
     try:
         tyro.extras.subcommand_cli_from_dict(

@@ -23,7 +23,7 @@ _PLACES = {
 
 
 def buffer(options: Options) -> Report:
-    """Compute the d_b needed; nothing is simulated.
+    """Compute the required d_b, without a simulation.
 
     Args:
         options: See `Options`.

@@ -1,7 +1,8 @@
-"""Does the asked base acceleration jump along smooth motions inside the buffer?
+"""Jumps of the base's commanded acceleration along smooth motions inside the buffer.
 
-A slope shrinks with the step, a jump does not: the step is refined around the worst places, and
-the limit at a step of zero is the jump.
+With a smaller step the change at a slope becomes smaller, but the change at a jump does not. The
+step is refined around the places with the largest changes, and the limit at a step of zero is the
+jump.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ KINDS: dict[Kind, tuple[str, str]] = {
     "tracking": ("tracking", "wide"),
     "tracking-limited": ("tracking", "robot"),
 }
-"""Whether the law has a reference, and whose limits the arm has.
+"""Modes of the law: with or without a reference, and the limits of the arm.
 
 A guided base has no arm limits; the last kind includes changes of active limits, so it has no
 bound.
@@ -52,10 +53,10 @@ class Path(NamedTuple):
 
     Attributes:
         options: Robot, controller and seed.
-        number: Of the motion; below zero it is the audit's state, one joint moving.
-        mode: With a reference, `tracking`, or without, `guided`.
-        limits: The `robot`'s, or `wide` ones that no motion meets.
-        duration: [s]
+        number: Number of the motion; a negative number is a fixed state with one moving joint.
+        mode: `tracking` with a reference, `guided` without one.
+        limits: `robot` for the robot's limits, `wide` for limits that no motion reaches.
+        duration: [s] duration of the motion.
         speed: [m/s] largest speed of the end-effector.
     """
 
@@ -68,7 +69,7 @@ class Path(NamedTuple):
 
 
 class Refinement(NamedTuple):
-    """Where a path is looked at with finer steps: around time t [s]."""
+    """Place of a path that is evaluated with smaller steps, around the time t [s]."""
 
     path: Path
     t: float
@@ -83,15 +84,15 @@ def continuity(
     first: int = 0,
     kinds: tuple[Kind, ...] = tuple(KINDS),
 ) -> Report:
-    """Walk smooth random motions of arm and base inside the buffer, in steps of 1 ms.
+    """Evaluate smooth random motions of arm and base inside the buffer, in steps of 1 ms.
 
     Args:
         options: See `Options`.
-        count: Random motions.
-        duration: [s] of each.
+        count: Number of random motions.
+        duration: [s] duration of each motion.
         speed: [m/s] largest speed of the end-effector.
-        refined: Places of each kind at which the step is refined.
-        first: Number of the first motion; from 0 the audit's own state is among them.
+        refined: Number of places of each kind at which the step is refined.
+        first: Number of the first motion; with 0 the fixed state is included.
         kinds: Modes of the law: see `KINDS`.
     """
     audits = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
@@ -115,7 +116,7 @@ def continuity(
 
 
 def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
-    """For one kind: the worst steps, and their jumps."""
+    """The largest changes of one kind, and their jumps."""
     worst = played(_worst, paths, jobs, kind)
     found: dict[str, Any] = {"kind": kind}
     for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):
@@ -140,21 +141,23 @@ def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any
 
 
 def jumps_of(by_step: Array) -> Array:
-    """(k,) limits of changes (k, steps) at a step of zero, each step half of the previous one.
+    """(k,) limits of changes (k, steps) for a step of zero; each step is half of the previous one.
 
-    A slope's change halves with the step, so that nothing is left; a jump's stays.
+    The change at a slope halves with the step, so its limit is 0; the change at a jump stays.
     """
     return np.maximum(2 * by_step[:, -1] - by_step[:, -2], 0.0)
 
 
 def _place(place: Refinement, by_step: Array) -> str:
-    """The motion, the time on it, and the change a step of 1, 0.5, 0.25 and 0.125 ms."""
+    """A row: the motion, the time, and the changes in steps of 1, 0.5, 0.25 and 0.125 ms."""
     changes = ", ".join(f"{change:.3g}" for change in by_step)
     return f"{place.path.number} at {place.t:.3f} s: {changes}"
 
 
 class Worst(NamedTuple):
-    """The largest change in one step, and the largest kink: a change unlike its neighbours."""
+    """The largest change in one step, and the largest kink, a change that differs from its
+    neighbours.
+    """
 
     change: float
     t: float
@@ -163,7 +166,7 @@ class Worst(NamedTuple):
 
 
 def _worst(path: Path) -> tuple[Worst, Worst]:
-    """Of the base's linear and its angular acceleration, over a path in steps of 1 ms."""
+    """Changes of the base's linear and angular acceleration along a path, in steps of 1 ms."""
     times = np.arange(0.0, path.duration, _STEP)
     changes = _changes(path, times, _STEP)
     found = []
@@ -175,7 +178,7 @@ def _worst(path: Path) -> tuple[Worst, Worst]:
 
 
 def _refined(place: Refinement) -> list[list[float]]:
-    """(steps, 2) largest change of one step around a place, for finer and finer steps."""
+    """(steps, 2) largest change in one step around a place, for smaller and smaller steps."""
     found = []
     for share in (1.0, *_FINER):
         h = share * _STEP
@@ -190,8 +193,8 @@ def _refined(place: Refinement) -> list[list[float]]:
 def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
     """(len - 1, 2) change of the linear and the angular acceleration from each instant to the next.
 
-    The commanded acceleration is clipped to the robot's own limits in all methods. 0 where a pair
-    touches: there is no buffer left to be continuous in.
+    All methods limit the commanded acceleration to the robot's limits. The change is 0 if a pair
+    touches, because the law need not be continuous there.
     """
     options = path.options
     controller = _controller(options.robot, options.controller, path.limits, h)
@@ -240,7 +243,7 @@ def _controller(robot: str, name: str, limits: str, h: float) -> Controller:
 
 @cache
 def _wide(robot: str) -> RobotModel:
-    """The robot with limits that no motion meets; `qd_max`, how its arm follows, stays."""
+    """The robot with limits that no motion reaches; only `qd_max` does not change."""
     model = RobotModel(load(robot).model.description)
     model.tau_max = 100.0 * model.tau_max
     model.qd_limits = 100.0 * model.qd_limits

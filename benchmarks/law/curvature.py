@@ -1,7 +1,8 @@
-"""The second derivative of a pair's distance, against differences of the library's distance.
+"""The second derivative of a pair's distance, compared with differences of the library's distance.
 
-A row of the law says d̈ = J q̈ + J̇ q̇. The distances of the bodies themselves, along exact motions,
-say whether that holds; so does the same with |v_across|²/d, the term of two fixed points.
+A row of the law states d̈ = J q̈ + J̇ q̇. Distances of the bodies along exact motions show the
+error of this formula, and the error of the formula with |v_across|²/d, the term of two fixed
+points.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _MODELS = "law", "without_term", "with_term"
 
 
 class Pose(NamedTuple):
-    """A pose of that number and the end-effector's largest speed [m/s] about it."""
+    """The number of a pose, and the largest speed [m/s] of the end-effector around this pose."""
 
     options: Options
     number: int
@@ -40,11 +41,11 @@ class Pose(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """Of one pair at one instant.
+    """Errors of one pair at one instant.
 
     Attributes:
-        pair: Its name.
-        errors: [m/s²] of `_MODELS`; None where the distance has a kink.
+        pair: Name of the pair.
+        errors: [m/s²] errors of `_MODELS`; None if the distance has a kink.
     """
 
     pair: str
@@ -56,7 +57,7 @@ def curvature(options: Options, count: int = 400, speed: float = 0.5) -> Report:
 
     Args:
         options: See `Options`.
-        count: Poses inside the buffer.
+        count: Number of poses inside the buffer.
         speed: [m/s] largest speed of the end-effector.
     """
     poses = [Pose(options, k, speed) for k in range(count)]
@@ -92,7 +93,7 @@ def _row(pair: str, errors: Array) -> dict[str, Any]:
 
 
 def _samples(pose: Pose) -> list[Sample]:
-    """Every pair within the buffer distance; an error is the row's value minus the true one."""
+    """Errors of all pairs inside the buffer: the value of the row minus the true value."""
     robot = load(pose.options.robot)
     rng = np.random.default_rng([pose.options.seed, pose.number])
     motion = random_motion(robot.model, pose_in_buffer(robot, rng), pose.speed, rng, 1.0)
@@ -125,7 +126,7 @@ def _samples(pose: Pose) -> list[Sample]:
 
 
 def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, float]:
-    """[m/s²] nᵀ(J̇_b - J̇_a) q̇ of the closest points, and [m²/s²] their squared speed across n."""
+    """nᵀ(J̇_b - J̇_a) q̇ [m/s²] of the closest points, and their squared speed [m²/s²] across n."""
     model, n = state.model, closest.n
     a, b = model.body_joints[closest.pair.a], model.body_joints[closest.pair.b]
     bias = state.point_bias(b, closest.p_b) - state.point_bias(a, closest.p_a)
@@ -135,7 +136,7 @@ def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, flo
 
 
 def _differences(robot: Robot, motion: Motion, t: float, h: float) -> Array:
-    """(pairs,) [m/s²] d̈ of each pair by the library's distances around time t [s]."""
+    """(pairs,) [m/s²] d̈ of each pair, from the library's distances around the time t [s]."""
     reader = PairDistances(robot.model, robot.data.pairs.all)
     d = np.empty((len(_FIVE), len(reader.pairs)))
     for k in range(len(_FIVE)):

@@ -1,4 +1,4 @@
-"""Curves beside the base that an end-effector tracks with its orientation held."""
+"""Curves beside the base that an end-effector tracks with constant orientation."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ Point = tuple[float, float, float]
 
 
 class Curve(NamedTuple):
-    """A line, or an arc about a vertical axis, led along a cubic in time and then held.
+    """A line, or an arc about a vertical axis; a cubic in time with a hold at the end.
 
     Attributes:
         kind: `towards`, `diagonal` or `arc`.
-        start: (3,) [m] in the base's first frame.
-        end: (3,) [m]
-        centre: (2,) [m] of an arc, whose angle and radius turn from start to end; None is a line.
+        start: (3,) [m] start in the initial frame of the base.
+        end: (3,) [m] end in that frame.
+        centre: (2,) [m] centre of an arc, whose angle and radius change from start to end; None for
+            a line.
         duration: [s]
     """
 
@@ -32,7 +33,9 @@ class Curve(NamedTuple):
     duration: float
 
     def place(self, s: float) -> tuple[Array, Array, Array]:
-        """The point (3,) [m] at share s of the way, and its first two derivatives by s."""
+        """The point (3,) [m] at the share s of the curve, and its first two derivatives with
+        respect to s.
+        """
         start, end = np.array(self.start), np.array(self.end)
         if self.centre is None:
             return start + s * (end - start), end - start, np.zeros(3)
@@ -51,7 +54,7 @@ class Curve(NamedTuple):
         )
 
     def reference(self, t: float, orientation: Array) -> Reference:
-        """Where the end-effector shall be at time t [s], its orientation (3, 3) held."""
+        """The reference of the end-effector at time t [s], with the orientation (3, 3)."""
         u = min(max(t / self.duration, 0.0), 1.0)
         rate = 6 * u * (1 - u) / self.duration
         change = 6 * (1 - 2 * u) / self.duration**2 if 0.0 < u < 1.0 else 0.0

@@ -1,4 +1,4 @@
-"""Drawing curves beside the base that the arm can reach all along."""
+"""Random curves beside the base that the arm can reach along their whole length."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ _REACHED = 1e-4  # [m] and [rad]
 
 
 class Task(NamedTuple):
-    """A curve and the posture from which it is tracked."""
+    """A curve, and the posture at its start."""
 
     curve: Curve
     q_m: tuple[float, ...]
 
 
 def task_of(options: Options, number: int) -> Task:
-    """The task of that number; kept once it has been found.
+    """The task with a number; the result is cached.
 
     Raises:
-        StudyError: The arm reaches none of many.
+        StudyError: The arm reaches none of many curves.
     """
     asked = [inspect.getsource(sys.modules[__name__]), options.seed, number]
     found = kept(options.robot, asked, lambda: _drawn(options, number))
@@ -75,12 +75,12 @@ def _drawn(options: Options, number: int) -> list[object]:
         q = posture(options.robot, curve.start, seed=seed, turn=turn, along=along)
         if q is not None and _reached(model, curve, q, rng):
             return [list(curve), q.tolist()]
-    raise StudyError(f"the arm of {options.robot} tracks none of {_TRIES} curves")
+    raise StudyError(f"the arm of {options.robot} can track none of {_TRIES} curves")
 
 
 def _curve(robot: str, rng: np.random.Generator) -> Curve:
     kind = KINDS[rng.integers(len(KINDS))]
-    start, duration = place_beside(robot, rng), 0.0  # its duration comes with its length
+    start, duration = place_beside(robot, rng), 0.0  # the duration depends on the length
     x, y, z = start.p
     end_z = max(z + rng.uniform(-_RISE, _RISE), 0.1)
     if kind == "towards":
@@ -105,18 +105,18 @@ def _floats(p: tuple[float, float, float]) -> Point:
 
 
 def _length(places: list[Array]) -> float:
-    """[m] of the way through some places."""
+    """[m] length of the path through some points."""
     return sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
 
 
 def _gap(robot: str, p: Array) -> float:
-    """[m] from the base's box to a place (3,)."""
+    """[m] distance from the base's box to a point (3,)."""
     found = load(robot)
     return float(np.linalg.norm(p - np.clip(p, found.lower, found.upper)))
 
 
 def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator) -> bool:
-    """Whether a base that stands lets the arm keep the end-effector's orientation all along."""
+    """Whether the arm can track the whole curve with constant orientation while the base rests."""
     state = RobotState(model)
     state.update_kinematics(at_rest(model, q))
     orientation = state.T_world_ee.rotation.copy()

@@ -1,4 +1,4 @@
-"""Random pulls that depend on the seed and the number of the pull alone."""
+"""Random pulls that depend only on the seed and the number of the pull."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def named_pull(
     stiffness: float,
     f_max: float,
 ) -> Pull:
-    """A pull from a given place.
+    """A pull from a stated start.
 
     Raises:
-        StudyError: The arm does not reach it.
+        StudyError: The arm does not reach the start.
     """
     q = posture(options.robot, start, tries=_PROJECTS_TRIES)
     if q is None:
@@ -65,21 +65,21 @@ def random_pull(
     above: float = 0.0,
     column: float = 0.0,
 ) -> Pull:
-    """A pull from a random place, within a cone towards the base or into the arm's own column.
+    """A pull from a random start, towards the base within a cone, or towards the arm's own column.
 
     Args:
         options: Robot and controller.
-        number: Of the case.
-        rng: Where it is drawn from.
-        f_max: [N] of the person.
-        stiffness: [N/m] of the person, even in its logarithm.
-        lead: [s] how long the end-effector is led; else by its speed.
-        speed: [m/s] mean speed of the led hand.
+        number: Number of the case.
+        rng: Random generator.
+        f_max: [N] largest force of the person.
+        stiffness: [N/m] range of the person's stiffness, which is uniform in its logarithm.
+        lead: [s] duration of the pull; default: from `speed`.
+        speed: [m/s] mean speed of the person's hand.
         above: [-] share of the starts over the base.
         column: [-] share of the pulls that are aimed at the arm's own column.
 
     Raises:
-        StudyError: No place was found from which to start.
+        StudyError: No start was found.
     """
     over = rng.random() < above
     folded = column > 0.0 and rng.random() < column
@@ -90,7 +90,7 @@ def random_pull(
         if q is not None:
             break
     else:
-        raise StudyError(f"the arm of {options.robot} reaches none of {_TRIES} starts")
+        raise StudyError(f"the arm of {options.robot} can reach none of {_TRIES} starts")
     if folded:
         to_column = rng.uniform(*_column(options.robot)) - np.array(place.p)
         gap = float(np.linalg.norm(to_column))
@@ -116,7 +116,7 @@ def random_pull(
 
 
 def side(place: Point, robot: str) -> str:
-    """Where a place (3,) [m] in the base's frame lies, as seen from the base's box."""
+    """Words for the position of a point (3,) [m] relative to the base's box."""
     found = load(robot)
     x, y, _ = place
     beside_x = "front" if x > found.upper[0] else "back" if x < found.lower[0] else ""
@@ -128,9 +128,9 @@ def side(place: Point, robot: str) -> str:
 
 @cache
 def _column(robot: str) -> tuple[Array, Array]:
-    """(3,) [m] both ends of the arm's column, its mount and its second joint, in the base's frame.
+    """(3,) [m] ends of the arm's column in the base's frame: its mount and its second joint.
 
-    They stay where they are while the arm moves.
+    They do not move with the arm.
     """
     model = load(robot).model
     data, q_m = model.pin.createData(), np.zeros(model.n_m)
@@ -139,7 +139,7 @@ def _column(robot: str) -> tuple[Array, Array]:
 
 
 def _in_cone(axis: Array, rng: np.random.Generator) -> Array:
-    """(3,) a random unit vector within `_CONE` of another, even over the sphere."""
+    """(3,) random unit vector within `_CONE` of another one, uniform on the sphere."""
     cosine = rng.uniform(math.cos(_CONE), 1.0)
     side = rng.normal(size=3)
     side -= (side @ axis) * axis

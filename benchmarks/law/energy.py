@@ -1,4 +1,6 @@
-"""The work of a person with restless hands near the border: no law may give more than it gets."""
+"""The work of a random force near the border: the law must not return more energy than it
+receives.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ _INWARDS = 0.7  # [-] of the named pull, from its start to where the spring draw
 
 
 class Restless(NamedTuple):
-    """A run of some seconds at a place; `number` draws the force."""
+    """A run of some seconds at a place; the force depends on `number`."""
 
     options: Options
     place: str
@@ -37,12 +39,12 @@ class Restless(NamedTuple):
 
 
 def energy(options: Options, count: int = 2, seconds: float = 20.0) -> Report:
-    """Push the end-effector about near the border with random forces and count the person's work.
+    """Push the end-effector near the border with random forces, and compute the person's work.
 
     Args:
         options: See `Options`.
-        count: Runs at each place.
-        seconds: [s] of each.
+        count: Number of runs at each place.
+        seconds: [s] duration of each run.
     """
     cases = [Restless(options, place, k, seconds) for place in PLACES for k in range(count)]
     rows = played(_play, cases, options.jobs, "runs")
@@ -58,7 +60,7 @@ def energy(options: Options, count: int = 2, seconds: float = 20.0) -> Report:
 
 
 def _play(case: Restless) -> dict[str, Any]:
-    """The row of one run; the work is exact, the force being constant within a step."""
+    """The row of one run; the work is exact, because the force is constant within a step."""
     options, robot = case.options, load(case.options.robot)
     start, move = NAMED[case.place]
     anchor = np.array(start) + _INWARDS * np.array(move)
@@ -98,7 +100,7 @@ def _play(case: Restless) -> dict[str, Any]:
 
 
 def _force(rng: np.random.Generator) -> Waves:
-    """(3,) [N] of a person over time; the spring comes on top."""
+    """(3,) [N] random force of a person over time, without the force of the spring."""
     waves = random_waves(np.zeros(3), rng, 1.0)
     rms = np.sqrt(0.5 * (waves.amplitude**2).sum(axis=0))
     return waves._replace(amplitude=_RMS / np.sqrt(3.0) * waves.amplitude / rms)

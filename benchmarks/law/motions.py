@@ -18,7 +18,7 @@ _SAMPLES = 16  # samples of a motion for measuring its speed
 
 
 class Waves(NamedTuple):
-    """x(t) = x_0 + Σ a_k sin(ω_k t + φ_k) of some coordinates.
+    """x(t) = x_0 + Σ a_k sin(ω_k t + φ_k) for some coordinates.
 
     Attributes:
         middle: (m,) x_0.
@@ -43,18 +43,19 @@ class Waves(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A motion of arm and base; the base's place stays, which no distance and no law can see.
+    """A motion of arm and base. The pose of the base is constant, because no distance depends on
+    it.
 
     Attributes:
-        arm: Of the joints (n_m,) [rad or m].
-        base: Of the base's axes; its first derivative (n_b,) is their velocity.
+        arm: Motion of the joints (n_m,) [rad or m].
+        base: Motion along the base's axes; its first derivative (n_b,) is the base's velocity.
     """
 
     arm: Waves
     base: Waves
 
     def at(self, t: float) -> tuple[Measurement, Array, Array]:
-        """At time t [s]: the sensors' readings, the accelerations of base (n_b,) and arm (n_m,)."""
+        """The readings and the accelerations of base (n_b,) and arm (n_m,) at time t [s]."""
         q, qd, qdd = self.arm.at(t)
         _, v, vd = self.base.at(t)
         return Measurement(np.zeros(3), v, q, qd), vd, qdd
@@ -63,15 +64,14 @@ class Motion(NamedTuple):
 def random_motion(
     model: RobotModel, q: Array, speed: float, rng: np.random.Generator, duration: float
 ) -> Motion:
-    """A motion whose arm passes q (n_m,) at half of its duration [s], its end-effector at most this
-    fast.
+    """A motion in which the arm passes q (n_m,) at half of the duration, with a bounded speed.
 
     Args:
         model: The robot.
         q: (n_m,) [rad or m]
         speed: [m/s] largest speed of the end-effector in the world.
-        rng: Where it is drawn from.
-        duration: [s]
+        rng: Random generator.
+        duration: [s] duration of the motion.
     """
     motion = Motion(random_waves(q, rng, 1.0), random_waves(np.zeros(model.n_b), rng, 0.2))
     scale = speed / _fastest(model, motion, duration)
@@ -83,7 +83,7 @@ def random_motion(
 
 
 def one_joint_motion(model: RobotModel, q: Array, joint: int, speed: float, t: float) -> Motion:
-    """A motion of one joint alone that passes q (n_m,) at time t [s] with this speed [rad/s]."""
+    """A motion of a single joint that passes q (n_m,) at time t [s] with a speed [rad/s]."""
     rate = 2 * math.pi * _BAND[0]
     amplitude = np.zeros((1, model.n_m))
     amplitude[0, joint] = speed / rate
@@ -93,7 +93,7 @@ def one_joint_motion(model: RobotModel, q: Array, joint: int, speed: float, t: f
 
 
 def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
-    """Some sines of the band about a middle (m,), their rates of change as large as `size`."""
+    """Sines about a middle (m,), with random frequencies and rates of change of the size `size`."""
     shape = _WAVES, len(middle)
     rate = 2 * math.pi * rng.uniform(_BAND[0], _BAND[1], shape)
     return Waves(
@@ -102,7 +102,7 @@ def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
 
 
 def _fastest(model: RobotModel, motion: Motion, duration: float) -> float:
-    """[m/s] of the end-effector, with the joints near the middle of their motion."""
+    """[m/s] speed of the end-effector, with the joints near the middle of their motion."""
     state, fastest = RobotState(model), 1e-9
     for t in np.linspace(0.0, duration, _SAMPLES):
         measured = motion.at(float(t))[0]._replace(q_m=motion.arm.middle)

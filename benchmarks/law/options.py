@@ -17,7 +17,7 @@ class Options:
     controller: str = "dbb"
     """Name of the controller."""
     seed: int = 0
-    """Of all that is drawn."""
+    """Seed of all random numbers."""
     jobs: int = 1
     """Processes."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False

@@ -1,4 +1,4 @@
-"""Random tracking paths beside the base: which leave their target on the way, and why?"""
+"""Random tracking paths beside the base: errors of the end-effector, and their causes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _AT_SPEED, _AT_TORQUE = 0.98, 0.999  # [-] of the limits
 
 
 class Tracking(NamedTuple):
-    """The path of that number."""
+    """The path with a number."""
 
     options: Options
     number: int
@@ -41,8 +41,8 @@ def paths(options: Options, count: int = 300, first: int = 0) -> Report:
 
     Args:
         options: See `Options`.
-        count: Curves.
-        first: Number of the first.
+        count: Number of curves.
+        first: Number of the first curve.
     """
     cases = [Tracking(options, first + k) for k in range(count)]
     rows = played(play, cases, options.jobs, "paths")
@@ -97,7 +97,7 @@ def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, An
 
 
 def _limits_met(model: Any, step: Step) -> str:
-    """The joints that stand at a limit, as in `q4 q6 v1 u2`: of position, speed or torque."""
+    """The joints at a limit of position (q), speed (v) or torque (u), such as `q4 q6 v1 u2`."""
     q, qd = step.truth.q_m, step.truth.qd_m
     left = np.minimum(q - model.q_lower, model.q_upper - q)
     met = {

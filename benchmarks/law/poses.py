@@ -16,7 +16,7 @@ _MARGIN = 0.05  # [-] share of a joint's range kept from its limits
 
 
 def pose_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
-    """(n_m,) the arm's joints with a pair of L_m inside its buffer, nothing touching anything."""
+    """(n_m,) random joint positions with a pair of L_m inside its buffer and without contact."""
     model, pairs, d_b = robot.model, robot.data.pairs, robot.config.border.d_b
     reader, n = PairDistances(model, pairs.all), robot.n_mobile
     state = RobotState(model)

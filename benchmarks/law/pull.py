@@ -1,4 +1,4 @@
-"""A pull: a person leads the end-effector along a line, holds it there, and perhaps lets go."""
+"""A pull: a person leads the end-effector along a line, holds it there, and perhaps releases it."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ Point = tuple[float, float, float]
 
 
 class Pull(NamedTuple):
-    """A case of a pull.
+    """The parameters of a pull.
 
     Attributes:
-        name: For people.
+        name: Displayed name.
         robot: Name of the robot.
         controller: Name of the controller.
-        q_m: (n_m,) [rad or m] the arm's joints at the start; the base stands at the origin.
-        start: (3,) [m] where the end-effector is then.
-        move: (3,) [m] how far the person leads it.
-        lead_s: [s] how long, along a cubic in time.
-        stiffness: [N/m] of the person.
-        f_max: [N] of the person.
+        q_m: (n_m,) [rad or m] joint positions at the start, with the base at the origin.
+        start: (3,) [m] position of the end-effector at the start.
+        move: (3,) [m] displacement of the person's hand.
+        lead_s: [s] duration of this displacement, which is a cubic in time.
+        stiffness: [N/m] stiffness of the person's hand.
+        f_max: [N] largest force of the person.
     """
 
     name: str
@@ -46,14 +46,16 @@ class Pull(NamedTuple):
     f_max: float
 
     def target(self, t: float) -> Array:
-        """(3,) [m] where the person leads the end-effector at time t [s]; never below the floor."""
+        """(3,) [m] position of the person's hand at time t [s]; never below the floor."""
         s = min(max(t / self.lead_s, 0.0), 1.0)
         place = np.array(self.start) + s * s * (3 - 2 * s) * np.array(self.move)
         place[2] = max(place[2], 0.0)
         return place
 
     def config(self) -> Config:
-        """The defaults with this person, who may be stiffer than the configuration's range."""
+        """The default parameters with this person, whose stiffness may exceed the range of the
+        parameter.
+        """
         hand = {"stiffness": self.stiffness, "f_max": self.f_max}
         config = Config()
         return config.model_copy(update={"hand": config.hand.model_copy(update=hand)})
@@ -63,10 +65,10 @@ class Moment(NamedTuple):
     """One step of a pull.
 
     Attributes:
-        session: After the step.
-        step: The results of the control step.
-        p, v: (3,) [m] and [m/s] the end-effector, at the start of the step.
-        person_speed: [m/s] of the person's own hand; 0 when it has let go.
+        session: The session after the step.
+        step: The quantities of the control step.
+        p, v: (3,) [m] and [m/s] position and velocity of the end-effector at the start of the step.
+        person_speed: [m/s] speed of the person's hand; 0 after the release.
     """
 
     session: Session

@@ -1,4 +1,4 @@
-"""Strong people: does a hard pull bring the arm and the base together, and what comes after?"""
+"""Strong pulls: smallest distances of arm and base, and the motion afterwards."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CLAIMED = 80.0  # [N] up to which nothing may overlap
 
 
 class Held(NamedTuple):
-    """A pull whose hand is held at its end for some time [s]."""
+    """A pull, and the time [s] for which the hand is held at its end."""
 
     pull: Pull
     held_s: float
@@ -41,10 +41,10 @@ def pulls(
 
     Args:
         options: See `Options`.
-        count: Random pulls, besides the audit's four.
-        held: [s] how long the end-effector is held at its end.
-        first: Number of the first random pull; the audit's come with 0 only.
-        column: [-] share of the random pulls that are aimed at the arm's own column.
+        count: Number of random pulls, in addition to four fixed pulls.
+        held: [s] time for which the end-effector is held at the end of the pull.
+        first: Number of the first random pull; the fixed pulls run only with 0.
+        column: [-] share of the random pulls towards the arm's own column.
     """
     rows = played(play, cases(options, count, held, first, column), options.jobs, "pulls")
     return Report("pulls", rows, _summary(rows))
@@ -53,7 +53,7 @@ def pulls(
 def cases(
     options: Options, count: int, held: float, first: int = 0, column: float = 0.0
 ) -> list[Held]:
-    """The audit's pulls, then random ones."""
+    """The fixed pulls, then random pulls."""
     found = [
         Held(
             named_pull(

@@ -1,4 +1,4 @@
-"""Let go inside the buffer: how far does the base drive with nobody near?"""
+"""Releases inside the buffer: motion of the base without a person."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _REST = 10.0  # [s]
 
 
 class Release(NamedTuple):
-    """A pull that ends by letting go, `inside_s` after the end-effector came into the buffer."""
+    """A pull with a release `inside_s` after the end-effector has entered the buffer."""
 
     pull: Pull
     inside_s: float
@@ -37,13 +37,13 @@ class Release(NamedTuple):
 
 
 def release(options: Options, count: int = 12, seconds: float = 15.0, first: int = 0) -> Report:
-    """Guide the end-effector into the buffer, let go there, and watch the base.
+    """Guide the end-effector into the buffer, release it there, and measure the base's motion.
 
     Args:
         options: See `Options`.
-        count: Random releases, besides eight from four named places.
-        seconds: [s] how long after the release the base is watched.
-        first: Number of the first random release; the named ones come with 0 only.
+        count: Number of random releases, in addition to eight at four named places.
+        seconds: [s] duration of the measurement after the release.
+        first: Number of the first random release; the named ones run only with 0.
     """
     cases = []
     for name, (start, move) in NAMED.items() if first == 0 else ():
@@ -61,7 +61,7 @@ def release(options: Options, count: int = 12, seconds: float = 15.0, first: int
 
 
 def play(case: Release) -> dict[str, Any]:
-    """The row of one release; without a path if the end-effector never came into the buffer."""
+    """The row of one release; it has no path if the end-effector has not entered the buffer."""
     pull, d_b = case.pull, Config().border.d_b
     robot = load(pull.robot)
     n = robot.n_mobile

@@ -1,4 +1,4 @@
-"""A measurement's result: one table for people, or one JSON object."""
+"""The result of a measurement, as a table or as one JSON object."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Report(NamedTuple):
     """The result of a measurement.
 
     Attributes:
-        name: Of the measurement.
-        rows: By column; columns carry their unit in their name.
-        summary: Over all rows.
+        name: Name of the measurement.
+        rows: The rows, by the names of the columns; each name ends in its unit.
+        summary: Numbers over all rows.
     """
 
     name: str
@@ -27,7 +27,7 @@ class Report(NamedTuple):
 
 
 def show(report: Report, options: Options) -> None:
-    """Print it on standard output, in the chosen format."""
+    """Print the result on standard output in the chosen format."""
     if options.json:
         print_json(
             {
@@ -53,12 +53,12 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def largest(rows: Sequence[Mapping[str, Any]], column: str) -> float | None:
-    """The largest value of a column, or None without one."""
+    """The largest value of a column, or None without a value."""
     return max((row[column] for row in rows if row[column] is not None), default=None)
 
 
 def least(rows: Sequence[Mapping[str, Any]], column: str) -> float | None:
-    """The least value of a column, or None without one."""
+    """The smallest value of a column, or None without a value."""
     return min((row[column] for row in rows if row[column] is not None), default=None)
 
 

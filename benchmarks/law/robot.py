@@ -1,4 +1,4 @@
-"""The robot of a measurement, once a process."""
+"""The robot of a measurement, loaded once in each process."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ class Robot(NamedTuple):
 
     @property
     def pair_names(self) -> list[str]:
-        """Of all pairs, those of L_m first, as the distances of a step stand."""
+        """Names of all pairs, in the order of the distances of a step."""
         pairs = self.data.pairs
         return [pair.name for pair in (*pairs.mobile, *pairs.manipulator)]
 
     @property
     def n_mobile(self) -> int:
-        """How many pairs are of L_m."""
+        """Number of pairs of L_m."""
         return len(self.data.pairs.mobile)
 
 
 @cache
 def load(name: str) -> Robot:
-    """The robot of that name.
+    """The robot with a name.
 
     Raises:
-        UnknownNameError: No robot has that name.
+        UnknownNameError: The robot does not exist.
     """
     model = RobotModel(load_robot(name))
     body = MobileBody(model)

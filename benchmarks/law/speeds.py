@@ -1,4 +1,4 @@
-"""How near the joints come to their velocity limits, and how often they exceed them."""
+"""Joint speeds relative to their limits, and how often joints exceed these limits."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _HELD = 1.5  # [s] at the end of a pull
 
 
 def speeds(options: Options, count: int = 24) -> Report:
-    """Play the cases of `paths` and of `pulls` and look at the joints' speeds.
+    """Run the cases of `paths` and of `pulls`, and evaluate the joint speeds.
 
     Args:
         options: See `Options`.
-        count: Of each.
+        count: Number of paths, and number of pulls.
     """
     tasks = [paths.Tracking(options, k) for k in range(count)]
     pulled = played(pulls.play, pulls.cases(options, count, _HELD), options.jobs, "pulls")

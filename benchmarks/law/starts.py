@@ -1,8 +1,7 @@
-"""Where the end-effector of a case starts: random places around and over the base, and postures
-there.
+"""Random starts of the end-effector around and above the base, and the postures for these starts.
 
-A posture takes a second to find, so those that were found are kept in the user's cache
-folder, for as long as the start solver and the robot are the same.
+The search for a posture takes a second. The user's cache folder stores the results until the start
+solver or the robot changes.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ _RISE = 0.22, 0.45  # [m] from the base's top to an end-effector over it
 
 
 class Place(NamedTuple):
-    """Where an end-effector may start.
+    """A possible start of the end-effector.
 
     Attributes:
-        p: (3,) [m] in the base's frame.
+        p: (3,) [m] position in the base's frame.
         inwards: (3,) unit vector towards the base.
-        gap: [m] from the base's box.
+        gap: [m] distance from the base's box.
     """
 
     p: Point
@@ -48,7 +47,7 @@ class Place(NamedTuple):
 
 
 def place_beside(robot: str, rng: np.random.Generator) -> Place:
-    """A random place around the base's outline, each direction as likely."""
+    """A random start around the base's outline; all directions are equally probable."""
     found = load(robot)
     middle, half = (found.lower + found.upper) / 2, (found.upper - found.lower) / 2
     angle = rng.uniform(-math.pi, math.pi)
@@ -65,7 +64,7 @@ def place_beside(robot: str, rng: np.random.Generator) -> Place:
 
 
 def place_above(robot: str, rng: np.random.Generator) -> Place:
-    """A random place over the base's top."""
+    """A random start above the base."""
     found = load(robot)
     x, y = rng.uniform(found.lower[:2], found.upper[:2])
     gap = float(rng.uniform(*_RISE))
@@ -81,16 +80,16 @@ def posture(
     tries: int = 4,
     along: Sequence[Point] = (),
 ) -> Array | None:
-    """(n_m,) the arm with its end-effector at a place, clear of all buffers, or None if there is
-    none.
+    """(n_m,) a posture outside of all buffers with the end-effector at p, or None after a failure.
 
     Args:
         robot: Name of the robot.
-        p: (3,) [m] in the base's frame.
-        seed: Of the search.
-        turn: [rad] angle of the end-effector to the left of straight away from the mount.
-        tries: Of the search per pitch of the end-effector.
-        along: (3,) [m] each, where the end-effector comes to afterwards.
+        p: (3,) [m] position of the end-effector in the base's frame.
+        seed: Seed of the search.
+        turn: [rad] angle between the end-effector and the direction away from the mount, to the
+            left.
+        tries: Number of tries for each pitch of the end-effector.
+        along: (3,) [m] each, later positions of the end-effector.
     """
     way = [np.array(each) for each in along]
 
@@ -109,8 +108,8 @@ def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
 
     Args:
         robot: Name of the robot.
-        asked: The key of the search, as JSON.
-        search: Returns the result, as JSON.
+        asked: The key of the search, in the form of JSON.
+        search: Returns the result in the form of JSON.
     """
     key = hashlib.sha256(json.dumps([_digest(robot), *asked]).encode()).hexdigest()[:24]
     path = _folder() / f"{key}.json"

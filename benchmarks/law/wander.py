@@ -1,8 +1,8 @@
-"""People who wander: does anything touch while two of them take hand and links wherever they like?
+"""Contacts while two people pull the arm to random places.
 
-The lines of other measurements lead the end-effector to the base. Here one person takes the
-end-effector, another any link, both from place to place above and around the base, letting go now
-and then.
+In other measurements lines lead the end-effector to the base. Here one person pulls the
+end-effector and another person any link, to random places above and around the base, with releases
+from time to time.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ _LET_GO = 0.25  # [-] of the places, instead of which the person lets go
 
 
 class Walk(NamedTuple):
-    """Motions of two people, random by seed and number alone; each pulls with up to `force` [N]."""
+    """Random motions of two people, by seed and number; each person pulls with up to `force`
+    [N].
+    """
 
     options: Options
     number: int
@@ -39,11 +41,11 @@ class Walk(NamedTuple):
 
 
 def wander(options: Options, count: int = 12, force: float = 50.0, first: int = 0) -> Report:
-    """Take hand and links from place to place around the base.
+    """Pull end-effector and links from place to place around the base.
 
     Args:
         options: See `Options`.
-        count: Runs.
+        count: Number of runs.
         force: [N] largest force of each of the two people.
         first: Number of the first run.
     """

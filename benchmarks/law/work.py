@@ -1,4 +1,4 @@
-"""Cases of a measurement over some processes, in their order."""
+"""Runs the cases of a measurement in several processes; the results have the order of the cases."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def played(play: Callable[[Case], Row], cases: Sequence[Case], jobs: int, text: 
     """The row of each case.
 
     Args:
-        play: Makes a row of a case; a function of a module with picklable arguments and
+        play: Computes the row of a case; a function of a module with picklable arguments and
             result.
         cases: The cases.
-        jobs: Processes; with one it is this one.
+        jobs: Number of processes; 1 is this process.
         text: The text of the progress bar.
     """
     with progress_bar(text, 1.0) as on_progress, Workers(tuple, max(jobs, 1)) as workers:

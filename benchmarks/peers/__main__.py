@@ -1,4 +1,6 @@
-"""Runs the libraries and our own controllers along the same paths, and evaluates all alike."""
+"""Runs the libraries and our controllers along the same paths, and evaluates all in the same
+way.
+"""
 
 from __future__ import annotations
 
@@ -28,24 +30,24 @@ from benchmarks.peers.table import markdown, write_table
 
 @dataclass(frozen=True)
 class Peers:
-    """Compare with pink, mink, placo and roboplan, each in an environment of its own."""
+    """Compare with pink, mink, placo and roboplan, each in a separate environment."""
 
     only: tuple[str, ...] = ()
-    """pink, mink, placo, roboplan, dbb, barrier, repulsive; all if none is named."""
+    """Names among pink, mink, placo, roboplan, dbb, barrier and repulsive; default: all."""
     out: Path = Path("out/peers")
     """Folder for table.json, table.csv, table.md and peers.png, and for the environments."""
     physics: str = "planar"
     """Plant of our own controllers: planar, mujoco, mujoco-contact or kinematic."""
     allow_missing: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """End with status 0 even if something could not be installed or run."""
+    """End with status 0 even if a library could not be installed or run."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Only measure pink's step along one path."""
+    """Measure only the step of pink along one path."""
     json: Json = False
-    """Print one JSON object on standard output and nothing else there."""
+    """Print one JSON object on standard output, without other text."""
 
 
 def main(args: Peers) -> int:
-    """Run, write and print; gives the status."""
+    """Run the comparison, write and print the results; return the status."""
     peers = chosen(args.only)
     check_name("physics", args.physics, PLANTS)
     make_folder(args.out)
@@ -53,7 +55,7 @@ def main(args: Peers) -> int:
 
 
 def _compare(args: Peers, peers: dict[str, Any]) -> int:
-    # Imported here: matplotlib would make a refused name wait.
+    # Imported here: matplotlib would delay the error for an unknown name.
     from benchmarks.peers.picture import draw
 
     model, data = load_robot_and_border("husky_panda")
@@ -96,7 +98,7 @@ def _quick(args: Peers) -> int:
 
 
 def machine() -> dict[str, Any]:
-    """The conditions that the times depend on."""
+    """The machine and versions on which the times depend."""
     name = platform.processor() or platform.machine()
     try:
         with Path("/proc/cpuinfo").open(encoding="utf-8") as lines:

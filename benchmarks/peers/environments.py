@@ -1,4 +1,4 @@
-"""One environment a library: they cannot share one, each wants its own version of pinocchio."""
+"""An environment for each library, because the libraries need different versions of pinocchio."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MARK = "requirements.txt"  # in an environment that is complete
 
 
 class PeerError(DbbError):
-    """A library cannot be installed or run; says why."""
+    """A library cannot be installed or run; the message has the reason."""
 
 
 def python_of(environment: Path) -> Path:
@@ -34,12 +34,13 @@ def installed(environment: Path, requirements: Sequence[str]) -> bool:
 
 
 def ensure_environment(environment: Path, requirements: Sequence[str]) -> Path:
-    """The interpreter of an environment with the required packages, made if necessary.
+    """The interpreter of an environment with the required packages, which is created if necessary.
 
-    By `uv` where that is on the path, which is faster, else by venv and pip.
+    `uv` creates the environment if it is installed, because it is faster; otherwise venv and pip
+    do.
 
     Raises:
-        PeerError: It cannot be made; has the last message of the installer.
+        PeerError: It cannot be created; the message has the last message of the installer.
     """
     if installed(environment, requirements):
         return python_of(environment)
@@ -81,7 +82,7 @@ def _run(command: Sequence[str]) -> None:
 
 
 def last_line(text: str) -> str:
-    """The last line that says something; of pip's the one with the error."""
+    """The last line with text; for pip, the line with the error."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("ERROR:")]
     return (errors or lines or ["it gave no reason"])[-1]

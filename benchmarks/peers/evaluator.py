@@ -1,6 +1,6 @@
-"""One judge for all: figures of a motion on the common model, by pinocchio and coal alone.
+"""The same evaluation for all: results of a motion on the common model, with pinocchio and coal.
 
-It knows nothing of our own robot, its distances or its controllers.
+It does not use our own robot model, distances or controllers.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ class Evaluator:
         """Read a model.
 
         Args:
-            urdf: Its text, on three joints for x, y and yaw.
+            urdf: Text of the URDF, with three joints for x, y and yaw of the base.
             pairs: The two links of each pair; each link has one shape.
             hand: The link of the end-effector.
 
         Raises:
-            ValueError: It has no such link, or a link of a pair has no shape.
+            ValueError: A link does not exist, or a link of a pair has no shape.
         """
         self.model = pin.buildModelFromXML(urdf)
         self._data = self.model.createData()
@@ -58,12 +58,12 @@ class Evaluator:
         return self._data.oMf[self._hand].copy()
 
     def figures(self, q: Array, p: Array, R: Array, dt: float) -> dict[str, float]:
-        """The figures of a motion; keys end in their unit.
+        """The results of a motion; each key ends in its unit.
 
         Args:
             q: (N + 1, 3 + n_m) configurations every dt.
-            p: (N + 1, 3) [m] where the end-effector should have been at the same times.
-            R: (3, 3) its orientation.
+            p: (N + 1, 3) [m] reference positions of the end-effector at the same times.
+            R: (3, 3) reference orientation.
             dt: [s]
         """
         least = np.min([self.distances(at) for at in q], axis=0)
@@ -90,18 +90,18 @@ class Evaluator:
 
 
 def along(q: Array, velocity: Array) -> Array:
-    """(N + 1,) [m/s] the base's velocity ahead, before and in each step.
+    """(N + 1,) [m/s] forward velocity of the base, before the first step and in each step.
 
     Args:
         q: (N + 1, 3 + n_m) configurations.
-        velocity: (N + 1, 3 + n_m) of each step, a first row of zeros before them.
+        velocity: (N + 1, 3 + n_m) velocity in each step, after a first row of zeros.
     """
     yaw = np.concatenate([q[:1, 2], (q[:-1, 2] + q[1:, 2]) / 2])
     return velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
 
 
 def slips(q: Array) -> Array:
-    """(N,) [m] how far the base went sideways in each step.
+    """(N,) [m] sideways motion of the base in each step.
 
     A step between two headings along any heading in between does not count: an arc's chord, or
         a step of Euler's along the initial heading.

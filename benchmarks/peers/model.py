@@ -1,4 +1,4 @@
-"""The common model: a robot as one plain URDF that every library reads alike."""
+"""The common model: a plain URDF that every library reads in the same way."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ HAND = "peers_hand"
 PLANAR = ("peers_x", "peers_y", "peers_yaw")
 """Joints of the base on the floor."""
 UNICYCLE = ("peers_yaw", "peers_forward")
-"""Joints of the base where it is given as one that turns, then drives ahead."""
+"""Joints of a base that is modelled as a rotation, then a forward motion."""
 _FARTHEST = 100.0  # [m] or [rad] limit of the base's joints: never met
 
 
 class CommonModel(NamedTuple):
-    """A robot as all libraries get it.
+    """The model of a robot for all libraries.
 
-    Every shape is a box, a sphere, a cylinder or a capsule, every limit is that of our own
-    controller, nothing is drawn, and names of links and joints differ. Each link has 1 kg: at the
-    level of velocities masses mean nothing, and the common model knows none.
+    Each shape is a box, a sphere, a cylinder or a capsule; there are no visual shapes. The limits
+    are those of our own controller. Names of links and joints are distinct. Each link has 1 kg,
+    because masses have no effect at velocity level.
 
     Attributes:
-        planar: The URDF on x, y and yaw, for libraries that take an equality row.
-        unicycle: The URDF on yaw and then x, for those that take none: with both joints at zero its
+        planar: The URDF with base joints x, y and yaw, for libraries with equality rows.
+        unicycle: The URDF with base joints yaw and x, for the others: with both joints at zero its
             Jacobian is that of a base that cannot move sideways.
-        joints: Of the arm, from the base outwards.
+        joints: Joints of the arm, from the base outwards.
         pairs: The two links of each pair, those of L_m first.
-        body_pairs: The same by the names of the bodies.
+        body_pairs: The same pairs by the names of the bodies.
     """
 
     planar: str
@@ -56,11 +56,11 @@ def common_model(
 
     Args:
         model: The robot.
-        pairs: That are to be kept apart.
+        pairs: Pairs that must not collide.
         base_velocity: Largest v [m/s] and ω [rad/s].
 
     Raises:
-        DescriptionError: A body has more than one shape, or one that not every library knows.
+        DescriptionError: A body has several shapes, or a shape that some library does not support.
     """
     description = model.description
     v, w = base_velocity
@@ -76,11 +76,11 @@ def common_model(
 
 
 def _urdf(model: RobotModel, base: dict[str, tuple[str, str, float]]) -> str:
-    """The URDF on a root of these joints, by their names: kind, axis and largest velocity."""
+    """The URDF with these root joints, by their names: kind, axis and largest velocity."""
     description = model.description
     text = urdf_path(description).read_text(encoding="utf-8")
     source = ElementTree.fromstring(text)
-    # Without the version urdfdom drops capsules and says nothing.
+    # Without the version urdfdom silently ignores capsules.
     robot = Element("robot", name=description.name, version="1.2")
     for link in source.iterfind("link"):
         _link(robot, str(link.get("name")), description)
@@ -110,9 +110,7 @@ def _link(robot: Element, name: str, description: RobotDescription | None = None
     bodies = [] if description is None else [b for b in description.bodies if b.frame == name]
     shapes = [(body.name, shape) for body in bodies for shape in body.shapes]
     if len(shapes) > 1:
-        raise DescriptionError(
-            f"{name}: has {len(shapes)} shapes; not every library can keep more than one apart"
-        )
+        raise DescriptionError(f"{name}: has {len(shapes)} shapes; some libraries support only one")
     for body, shape in shapes:
         collision = SubElement(link, "collision", name=body)
         at = shape.placement()
@@ -130,13 +128,13 @@ def _geometry(geometry: Element, body: str, shape: Shape) -> None:
         SubElement(geometry, shape.type, size)
     else:
         raise DescriptionError(
-            f"{body}: not every library knows a {shape.type}; they know box, sphere, cylinder and "
-            "capsule"
+            f"{body}: some libraries do not support a {shape.type}; all support box, sphere, "
+            "cylinder and capsule"
         )
 
 
 def _joint(robot: Element, source: Element, model: RobotModel) -> None:
-    """A joint of the arm with its limits; any other is fixed."""
+    """A joint of the arm with its limits; other joints are fixed."""
     name, joints = str(source.get("name")), model.description.arm.joints
     moves = name in joints
     joint = SubElement(

@@ -9,14 +9,14 @@ from app.errors import UnknownNameError
 
 
 class Peer(NamedTuple):
-    """Something that follows the paths of the end-effector.
+    """A library or controller that follows the paths of the end-effector.
 
     Attributes:
-        title: For people.
-        driver: Its program among the drivers.
-        requirements: Packages for pip; empty for our own.
+        title: Displayed title.
+        driver: Name of its driver program.
+        requirements: Packages for pip; empty for our own controllers.
         level: The quantity that it commands.
-        dt: [s] between two of its steps.
+        dt: [s] time between two steps.
     """
 
     title: str
@@ -44,14 +44,14 @@ PEERS: dict[str, Peer] = {
     "barrier": _own("our barrier rows"),
     "repulsive": _own("our repulsive force"),
 }
-"""By their names; the libraries, then our own controllers by the names of `--controller`."""
+"""The libraries by their names, then our controllers by the names of `--controller`."""
 
 
 def chosen(names: Sequence[str]) -> dict[str, Peer]:
-    """The ones of these names in the order of `PEERS`; all if none is named.
+    """The peers with these names, in the order of `PEERS`; without names, all peers.
 
     Raises:
-        UnknownNameError: No such name; lists those that exist.
+        UnknownNameError: A name does not exist; the message lists the existing names.
     """
     for name in names:
         if name not in PEERS:

@@ -40,14 +40,14 @@ PATHS = (*_LINES, *_OFFSETS)
 def hand_paths(
     model: RobotModel, data: BorderData, names: Sequence[str] = PATHS
 ) -> dict[str, StartedLine]:
-    """Some of `PATHS`, each with the initial posture of the arm; the base is at the origin.
+    """Some of `PATHS`, each with the arm's initial posture for a base at the origin.
 
     Raises:
         UnreachableError: The arm has no clear posture there.
     """
     d_b = Config().border.d_b
     solver = StartSolver(model, data.pairs, d_b)
-    finder = StartFinder(model, data, d_b)  # one for all: it keeps the postures that it found
+    finder = StartFinder(model, data, d_b)  # one object for all paths, because it caches postures
     found = {}
     for name in names:
         if name in _LINES:
@@ -63,7 +63,7 @@ def hand_paths(
 
 
 def _on_axis(finder: StartFinder, offset: float, distance: float) -> Start:
-    """Where a path along the wheel axis begins, from the left."""
+    """Start of a path along the wheel axis, from the left side."""
     approach = Approach("wheel_axis", _HEIGHT, 90.0, offset)
     start = finder.find(approach, distance)
     if start.reason:

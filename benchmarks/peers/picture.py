@@ -1,4 +1,4 @@
-"""The table as one picture: step times, and how each path ended, a cell a peer and path."""
+"""The table as a picture: times of a step, and the result of each peer on each path."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def draw(rows: Sequence[Row]) -> bytes:
     """The picture as a PNG.
 
     Args:
-        rows: As `rows.rows_of` gives them; at least one.
+        rows: Rows of `rows.rows_of`; at least one.
     """
     names = list(dict.fromkeys(row["peer"] for row in rows))
     paths = list(dict.fromkeys(row["path"] for row in rows))
@@ -42,7 +42,7 @@ def draw(rows: Sequence[Row]) -> bytes:
             _cells(axes, names, paths, here)
             axes.set_title(weight_title(weight), fontsize=11)
         figure.suptitle(
-            "One robot, one set of hand paths: where the hand ends, and how near the arm comes\n"
+            "Same robot and paths: final error of the end-effector, smallest distance of the arm\n"
             "Libraries: velocities every 5 ms, no plant. Our own controllers: torques every 1 ms, "
             "with physics.",
             x=0.01,
@@ -54,7 +54,7 @@ def draw(rows: Sequence[Row]) -> bytes:
 
 
 def _times(axes: Axes, names: Sequence[str], rows: Sequence[Row]) -> None:
-    """Median of a step as a bar, its 99th percentile as a mark."""
+    """Draw the median of a step as a bar and the 99th percentile as a mark."""
     for y, name in enumerate(names):
         good = [row for row in rows if row["peer"] == name and row["status"] == "ok"]
         if not good:
@@ -92,7 +92,7 @@ def _times(axes: Axes, names: Sequence[str], rows: Sequence[Row]) -> None:
 def _cells(
     axes: Axes, names: Sequence[str], paths: Sequence[str], rows: dict[tuple[str, str], Row]
 ) -> None:
-    """Final error by colour and in words; below it the least distance."""
+    """Draw the final error as a colour and in words, above the smallest distance."""
     for y, name in enumerate(names):
         for x, path in enumerate(paths):
             row = rows.get((name, path))
@@ -130,7 +130,7 @@ def _cell(axes: Axes, x: int, y: int, row: Row) -> None:
 
 
 def _closed(axes: Axes, x: int, y: int, text: str) -> None:
-    """A run without figures."""
+    """Draw a run without results."""
     axes.add_patch(
         Rectangle(
             (x - 0.47, y - 0.44),
@@ -160,5 +160,5 @@ def _key() -> list[Patch | Line2D]:
         Patch(facecolor=far, label="ends 100 mm off"),
         Patch(facecolor="white", edgecolor=TARGET, label=f"nearer than {900 * D_MIN:.0f} mm"),
         Patch(facecolor="white", edgecolor=SOFT, hatch=_HATCH, label="missing or failed"),
-        Line2D([], [], linestyle="none", label="bold: final error; below: least distance"),
+        Line2D([], [], linestyle="none", label="bold: final error; below: smallest distance"),
     ]

@@ -19,13 +19,13 @@ from benchmarks.peers.model import HAND, PLANAR, UNICYCLE, CommonModel, common_m
 Array = np.ndarray
 
 BASE_WEIGHTS = (300.0, 1.0)
-"""[-] how much costlier the base's motion is than the arm's, as the libraries count costs."""
+"""[-] cost of base motion relative to arm motion, in the objectives of the libraries."""
 DT = 0.005
-"""[s] between two steps of a library, and two samples of all."""
+"""[s] time between two steps of a library, and between two samples of all motions."""
 D_MIN = 0.05
-"""[m] distance that no pair shall undercut; our own runs are given it too."""
+"""[m] minimum distance of all pairs, also for our own controllers."""
 RATE = 20.0
-"""[1/s] how fast a pair may close in on it, per distance left; likewise."""
+"""[1/s] largest approach speed divided by the remaining distance, also for our own controllers."""
 _HAND_COST = 10.0  # [1/m and 1/rad] of the end-effector's error; its square weighs in the objective
 _ARM_COST = 0.1  # [1/rad] of a step of each joint of the arm; likewise
 _DETECTION = 0.3  # [m] farther pairs may be left out
@@ -48,11 +48,11 @@ def write_plan(
     """Write `plan.json`, `paths.npz` and the URDFs into a folder that exists.
 
     Args:
-        folder: Where to.
+        folder: The folder.
         model: The robot.
         data: Its pairs.
-        paths: By their names.
-        base_weights: [-] each path is run with each.
+        paths: The paths by their names.
+        base_weights: [-] costs of base motion; each path runs with each of them.
         physics: The plant of our own controllers.
 
     Returns:
@@ -97,8 +97,8 @@ def write_plan(
 def arrays_of(model: RobotModel, paths: Mapping[str, StartedLine]) -> dict[str, Array]:
     """The content of `paths.npz`.
 
-    For each path `NAME_p`, (N + 1, 3) [m], the end-effector's target every `DT` from the begin on,
-    and `NAME_R`, (3, 3), the orientation that it keeps.
+    For each path, `NAME_p` (N + 1, 3) [m] has the targets of the end-effector every `DT` from the
+    start, and `NAME_R` (3, 3) is the constant orientation.
     """
     state, found = RobotState(model), {}
     for name, line in paths.items():

@@ -22,12 +22,12 @@ _PATH = "side"
 
 
 class PinkStep(NamedTuple):
-    """The time of pink's step with its barrier on the five pairs, along the path from the side.
+    """Time of a step of pink with barriers for the five pairs, along the path from the side.
 
     Attributes:
-        p50_us: [µs] median, or None where pink could not be measured.
-        p99_us: [µs] 99th percentile, likewise.
-        reason: Why it could not, or an empty string.
+        p50_us: [µs] median, or None if pink could not be measured.
+        p99_us: [µs] 99th percentile, or None.
+        reason: Reason of a missing measurement, or an empty string.
     """
 
     p50_us: float | None
@@ -38,13 +38,13 @@ class PinkStep(NamedTuple):
 def pink_step(
     model: RobotModel, data: BorderData, *, environments: Path = ENVIRONMENTS, install: bool = False
 ) -> PinkStep:
-    """Measure it, in a process of its own; 3,000 steps, about three seconds.
+    """Measure the step in a separate process: 3,000 steps, about three seconds.
 
     Args:
         model: The robot.
         data: Its pairs.
         environments: Folder of the libraries' environments.
-        install: Whether pink's is made if it is not there; needs a package index.
+        install: Whether to create a missing environment of pink, which needs a package index.
     """
     pink = PEERS["pink"]
     environment = environments / "pink"

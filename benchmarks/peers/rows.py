@@ -1,4 +1,4 @@
-"""One row per library, path and weighting: its figures, or the reason of a failure."""
+"""A row for each library, path and cost of the base: its results, or the reason of a failure."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def rows_of(
     environments: Path,
     judge: Evaluator,
 ) -> list[Row]:
-    """Run one peer over a plan and judge it.
+    """Run a peer on all paths of a plan, and evaluate its motions.
 
     Args:
-        name: Of the peer.
-        peer: Which.
+        name: Name of the peer.
+        peer: The peer.
         plan: The content of the plan's JSON.
-        folder: Has the plan in `plan`; the driver writes into `runs/NAME`.
+        folder: Folder with the plan in `plan`; the driver writes into `runs/NAME`.
         environments: Folder of the environments.
-        judge: On the common model.
+        judge: The evaluator on the common model.
 
     Returns:
-        One row per run, in all cases.
+        One row for each run, also for failed runs.
     """
     load = os.getloadavg()[0]
     try:
@@ -101,12 +101,12 @@ def _judged(
 
 
 def flaw(motion: Motion, count: int, judge: Evaluator) -> str:
-    """Why a motion cannot be judged, or an empty string.
+    """Why a motion cannot be evaluated, or an empty string.
 
     Args:
-        motion: As the driver wrote it.
-        count: Configurations that it should have.
-        judge: On the common model.
+        motion: The motion of the driver.
+        count: Required number of configurations.
+        judge: The evaluator on the common model.
     """
     shape = (count, judge.model.nq)
     if motion.q.shape != shape:

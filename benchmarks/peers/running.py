@@ -1,4 +1,4 @@
-"""Running a driver: each in a process of its own, on one thread, with nothing of ours loaded."""
+"""Runs a driver in a separate process with one thread, without modules of this project."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Motion(NamedTuple):
-    """The data that a driver wrote for one run.
+    """The data that a driver has written for one run.
 
     Attributes:
         q: (N + 1, 3 + n_m) x, y [m], yaw [rad] and the arm's joints, every `plan.DT`.
-        step_s: (M,) [s] real time of each of its steps.
+        step_s: (M,) [s] real time of each step.
         d_start: (pairs,) [m] initial distances of the library.
-        failures: Steps in which it had no solution and went on.
+        failures: Number of steps without a solution.
     """
 
     q: Array
@@ -43,9 +43,10 @@ class Done(NamedTuple):
     """The result of a driver.
 
     Attributes:
-        motions: By the name of the run.
-        errors: Why a run has none, by its name; by the empty name, why the driver ended early.
-        versions: Of the libraries.
+        motions: The motions by the name of the run.
+        errors: Reasons of missing motions by the name of the run; the empty name has the reason why
+            the driver ended early.
+        versions: Versions of the libraries.
     """
 
     motions: dict[str, Motion]
@@ -54,17 +55,17 @@ class Done(NamedTuple):
 
 
 def run_driver(name: str, peer: Peer, python: Path, plan: Path, out: Path) -> Done:
-    """Run a driver over a plan.
+    """Run a driver on all paths of a plan.
 
     Args:
-        name: Of the peer.
-        peer: Which.
+        name: Name of the peer.
+        peer: The peer.
         python: Its interpreter.
         plan: Folder of the plan.
         out: Folder of the output; its content is deleted.
 
     Raises:
-        PeerError: It did not even begin.
+        PeerError: The driver could not start.
     """
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)

@@ -21,7 +21,7 @@ PATH_TITLES = {
     "axis-10mm": "10 mm",
     "axis-50mm": "50 mm",
 }
-"""For people, by the names of the paths."""
+"""Displayed titles of the paths by their names."""
 
 
 def write_table(folder: Path, rows: Sequence[Row], machine: dict[str, Any]) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def write_table(folder: Path, rows: Sequence[Row], machine: dict[str, Any]) -> d
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The table for people: one for each weighting, then why something is missing."""
+    """Markdown of a table for each cost of the base, then the reasons of missing rows."""
     parts = []
     for weight in dict.fromkeys(row["base_weight"] for row in rows):
         parts.append(f"{weight_title(weight)}:\n")
@@ -50,7 +50,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def weight_title(weight: float) -> str:
-    """The name of a weighting of the base."""
+    """The title of a cost of the base."""
     return (
         f"Base {weight:g} times as costly as the arm"
         if weight != 1
@@ -59,7 +59,7 @@ def weight_title(weight: float) -> str:
 
 
 def _one(rows: Sequence[Row]) -> str:
-    """Of one weighting: a line a peer."""
+    """The table of one cost of the base, with a line for each peer."""
     paths = list(dict.fromkeys(row["path"] for row in rows))
     head = [
         "",
@@ -107,7 +107,7 @@ def _mm(value: float) -> str:
 
 
 def _reasons(rows: Sequence[Row]) -> list[str]:
-    """One line for each reason of rows without figures."""
+    """A line for each reason of rows without results."""
     found: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
         if row["status"] != "ok":

@@ -1,9 +1,9 @@
 """The bare calls that no control step on these libraries can do without, for comparison.
 
 Dynamics, placements and distances of the pairs, the Jacobian of the end-effector and of each body
-of a pair, and one QP of the size of the arm's: q̈_m is unknown, the limits of torques and joints and
-the distances to the base are inequalities. Only its gradient changes from call to call, and it is
-warm-started.
+of a pair, and one QP of the size of the arm's: q̈_m is unknown, the limits of torques and joints
+and the distances to the base are inequalities. Only its gradient changes from call to call, and it
+is warm-started.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Convex bodies of small volume around groups of links that can meet others."""
+"""Small convex bodies around groups of links, at least around the parts that can meet others."""
 
 from __future__ import annotations
 
@@ -19,35 +19,36 @@ from app.robot.model import RobotModel, kept_per_model
 Array = np.ndarray
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
-"""[-] weights of volumes on the arm: around a capsule the closest points never jump."""
+"""[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points
+on a capsule do not jump."""
 BASE_WEIGHTS = {"box": 1.0, "hull": 1.3}
-"""[-] weights of volumes on the base."""
-_ONE_BOX = 1.6  # [-] a base whose box exceeds its hulls' volume by more gets several
-_WORTH = 0.75  # [-] largest volume of several bodies relative to the one box
-_SPOT = 1e-6  # [m³] largest volume of points that need no body
-_MERGE = 1.15  # [-] largest growth of volume when two shapes become one
+"""[-] weights of volumes for the base."""
+_ONE_BOX = 1.6  # [-] largest volume of a single shape relative to the volume of its hulls
+_WORTH = 0.75  # [-] largest volume of several shapes relative to the volume of a single one
+_SPOT = 1e-6  # [m³] volume below which points need no body
+_MERGE = 1.15  # [-] largest growth of the volume when two shapes are merged
 
 
 class FittedBody(NamedTuple):
     """A body of the description."""
 
     name: str
-    """Name, as in `lm`."""
+    """Name, such as `lm`."""
     frame: str
     """Link whose frame the shapes use."""
     links: tuple[str, ...]
     units: tuple[int, ...]
     """Indices of its units."""
     fits: tuple[Fit, ...]
-    """Its shapes with their excess volume."""
+    """Its shapes, with their excess volumes."""
     points: Array
-    """(N, 3) [m] the enclosed points, in the frame."""
+    """(N, 3) [m] the enclosed points, in `frame`."""
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """By its links, the links of bodies nearer to the base that are nested with them."""
+    """For links of this body, the links of bodies nearer to the base that are nested with them."""
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
-    """l_m around the whole base.
+    """The body l_m around the units `mobile`, normally the whole base.
 
     Raises:
         RobotFileError: The base has no shapes.
@@ -56,7 +57,7 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
     corners = [part.corners for k in mobile for part in units[k].parts]
     if not corners:
         raise RobotFileError(
-            f"--base: no link of {base.frame!r} has a shape; give one a <collision>, or another "
+            f"--base: no link of {base.frame!r} has a shape; add a <collision>, or choose another "
             "--base"
         )
     everything = np.vstack(corners)
@@ -66,7 +67,7 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
 
 
 def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
-    """One shape around parts, from their corners, or several if it would be mostly empty."""
+    """The shape `one` around parts, or several shapes if `one` would be mostly empty."""
     if len(corners) < 2 or one.volume <= _ONE_BOX * sum(hull_volume(c) for c in corners):
         return (one,)
     several = _merged(corners)
@@ -74,9 +75,9 @@ def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
 
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
-    """One shape for each link, then neighbours merged while that adds little volume."""
+    """One shape for each part; shapes are merged while this adds little volume."""
     groups = {k: (c, fit_best(c, BASE_WEIGHTS)) for k, c in enumerate(corners)}
-    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # results of pairs
+    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # growth and fit of merged pairs
     new = len(groups)
     while len(groups) > 1:
         for i, j in combinations(groups, 2):
@@ -95,7 +96,7 @@ def _merged(corners: Sequence[Array]) -> list[Fit]:
 
 
 class ArmFitter:
-    """Fits the bodies of an arm for a sequence of groupings of its units."""
+    """Fits the bodies of an arm for several groupings of its units."""
 
     def __init__(
         self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)
@@ -119,11 +120,12 @@ class ArmFitter:
         needed = [self._meetings.needed(k, others) for k in group]
         links = tuple(link for unit in units for link in unit.links)
         fitted = self._smallest(units, needed)
-        if fitted is None:  # no collision, or too small a region: the links' own shapes
+        if fitted is None:  # no collision, or only in a tiny region: enclose the whole links
             fitted = self._smallest(units, [np.ones(len(u.surface), dtype=bool) for u in units])
         if fitted is None:
             raise RobotFileError(
-                f"the links {', '.join(links)} have no shapes for a body; choose other --bodies"
+                f"the links {', '.join(links)} have no shapes for a body; choose another number of "
+                "--bodies"
             )
         fits, joint, points = fitted
         frame = next(u.frame for u in units if u.joint == joint)
@@ -132,9 +134,10 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int, Array] | None:
-        """The smallest fit among the frames of the joints, with its joint and points.
+        """The smallest fit in the frames of the joints, with its joint and its points, or None.
 
-        Links at either end without collisions do not change it; None without a volume.
+        Links without collisions at either end do not change the fit. None means that the points
+        have no volume.
         """
         pieces: dict[tuple[int, int], Array] = {}  # by joint and link
         for unit, mask in zip(units, masks, strict=True):
@@ -165,20 +168,21 @@ class ArmFitter:
         return _split(one, seen), frame, points
 
 
-_STEP = np.radians(10.0)  # [rad] between the sampled angles
-_PASSED = 256  # [-] cached clouds that passed a joint
-_SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] ratio of a circle's radius to that of its chords
+_STEP = np.radians(10.0)  # [rad] step of the sampled angles
+_PASSED = 256  # [-] cached results of `_passed`
+_SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] circle's radius, relative to the distance of its chords
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
-    """(N, 3) [m] corners and [m³] volume of the hull that points sweep, in each joint's frame.
+    """Corners (N, 3) [m] and volume [m³] of the hull that points sweep, in the frame of each joint.
 
-    The sweep beyond a joint is the same in all frames on this side of it, so each joint is passed
-    once in each direction.
+    All frames on one side of a joint see the same sweep of the points beyond the joint. Therefore
+    each joint is passed only once in each direction.
 
     Args:
         model: The robot.
-        points: (N, 3) [m] of neighbouring joints, in each joint's own frame, by its number.
+        points: Points (N, 3) [m] in the frame of a joint, by the number of the joint; the numbers
+            are consecutive.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
@@ -192,13 +196,16 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 
 
 def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) -> Array:
-    """Points beyond a joint in all its positions, on this side of it."""
+    """Points beyond a joint, for all positions of the joint, in the frame before the joint.
+
+    With `outwards` False the directions are exchanged.
+    """
     return _passed(model, points.tobytes(), joint, outwards) if len(points) else points
 
 
 @kept_per_model(_PASSED)
 def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array:
-    """`_through` for the bytes of points, cached because several groupings need the same ones."""
+    """`_through` for the bytes of points, cached for other groupings with the same points."""
     points, placement = np.frombuffer(told).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
     axis, turns = _axis(model, joint)
@@ -216,13 +223,13 @@ def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array
 
 
 def _grown(points: Array, axis: Array) -> Array:
-    """Points moved out from an axis through the origin, so that chords become tangents."""
+    """Points with a larger distance from an axis through the origin: chords become tangents."""
     along = np.outer(points @ axis, axis)
     return along + (points - along) * _SAGITTA
 
 
 def _axis(model: RobotModel, joint: int) -> tuple[Array, bool]:
-    """(3,) axis of a joint in its own frame, and whether it turns."""
+    """The axis (3,) of a joint in its own frame, and whether the joint is revolute."""
     kind = model.pin.joints[joint]
     data = kind.createData()
     kind.calc(data, pin.neutral(model.pin))

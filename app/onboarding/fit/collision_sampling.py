@@ -1,4 +1,4 @@
-"""Collision sampling: which units of links meet in random poses of the arm."""
+"""Collision sampling: the units of links that meet in random poses of the arm."""
 
 from __future__ import annotations
 
@@ -29,25 +29,26 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 ALWAYS = 0.6
-"""[-] share of the free poses above which a pair in its buffer would activate the task always."""
+"""[-] a pair that is inside its buffer in a larger share of the free poses is always near."""
 MARGIN = 0.015
-"""[m] distance at which a point counts as reached."""
+"""[m] distance below which a point of a surface counts as reached by another unit."""
 BUILT_IN = 0.5
-"""[-] share of the poses above which close hulls that touch are nested, as in a telescope."""
+"""[-] close units whose hulls touch in this share of the poses or more are nested, as in a
+telescope."""
 NESTED = BUILT_IN**2
-"""[-] smallest share of random poses in which nested links touch: the share in which their units
-touch, times the share of these poses in which the links touch."""
-_FEWEST = 50  # [-] poses without a collision for finding close pairs
-_MAX_LOOKS = 200  # [-] most poses per pair of units for finding the points
+"""[-] smallest share of random poses in which nested links touch. It is the product of two shares:
+the poses in which the units touch, and among these the poses in which the links touch."""
+_FEWEST = 50  # [-] smallest number of free poses for finding close pairs
+_MAX_LOOKS = 200  # [-] largest number of poses for each pair of units, for finding the points
 _OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
-_GRAZE = 0.003  # [m] by which hulls of two of the arm's links overlap at most that pass each other
-_RARE = 30  # [-] random poses of a pair below which more are searched for
+_GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
+_RARE = 30  # [-] colliding random poses of a pair; with fewer, a search finds more
 ENOUGH = 600
-"""[-] poses with a collision for a share of seen collisions to half a percent."""
+"""[-] poses with a collision that are sufficient for a share with an accuracy of half a percent."""
 _MORE, _MAX_POSES = 1000, 40_000  # [-] poses that are sampled at a time, and in total
 _PARTS = 4  # [-] parts of the random poses, for parallel processes
-_FAR = 0.3  # [m] smallest distance of two units beyond which no search is made
-_NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each
+_FAR = 0.3  # [m] smallest distance of two units above which no search is made
+_NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each pose
 _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] sizes of the variations relative to a joint's range
 
 
@@ -59,43 +60,45 @@ class Poses(NamedTuple):
     distances: Array
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether no close pair touches, except nested pairs; joint limits have to prevent the
-    other poses."""
+    """(N,) whether the pose is possible: no close pair touches, except nested pairs. Joint limits
+    have to prevent the other poses."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """Collisions and distances in random poses."""
+    """Distances and collisions of units in random poses."""
 
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
-    """Pairs of units, by their indices, that are not neighbours."""
+    """Pairs of units that are not neighbours, by the indices of the units."""
     close: frozenset[tuple[int, int]]
-    """Pairs that no buffer can monitor by design: within it in most poses without a collision, or
-    pairs of the arm that never overlap by more than the meshes' accuracy."""
+    """Pairs that no buffer can monitor: the units are within d_b in most free poses, or they are
+    units of the arm that never overlap by more than the accuracy of the meshes."""
     apart: frozenset[tuple[int, int]]
-    """Pairs of the base and a link on it that meet deeper than adjacent links:
-    joint limits have to keep them apart."""
+    """Close pairs of the base and a link on it that overlap deeper than adjacent links: joint
+    limits have to prevent this."""
     random: Poses
     rare: Poses
-    """Poses around the nearest ones of pairs that rarely meet, with their collisions."""
+    """Colliding poses of pairs that rarely meet in random poses; see `_rare_poses`."""
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
-    """By the pair (u, v): (points of u,) whether v reached a point of u's surface."""
+    """For a pair (u, v): whether v has reached each point of the surface of u."""
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """The close pairs that are nested, as in a telescope: their contacts are no collisions."""
+        """Close pairs that are nested, as in a telescope; their contacts do not count as
+        collisions.
+        """
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
     @property
     def collides(self) -> Array:
-        """(N, pairs) whether the hulls overlap; never for the close pairs."""
+        """(N, pairs) whether the hulls overlap; always False for close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
         return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
-        """(N,) whether any of the others can reach each point of a unit's surface."""
+        """(N,) for each point of a unit's surface, whether one of the other units can reach it."""
         mask = np.zeros(len(self.units[unit].surface), dtype=bool)
         for other in others:
             if (found := self.met.get((unit, other))) is not None:
@@ -117,10 +120,18 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random poses.
 
-    It takes `samples` poses, and more until `enough` of them have a collision, so that arms with
-    rare collisions are judged by as many. With `points`, it finds the points that met, too.
-    `stopped` means that limits keep close pairs apart if possible: such a pair is then not close.
-    d_b [m] is the buffer distance; `workers` share the random poses.
+    Args:
+        model: The robot.
+        units: Its units.
+        samples: [-] smallest number of random poses.
+        seed: Seed of the random poses.
+        d_b: [m] buffer distance.
+        enough: [-] required number of poses with a collision; more poses are sampled until it is
+            reached, up to a maximum.
+        points: Whether to find the points of the surfaces that other units reach.
+        stopped: Whether joint limits prevent the collisions of close pairs in `apart`; these pairs
+            are then not close.
+        workers: Worker processes for the random poses.
     """
     rng, pairs = np.random.default_rng(seed), _distant_pairs(model, units)
     q_m, distances = np.zeros((0, model.n_m)), np.zeros((0, len(pairs)))
@@ -153,7 +164,7 @@ def sample_meetings(
 
 
 def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int, int], ...]:
-    """Pairs of units with shapes that are not neighbours, by their indices."""
+    """Pairs of units that have shapes and are not neighbours, by the indices of the units."""
     shaped = [unit for unit in units if unit.parts]
     return tuple(
         (a.index, b.index) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)
@@ -163,9 +174,9 @@ def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int,
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
-    """`close` and `apart` of `Meetings`, and the columns of pairs that make a pose impossible.
+    """`close` and `apart` of `Meetings`, and the columns of the close pairs that are not nested.
 
-    The latter are the close ones that are not nested.
+    A pose in which a pair of these columns touches is impossible.
     """
     close = _close_pairs(distances, pairs, d_b)
     nested = _touch_mostly(distances)
@@ -179,7 +190,9 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's links that meet, in `_RARE` poses or more, and never any deeper."""
+    """Pairs of the arm that meet in `_RARE` poses or more, but never overlap by more than
+    `_GRAZE`.
+    """
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
     return frozenset(
@@ -201,15 +214,16 @@ def _look(_: object, part: _Looked) -> Array:
 
 
 def _touch_mostly(distances: Array) -> Array:
-    """(pairs,) whether hulls at distances (N, pairs) [m] touch as often as nested ones."""
+    """(pairs,) whether hulls with the distances (N, pairs) [m] touch as often as nested hulls."""
     return (distances <= 0.0).mean(axis=0) >= BUILT_IN
 
 
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
-    """Nested links of units u and v; none if the units are not nested.
+    """Pairs of nested links of the units u and v; none if the units are not nested.
 
-    Units are nested by the meetings, or as neighbours that touch as often. Nested links are
-    those that touch in most of the poses in which their units do: the others may still collide.
+    Units are nested according to the meetings, or if they are neighbours that touch as often. Two
+    of their links are nested if they touch in most of the poses in which the units touch; other
+    links of these units may still collide.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -226,9 +240,9 @@ def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tup
 def nested_touches(
     model: RobotModel, geometry: Mapping[str, LinkGeometry]
 ) -> dict[tuple[str, str], float]:
-    """[-] share of random poses in which the nested links of a description touch, by pair.
+    """[-] share of random poses in which two nested links of a description touch, by the pair.
 
-    For links from `nested_links` it is at least `NESTED`; for one without a shape it is 0.
+    It is at least `NESTED` for links from `nested_links`, and 0 for a link without a shape.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -283,12 +297,12 @@ def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[
 
 
 def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
-    """The points of a pair's units that met; the pair is given by its column."""
+    """The points of the surfaces of a pair that met; the job has the column of the pair."""
     found, model, k = job
     data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
     column = found.random.distances[:, k]
     met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
-    # Shallow ones first: in deep ones the arms pass through each other.
+    # Shallow collisions first: in deep collisions the links pass through each other.
     met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MAX_LOOKS)]
     poses = found.random.q_m[met_in]
     if np.count_nonzero(column <= 0.0) < _RARE:
@@ -308,7 +322,7 @@ def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, in
 
 
 def _reached(points: Array, unit: Unit) -> Array:
-    """(N,) whether points in a unit's frame are within the margin of any of its hulls."""
+    """(N,) whether points in the frame of a unit are within `MARGIN` of one of its hulls."""
     along = points @ directions(2).T
     inside = np.zeros(len(points), dtype=bool)
     for part in unit.parts:

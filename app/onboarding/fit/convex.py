@@ -1,4 +1,4 @@
-"""Convex bodies that enclose points: capsule, box or polytope."""
+"""Convex shapes that enclose points: capsule, box or polytope."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from app.robot.shapes import Box, Capsule, Hull, Shape
 
 Array = np.ndarray
 
-_UNIT = 1e-4  # [m] resolution of sizes, rounded up
-_SNAP, _SNAP_COST = 0.005, 1.05  # [m], [-] ends near a plane move onto it at that cost
+_UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
+_SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a capsule's end, [-] of its volume
 _THINNEST = 0.002  # [m] smallest side of a box
 
 
@@ -28,15 +28,18 @@ class Fit(NamedTuple):
     volume: float
     """[m³]"""
     over_cover: float
-    """[-] its volume relative to the points' hull."""
+    """[-] ratio of its volume to that of the points' hull."""
     protrusion: float
-    """[m] its largest distance outside of the points' hull."""
+    """[m] largest distance by which it extends beyond the points' hull."""
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
-    """The shape of the smallest weighted volume around points (N, 3) [m]; weights [-] by kind.
+    """The shape with the smallest weighted volume around points.
 
-    If `volume` [m³] is stated, the points must be the corners of their hull, which has it.
+    Args:
+        points: (N, 3) [m]
+        weights: [-] weight of the volume, by the kind of shape.
+        volume: [m³] volume of the points' hull, if the points are the corners of the hull; or None.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -45,18 +48,19 @@ def fit_best(points: Array, weights: dict[str, float], *, volume: float | None =
 
 
 def hull_corners(points: Array) -> Array:
-    """(M, 3) corners of the convex hull; the points themselves if they are flat."""
+    """Corners (M, 3) of the convex hull; if the points are flat, the points themselves."""
     return hull(points)[0]
 
 
 def lean_corners(points: Array) -> Array:
-    """(M, 3) corners of the convex hull or, if there are many, of a polytope around it.
+    """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
-    The polytope touches the hull in 642 directions, evenly spread for a cloud of equal widths along
-    its main axes. Its excess is about half a percent of the cloud's size along each of them.
+    The polytope has a face for each of 642 directions. The directions are evenly spread after the
+    cloud is scaled to equal widths along its main axes. The polytope exceeds the hull by about half
+    a percent of the cloud's size along each main axis.
     """
     corners, D = hull_corners(points), directions(3)
-    if len(corners) <= 2 * len(D):  # the most that such a polytope has
+    if len(corners) <= 2 * len(D):  # the polytope may have as many
         return corners
     middle = corners.mean(axis=0)
     _, spread, axes = np.linalg.svd(corners - middle, full_matrices=False)
@@ -67,12 +71,12 @@ def lean_corners(points: Array) -> Array:
 
 
 def _polytope(D: Array, reach: Array) -> Array:
-    """(M, 3) [m] corners of the polytope with support (K,) [m] along D (K, 3)."""
+    """Corners (M, 3) [m] of the polytope whose support along D (K, 3) is `reach` (K,) [m]."""
     return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections
 
 
 def fit_capsule(points: Array) -> Capsule:
-    """The capsule of small volume, by a local search from the best main axis."""
+    """A capsule with a small volume, by a local search that starts at the best main axis."""
     some = _outermost(points)
     centre = some.mean(axis=0)
     axes = np.linalg.svd(some - centre, full_matrices=False)[2]
@@ -104,16 +108,17 @@ def fit_capsule(points: Array) -> Capsule:
         },
     )
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
-    # Ends move onto the link's planes at a small cost: axes that meet a joint's have formulas.
+    # Ends move onto the planes of the frame if this adds little volume: if the axis of the capsule
+    # meets that of a joint, distances have simple formulas.
     ends = np.array([found.start_m, found.end_m])
     snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
     return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
 
 
 def fit_box(points: Array) -> Box:
-    """The smallest box with an edge along an axis of the frame or of the points.
+    """The smallest box that has an edge along an axis of the frame or a main axis of the points.
 
-    It is rotated only if that saves a tenth of the volume.
+    A rotated box is used only if it saves a tenth of the volume.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -126,9 +131,10 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope that encloses the points, with one face for each of some evenly spread directions.
+    """A polytope that encloses the points, with one face for each of 42 evenly spread directions.
 
-    Its frame is at the centre of the points' bounding box, with z along their longest axis.
+    Its frame is at the centre of the points' bounding box, with z along their longest axis. If the
+    polytope cannot be computed, the result is a box.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
@@ -151,7 +157,9 @@ def fit_hull(points: Array) -> Hull | Box:
 
 
 def support(shape: Shape, D: Array) -> Array:
-    """(K,) [m] support of a capsule, box or hull along unit vectors D (K, 3)."""
+    """(K,) [m] support of a capsule, box or hull: its largest coordinate along each vector of D (K,
+    3).
+    """
     if isinstance(shape, Capsule):
         ends = np.array([shape.start_m, shape.end_m])
         return (D @ ends.T).max(axis=1) + shape.radius_m
@@ -165,17 +173,17 @@ def support(shape: Shape, D: Array) -> Array:
 
 
 def volume_of(shape: Shape) -> float:
-    """[m³] volume of a shape, by the collision library."""
+    """[m³] volume of a shape, computed by the collision library."""
     return float(shape.coal_geometry().computeVolume())
 
 
 def hull_volume(points: Array) -> float:
-    """[m³] volume of the points' convex hull; 0 if they are flat."""
+    """[m³] volume of the points' convex hull; 0 for flat points."""
     return hull(points)[1]
 
 
 def hull(points: Array) -> tuple[Array, float]:
-    """(M, 3) corners of the convex hull and its volume [m³]; flat points unchanged, and 0."""
+    """Corners (M, 3) of the convex hull and its volume [m³]; for flat points, the points and 0."""
     points = np.asarray(points, dtype=float)
     if len(points) < 5:
         return points, 0.0
@@ -188,7 +196,10 @@ def hull(points: Array) -> tuple[Array, float]:
 
 @cache
 def directions(subdivisions: int) -> Array:
-    """(K, 3) unit vectors: 42, 162 or 642, evenly spread, including the axes; read-only."""
+    """(K, 3) evenly spread unit vectors, including the axes; read-only.
+
+    K is 42, 162 or 642 for 1, 2 or 3 subdivisions.
+    """
     spread = np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions).vertices)
     D = np.vstack([spread, np.eye(3), -np.eye(3)])
     D = np.unique(np.round(D / np.linalg.norm(D, axis=1)[:, None], 9), axis=0)
@@ -197,7 +208,9 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """(3, 3) rotation with an axis as its z and x, y along the smallest rectangle across it."""
+    """Rotation (3, 3) whose z is an axis; x and y are along the smallest rectangle around the
+    points.
+    """
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])
@@ -216,13 +229,13 @@ def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
 
 
 def _distinct(corners: Array) -> Array:
-    """Corners of the hull without those within a fraction of a millimetre of another."""
+    """Corners of the hull; of corners within a fraction of a millimetre only one remains."""
     rounded = np.unique(np.round(corners, 4), axis=0)
     return rounded[ConvexHull(rounded).vertices]
 
 
 def _capsule(points: Array, ends: Array) -> Capsule:
-    """The capsule with given ends (2, 3) around points."""
+    """The smallest capsule with the ends (2, 3) that encloses the points."""
     radius = round(float(np.ceil(_radius(points, *ends) / _UNIT + 1e-6) * _UNIT), 4)
     return Capsule(type="capsule", start_m=_three(ends[0]), end_m=_three(ends[1]), radius_m=radius)
 
@@ -248,7 +261,10 @@ def _box(points: Array, rpy: Array) -> Box:
 
 
 def _outermost(points: Array) -> Array:
-    """The farthest point in each of many directions: enough to find a shape, not to size it."""
+    """The farthest point in each of 42 directions.
+
+    These points are sufficient for the pose of a shape, but not for its size.
+    """
     return points[np.unique((points @ directions(1).T).argmax(axis=0))]
 
 

@@ -1,9 +1,9 @@
-"""Grouping of links into bodies that detects collisions and ignores free poses.
+"""Grouping of links into bodies whose pairs detect collisions and do not react in free poses.
 
-The paper's l_1 … l_EE join neighbouring links of a chain. Every way to cut the chain is judged by
-the share of colliding poses that its pairs do not see, the share of free ones that they report,
-and whether a pair stays inside its buffer always. A pair that does so by design of its links is
-not monitored, like neighbours.
+The paper's bodies l_1 … l_EE join neighbouring links of a chain. Each division of the chain into
+groups is judged by the share of colliding poses that its pairs do not see, by the share of free
+poses in which its bodies overlap, and by pairs that are always inside their buffer. A pair whose
+links are always that close by design is not monitored, like a pair of neighbours.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-_PAPER = 4  # [-] bodies of the paper's arm; others are tried only if these do not suffice
-_MAX_BODIES = 6  # [-] most bodies
-_MAX_JUDGED = 60  # [-] most groupings that are fitted, in the order of their expected cost
+_PAPER = 4  # [-] bodies of the paper's arm; other numbers are tried if these are not sufficient
+_MAX_BODIES = 6  # [-] largest number of bodies of the arm
+_MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
 MAX_UNSEEN = 0.01
-"""[-] largest share of poses with a collision of links that no pair sees."""
+"""[-] largest share of the links' collisions that their bodies may miss."""
 UNSEEN_POSES = 4000
-"""[-] poses for testing the chosen bodies, or more if collisions are rare."""
-_MAX_LOOKED_AT = 300  # [-] most excluded poses in which meshes are compared
-_MAX_NAMED = 4  # [-] most named pairs of links
-_UNSEEN_SEED = 2**31  # [-] seed of these poses; the fit has others
-_MISSED = 0.1 * MAX_UNSEEN  # [-] share that a good grouping may miss
-_BODY_COST = 0.03  # [-] cost of one more body
-_MISSED_COST = 40.0  # [-] cost of collisions beyond that share
-_FALSE_COST = 2.0  # [-] cost of free poses with an active task
-_SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet but whose links cannot
-_ALWAYS_COST = 1.0  # [-] cost of a pair that is always near
-_UNWATCHED_COST = 0.05  # [-] cost of a pair that is near by design
+"""[-] smallest number of random poses for testing the chosen bodies."""
+_MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
+_MAX_NAMED = 4  # [-] largest number of named pairs of links
+_UNSEEN_SEED = 2**31  # [-] seed of these poses, which the fit does not use
+_MISSED = 0.1 * MAX_UNSEEN  # [-] largest share of colliding poses that a good grouping misses
+_BODY_COST = 0.03  # [-] cost of each body
+_MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
+_FALSE_COST = 2.0  # [-] cost of free poses in which bodies overlap, per share
+_SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links never do
+_ALWAYS_COST = 1.0  # [-] cost of a pair that is almost always inside its buffer
+_UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 
 class Verdict(NamedTuple):
@@ -62,14 +62,15 @@ class Verdict(NamedTuple):
     spurious: tuple[str, ...]
     """Pairs of bodies that overlap although their links never do."""
     always: tuple[str, ...]
-    """Pairs that are inside their buffer almost always."""
+    """Pairs that are almost always inside their buffer."""
     unwatched: dict[str, bool]
-    """Pairs that would be always near and are not monitored, and whether because of links that are
-    close by design, or of bodies alone if other pairs see their collisions."""
+    """Pairs that are not monitored because they are almost always inside their buffer. The value is
+    True if some of the links are close by design. It is False if only the bodies are close, and
+    other pairs see their collisions."""
     near: dict[str, float]
-    """[-] share of free poses inside the buffer, by the pair's name."""
+    """[-] share of the free poses inside the buffer, by the pair's name."""
     cost: float
-    """The total, which is smallest for the best grouping."""
+    """[-] total cost; the best grouping has the smallest."""
 
 
 class Grouping(NamedTuple):
@@ -89,15 +90,20 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    A part that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If it
-    can meet a link unseen by all pairs of bodies, such as a mast, it belongs to l_m.
+    A part that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If some
+    of its collisions are not seen by any pair of bodies, as for a mast, it belongs to l_m.
 
-    The default is four bodies as in the paper, or two to five if four do not suffice: a
-    pair always near, a pair that only the bodies make, too many missed collisions. d_b is in m.
-    `on_progress` takes the share of the groupings that are judged.
+    Args:
+        model: The robot.
+        meetings: Distances and collisions of its units in random poses.
+        d_b: [m] buffer distance.
+        count: Number of bodies of the arm. None means four as in the paper; if four are not
+            sufficient, the best number from two to six. They are not sufficient if a pair is almost
+            always near, if only bodies but no links meet, or if too many collisions are missed.
+        on_progress: Called with the finished share of the judged groupings.
 
     Raises:
-        RobotFileError: The arm has fewer parts than `count`, or none of a shape.
+        RobotFileError: The arm has fewer parts than `count`, or no part with a shape.
     """
     fixed = meetings.units[1]
     found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
@@ -109,7 +115,9 @@ def find_grouping(
 def with_nested(
     model: RobotModel, meetings: Meetings, bodies: Sequence[FittedBody]
 ) -> list[FittedBody]:
-    """Bodies with their links that are nested with links of a body that is no neighbour."""
+    """The bodies, with the names of links that are nested with links of bodies nearer to the
+    base.
+    """
     found = []
     for k, body in enumerate(bodies):
         inner = [unit for each in bodies[: max(0, k - 1)] for unit in each.units]
@@ -122,7 +130,7 @@ def with_nested(
 
 
 def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether a pair of bodies overlaps in the poses in which a unit meets another."""
+    """Whether pairs of bodies overlap in nearly all poses in which a unit meets another unit."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
         poses.q_m[np.any(poses.distances[:, own] <= 0.0, axis=1) & poses.possible]
@@ -141,7 +149,7 @@ def _arm_grouping(
     count: int | None,
     on_progress: OnProgress,
 ) -> Grouping:
-    """The best grouping around an l_m of the given units."""
+    """The best grouping if l_m encloses the units `mobile`."""
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
@@ -149,7 +157,7 @@ def _arm_grouping(
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
-        """The found grouping, or a cheaper one among the most promising."""
+        """The best of `found` and the most promising groupings into `counts` bodies."""
         ranked = _ranked(units, counts, meetings, mobile, slides)[:_MAX_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
@@ -157,7 +165,7 @@ def _arm_grouping(
                 continue
             bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
-            if shapes in judged:  # it differs only in links without collisions, or was tried before
+            if shapes in judged:  # only links without collisions differ, or it was judged before
                 continue
             judged.add(shapes)
             tried = Grouping(bodies, judge(model, bodies, meetings, d_b))
@@ -170,7 +178,9 @@ def _arm_grouping(
         chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
     if chosen is None:
         parts = sum(bool(meetings.units[unit].parts) for unit in units)
-        raise RobotFileError(f"--bodies: the arm has {parts} parts; choose up to that many")
+        raise RobotFileError(
+            f"--bodies: the arm has {parts} parts; choose a number from 1 to {parts}"
+        )
     return chosen
 
 
@@ -181,7 +191,7 @@ def _good(verdict: Verdict) -> bool:
 def judge(
     model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
 ) -> Verdict:
-    """The quality of bodies, in the poses of the meetings."""
+    """The quality of bodies in the random poses of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
     parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
@@ -195,7 +205,7 @@ def judge(
     near = (distances[free] < d_b).mean(axis=0)
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
     kept, unwatched = np.ones(len(names), dtype=bool), {}
-    for k in np.argsort(-near):  # the nearest first: one pair may make another needless
+    for k in np.argsort(-near):  # the nearest pair first: without it, others may be needed
         without = kept & (np.arange(len(names)) != k)
         blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
         if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
@@ -221,33 +231,36 @@ def judge(
 
 
 class Unseen(NamedTuple):
-    """Collisions of links in poses that no step of the fit has seen.
+    """Unseen collisions of links, in random poses that the fit has not used.
 
-    A pose is seen if the bodies of any pair overlap: avoidance of all pairs excludes it.
+    A colliding pose is seen if the bodies of any pair overlap, because the avoidance of all pairs
+    excludes this pose.
     """
 
     looked_at: int
-    """Poses."""
+    """Number of random poses."""
     poses: int
     """Number of poses in which hulls of links collide."""
     unseen: int
-    """Number of those in which no pair of bodies overlaps, but the links' own meshes do."""
+    """Number of these poses in which the meshes of links collide, but no pair of bodies
+    overlaps."""
     watched: int
     """Collisions of links whose bodies are a pair, counted by pose and pair."""
     missed: int
-    """Number of those in which these bodies do not overlap."""
+    """Number of these collisions in which the bodies of the pair do not overlap."""
     deepest: float
-    """[m] largest distance of bodies in one of those."""
+    """[m] largest distance of these bodies in a missed collision."""
     blind: tuple[str, ...]
-    """Pairs of bodies that see less than half of their links' collisions, including rare
+    """Pairs of bodies that miss more than half of their links' collisions, including rare
     collisions."""
     worst: str
-    """The links that meet most often in the unseen poses."""
+    """The two links that meet most often in the unseen poses, with the share."""
     left_out: int
-    """Poses that a rule excludes: in them only neighbouring links meet, or links that are near
+    """Number of poses that a rule excludes: only neighbouring links meet, or links that are close
     by design, and no pair of bodies overlaps."""
     rule: str
-    """Those links, with their share of the random poses, the most frequent first."""
+    """The links of these poses, with their shares of the random poses; the most frequent are
+    first."""
 
     @property
     def share(self) -> float:
@@ -263,8 +276,9 @@ def unseen_collisions(
 ) -> Unseen:
     """The collisions of links that the bodies of a description do not see.
 
-    Links that may touch by design do not count, nor links of the arm that are within d_b [m] by
-    design; links that are this near to the base and can meet it do. `workers` share the poses.
+    Links that may touch by design do not count, and links of the arm that are within d_b [m] of
+    each other by design do not count either. A link that is within d_b of the base by design counts
+    if it can meet the base. `workers` share the random poses.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -288,7 +302,7 @@ def unseen_collisions(
     q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
     gaps = PairDistances(model, pairs).sampled(q_m)
     unseen = np.all(gaps[:count] > 0.0, axis=1)
-    for k in np.flatnonzero(hits[unseen].any(axis=0)):  # few: the meshes themselves are compared
+    for k in np.flatnonzero(hits[unseen].any(axis=0)):  # few poses, so their meshes are compared
         rows = np.flatnonzero(unseen & hits[:, k])
         a, b = (units[u] for u in met.pairs[k])
         hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
@@ -321,9 +335,9 @@ def _left_out(
     pairs: Sequence[Pair],
     geometry: Mapping[str, LinkGeometry],
 ) -> tuple[int, str]:
-    """Number of poses in which only excluded links meet, and these links.
+    """Number of poses in which only excluded links meet, and the names of these links.
 
-    Links that touch in most poses are nested and not among them.
+    Links that touch in most poses are nested and do not count here.
     """
     units, q_m = met.units, met.random.q_m
     near = sorted(met.close - met.nested)
@@ -360,7 +374,7 @@ def _left_out(
 def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], q_m: Array
 ) -> tuple[list[str], Array]:
-    """Pairs of bodies that are not neighbours, and their signed distances (N, pairs) [m]."""
+    """Names of the pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
     shapes = [
@@ -378,10 +392,9 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All cuts of the chain into groups with shapes, by their cost for bodies that overlap exactly
-    if their links do.
+    """All divisions of the chain into groups that have shapes, with lower bounds of their costs.
 
-    Each comes with a lower bound of its cost.
+    The order is that of the costs of ideal bodies, which overlap exactly if their links overlap.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -393,7 +406,7 @@ def _ranked(
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
             if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
-                continue  # a link fixed to the base does not move on a slide along it
+                continue  # a part that is fixed to the base shares no body with a part that slides
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
@@ -405,7 +418,7 @@ def _ranked(
 
 
 def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
-    """Units that a sliding joint of the arm moves."""
+    """Units on prismatic joints of the arm."""
     units = [unit for unit in meetings.units if unit.joint > 1]
     kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in units}
     return frozenset(k for k, kind in kinds.items() if kind.startswith("JointModelP"))

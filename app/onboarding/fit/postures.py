@@ -1,4 +1,4 @@
-"""Postures of a new robot: the ready pose, and the lines of guiding."""
+"""Postures of a new robot: the ready pose, and the lines for guiding."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ from app.simulation.scenarios.start import StartSolver, find_start
 Array = np.ndarray
 
 RULE = (
-    "chosen: of random poses within the middle 80 % of each joint's range, the one with the most "
-    "clearance (counted up to 0.15 m beyond the buffer), manipulability (against the best), hand "
-    "in front of or beside the base, forwards or down, and joints near their middle"
+    "chosen: the best of random poses within the middle 80 % of each joint's range, by clearance "
+    "(up to 0.15 m beyond the buffer), manipulability (relative to the best), an end-effector in "
+    "front of or beside the base that points outwards or down, and joints near their middle"
 )
-_SAMPLES = 6000
-_KEPT = 0.1  # [-] margin to either limit relative to a joint's range
-_ENOUGH = 0.15  # [m] clearance beyond the buffer that counts as full
+_SAMPLES = 6000  # [-] random poses
+_KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
+_ENOUGH = 0.15  # [m] clearance beyond the buffer; more has no advantage
 _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
-_BAD = 1e3  # [-] offset that makes every quality positive: a pose is always chosen
+_BAD = 1e3  # [-] offset that makes every quality positive, so that a pose is always chosen
 
 
 class Ready(NamedTuple):
-    """A pose with its distances."""
+    """A pose with its smallest distance and its manipulability."""
 
     q_m: Array
     """(n_m,) [rad or m]"""
     clearance: float
-    """[m] smallest distance of a pair beyond the buffer; negative inside of it."""
+    """[m] smallest distance of a pair beyond its buffer; negative inside the buffer."""
     nearest: str
     """Name of that pair."""
     manipulability: float
-    """√det(J Jᵀ) of the end-effector."""
+    """√det(J Jᵀ) of the end-effector's Jacobian J."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random poses by the rule, for the monitored pairs and d_b [m]."""
+    """The best of random poses according to `RULE`, for the monitored pairs."""
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
-    span = np.minimum(search.span, 2 * np.pi)  # the ready pose has no wound-up joint
+    span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready pose exceeds one turn
     poses = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
     best = max(map(judge.manipulability, poses)) or 1.0
 
@@ -73,7 +73,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The distances in a given pose."""
+    """The distances and the manipulability in the pose q_m (n_m,)."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -84,7 +84,7 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """The distances in a pose."""
+        """The distances and the manipulability in a pose."""
         m = self.manipulability(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
@@ -92,12 +92,12 @@ class _Judge:
         return Ready(q_m, float(clearance), self._names[i] if distances else "", m)
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector; of its position alone with fewer than six joints."""
+        """√det(J Jᵀ) of the end-effector; with fewer than six joints, of its position alone."""
         self.search.place(q_m)
         return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
 
     def placed(self) -> float:
-        """[-] quality of the end-effector's place: up to 1.2, very negative if unusable."""
+        """[-] quality of the end-effector's pose: up to 1.2; -10 if it is unusable."""
         at = self.search.state.T_world_ee
         out = at.translation - self._mount
         away = float(np.hypot(*out[:2]))
@@ -112,42 +112,42 @@ class _Judge:
 Point = tuple[float, float, float]
 
 INNER = 0.4
-"""[-] share of the buffer into which a line has to lead, preferably to contact."""
+"""[-] share of d_b below which the distance has to fall on a line without avoidance."""
 GIVES_WAY = 0.05
-"""[m] smallest motion of the base in a valid run."""
+"""[m] required motion of the base in a run on a line."""
 CLEARANCE = 0.03
-"""[m] smallest distance to the base in a valid run."""
-_LOWEST = 0.01  # [m] smallest distance between the arm and the floor on a line
-_MAX_RUNS = 3  # [-] most runs of lines
-_MAX_STARTS = 40  # [-] most searches of a posture: one without success takes 0.1 to 0.2 s
+"""[m] required distance of the arm to the base in a run on a line."""
+_LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
+_MAX_RUNS = 3  # [-] largest number of tested lines
+_MAX_STARTS = 40  # [-] largest number of searches; a failing search takes 0.1 to 0.2 s
 _OTHER = 0.1  # [m] smallest distance between the ends of two lines
-_FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start, and its steps
+_FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start from the base, step
 _OUTSIDE = 0.05  # [m] smallest distance of a start beyond the buffer
-_LEFT_OVER = (0.125, 0.075, 0.025)  # [m] distance to the base's side at the end, for a base at rest
-_STEP = 0.0125  # [m] step along the line
-_OVER_MOUNT = 0.4  # [m] largest height over the mount of an approached part of l_m
-_JUST_OVER = 0.025  # [m] height over a part of l_m if no other height has a line
-_SAME_TOP = 0.1  # [m] difference of height below which two tops count as equal
-_SHARES = np.linspace(0.1, 1.0, 10)  # [-] shares of the path from a nearby posture
-_NEAR = 0.15  # [m] largest distance from a place to the end-effector of a clear posture
-_THERE = 1e-3  # [m] tolerance of the place
-_TRIES = 6  # [-] number of nearest postures that are tried
-_FEW = 2  # [-] tries of a search; more would take long without success
-_SINGULAR = 1e-9  # [m/(N s)] mobility of an end-effector that is almost fixed in a direction
+_LEFT_OVER = (0.125, 0.075, 0.025)  # [m] distances of the end of a line from a base at rest
+_STEP = 0.0125  # [m] step along a line
+_OVER_MOUNT = 0.4  # [m] largest height above the mount of a part of l_m that a line approaches
+_JUST_OVER = 0.025  # [m] height above a part of l_m if there is no line at another height
+_SAME_TOP = 0.1  # [m] difference below which the heights of two parts count as equal
+_SHARES = np.linspace(0.1, 1.0, 10)  # [-] steps of the path from a known posture
+_NEAR = 0.15  # [m] largest distance from a position to the end-effector in a known posture
+_THERE = 1e-3  # [m] tolerance of the position
+_TRIES = 6  # [-] number of known postures that are tried
+_FEW = 2  # [-] tries of a quick search
+_SINGULAR = 1e-9  # [m/(N s)] mobility that regularises a singular posture
 
 
 class Place(NamedTuple):
-    """A line of guiding [m], in the form of a scenario, and its origin in words."""
+    """A line for guiding [m], in the form of a scenario, with its source."""
 
     start: Point
     move: Point
     nearest: float
-    """[m] smallest distance of the arm to a base at rest during the pull."""
+    """[m] smallest distance of the arm to a base at rest on this line."""
     source: str
-    """In words."""
+    """Source of the line for the description."""
 
     def content(self) -> dict[str, Any]:
-        """The form of a description."""
+        """The line in the form of a description."""
         source = {"start_m": self.source, "move_m": self.source}
         return {"start_m": self.start, "move_m": self.move, "source": source}
 
@@ -161,18 +161,23 @@ def find_place(
     anyway: bool = False,
     on_progress: OnProgress = lambda _: None,
 ) -> Place | str:
-    """A line towards the base from its side or its front for a scenario, or why there is none.
+    """A line towards the side or the front of the base, or the reason why there is no line.
 
-    It leads from 0.43 m beside l_m's parts at the line's height (just outside of the buffer for a
-    short arm) to 0.125 m, as for the paper's robot, or nearer. Without avoidance the arm would
-    reach the base itself there, or enter the inner half of the buffer. Lines to contact come first.
-    Among them, those on which the arm holds its end-effector best while the base moves come first,
-    then far starts before near ones, each at the height nearest to 0.8 of a part of l_m. The
-    deepest lines come after them. A side that the arm does not reach has none.
+    A line starts 0.425 m beside l_m, or nearer for a short arm. It ends 0.125 m beside l_m, as for
+    the paper's robot, or nearer. Without avoidance, the arm on this line touches the base or comes
+    nearer than `INNER` d_b. The order of preference is:
 
-    The line satisfies `shows`, such as `gives_way`. If no line does, `anyway` decides whether one
-    is taken. It uses the monitored pairs, at least one of them with l_m. `on_progress` takes the
-    share of places and postures that are checked.
+    1. lines on which the arm would touch the base, then the lines that lead deepest;
+    2. lines on which the arm best holds its end-effector while the base moves;
+    3. far starts before near starts, and heights near 0.8 times the height of a part of l_m.
+
+    Args:
+        model: The robot.
+        pairs: The monitored pairs; at least one of them is a pair with l_m.
+        name: The scenario.
+        shows: Condition for a line, such as `gives_way`.
+        anyway: Whether to use a line that does not satisfy `shows` if no line satisfies it.
+        on_progress: Called with the finished share of starts and postures.
     """
     d_b = model.description.config.border.d_b
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
@@ -187,8 +192,8 @@ def find_place(
 
 
 _Start = tuple[Array, Array]
-"""The start of a line: x, y and the distance [m] from the box around l_m, and the unit vector (3,)
-inwards."""
+"""The start of a line: (3,) [m] x, y and the distance from the box around l_m; and the unit vector
+(3,) towards the base."""
 
 
 def chosen(
@@ -198,10 +203,10 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that enters the inner part of d_b [m] and satisfies `shows`.
+    """The first line that comes nearer than `INNER` d_b and satisfies `shows`, or a reason.
 
-    Otherwise the reason why there is none. Only a few lines are tried; if none of them satisfies
-    `shows`, `anyway` decides whether the first is taken.
+    Only a few lines are tested. If none of them satisfies `shows`, the result is the first of them
+    with `anyway`, otherwise the reason why there is no line.
     """
     shallow: list[Place] = []
     tried: list[Place] = []
@@ -218,19 +223,19 @@ def chosen(
         return tried[0]
     if tried:
         return (
-            f"on the tried lines the base moves away by less than {GIVES_WAY:g} m, or the "
-            f"arm comes nearer than {CLEARANCE:g} m to it or {_LOWEST:g} m to the floor: other "
-            "parts of it meet first, or it cannot hold its end-effector"
+            f"on the tested lines the base moves away by less than {GIVES_WAY:g} m, or the arm "
+            f"comes nearer than {CLEARANCE:g} m to the base or {_LOWEST:g} m to the floor: other "
+            "parts of the arm meet the base first, or the arm cannot hold its end-effector"
         )
     if shallow:
         deepest = min(shallow, key=lambda line: line.nearest)
         return (
-            f"the arm comes no nearer than {deepest.nearest:.3f} m to the base on the deepest line "
-            f"on which it can start clear of its buffers, at z = {deepest.start[2]:g} m"
+            f"the arm comes no nearer to the base than {deepest.nearest:.3f} m on any line that "
+            f"starts outside of the buffers; this is the line at z = {deepest.start[2]:g} m"
         )
     return (
-        f"the arm cannot start there clear of its buffers of {d_b:g} m and keep above the floor: "
-        "it is too short for them (--buffer-distance), or stands too far from that side "
+        f"there the arm cannot start outside of its buffers of {d_b:g} m and above the floor: it "
+        "is too short for this --buffer-distance, or its mount is too far from that side "
         "(--mount-xyz of an --arm-urdf)"
     )
 
@@ -242,11 +247,12 @@ def gives_way(
     place: Place,
     on_progress: OnProgress = lambda _: None,
 ) -> bool:
-    """Whether the base moves away within d_b, with the arm away from it and from the floor.
+    """Whether a run on a line ends with a base that has moved away, without a near miss of the arm.
 
-    It does not if other parts of the arm meet first, which blocks the end-effector, or if its
-    motion would move the end-effector. It may come back during the hold: its final place counts.
-    `on_progress` takes the finished share of the run from time to time.
+    The base has moved by `GIVES_WAY` or more at the end, and the arm has always been farther than
+    `CLEARANCE` from the base and `_LOWEST` from the floor. This fails if other parts of the arm
+    meet the base first, or if the arm cannot hold its end-effector while the base moves.
+    `on_progress` is called with the finished share of the run from time to time.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -268,20 +274,20 @@ def gives_way(
 
 
 class Side(NamedTuple):
-    """The side of a line, for a separate process."""
+    """Input of `line_from`, for a separate process."""
 
     name: str
-    """Its scenario, one of `app.onboarding.SIDES`."""
+    """The scenario, one of `app.onboarding.SIDES`."""
     model: RobotModel
     data: BorderData
     anyway: bool
-    """Whether a line on which the base does not move away is accepted."""
+    """Whether to accept a line on which the base does not move away."""
 
 
 def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -> Place | str:
-    """The line of `find_place` for a side, with a base that moves away.
+    """The line of `find_place` for a side; the base moves away on this line.
 
-    In the progress the search for lines and each possible run have equal shares.
+    The search for lines and each possible run have equal shares of the progress.
     """
     name, model, data, anyway = side
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
@@ -296,40 +302,41 @@ def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -
 
 
 class _Candidate(NamedTuple):
-    """A line of an arm that may start there, for any direction of the end-effector."""
+    """A possible line; the arm can start there with some orientation of the end-effector."""
 
     start: Point
     inwards: Array
-    """(3,) unit vector."""
+    """(3,) unit vector towards the base."""
     length: float
-    """[m]"""
+    """[m] length of the line."""
     left: float
-    """[m] from its end to the base's side."""
+    """[m] distance of its end from the side of the base."""
     nearest: float
     """[m] smallest distance of the arm to a base at rest."""
     carried: float
-    """[-] share of the base's motion that the arm does not compensate within the buffers."""
+    """[-] mean share of the base's motion that the arm does not compensate inside the buffers."""
 
     @property
     def move(self) -> Point:
-        """[m] from its start to its end."""
+        """[m] vector from its start to its end."""
         return _point(np.round(self.length * self.inwards, 3))
 
     def is_as(self, other: _Candidate) -> bool:
-        """Whether the ends of the two are close: a line from farther out may be the same."""
+        """Whether the two lines have nearly the same end."""
         ends = (np.add(each.start, each.move) for each in (self, other))
         return float(np.linalg.norm(np.subtract(*ends))) < _OTHER
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Contact first, then the best hold to a tenth; without contact the deepest, to a
-        millimetre. Smaller differences do not change the order.
+        """Sort key: first the smallest distance, which is 0 for contact, then the best hold.
+
+        The values are rounded, so that small differences do not change the order.
         """
         return round(max(self.nearest, 0.0), 3), round(self.carried, 1)
 
 
 class _Guide:
-    """Moves the end-effector of a robot along lines, with its base at rest at the origin."""
+    """Moves the end-effector along lines, with the base at rest at the origin."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         self.body = MobileBody(model)
@@ -342,13 +349,12 @@ class _Guide:
     def lines(
         self, tried: Sequence[tuple[_Start, float]], on_progress: OnProgress
     ) -> Iterator[Place]:
-        """Lines from starts at heights [m], the most promising first.
+        """Lines from starts at heights [m]; the most promising lines are first.
 
-        The quick first step pulls the arm to each start from a nearby posture.
-        The data of a line belong to the posture of the start of a run, which is searched only for
-        requested lines. No two lines are close together, and at most one does not enter the inner
-        part of the buffer, if there is no other. `on_progress` takes the share of starts and
-        postures that are checked.
+        A quick first step moves the arm to each start from a known posture. A second step, only for
+        requested lines, searches the posture with which a run starts. No two lines have nearly the
+        same end. A line that does not come nearer than `INNER` d_b is returned only if there is no
+        other line. `on_progress` is called with the finished share of starts and postures.
         """
         found: list[_Candidate] = []
         most = len(tried) + _MAX_STARTS
@@ -378,7 +384,9 @@ class _Guide:
             yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from one place, to contact or to its deepest point; None without a start."""
+        """The line from one start, up to contact or to its end; None if the arm cannot start
+        there.
+        """
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
         p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
@@ -401,12 +409,19 @@ class _Guide:
     def _led(
         self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
     ) -> tuple[Array, float, list[float], float]:
-        """The arm (n_m,), moved from a posture along a line from p (3,), from a length [m] to
-        another.
+        """Move the arm along a line, without avoidance.
 
-        With it the smallest distance [m] to the base, the share [-] of the base's motion that it
-        does not compensate at each step within the buffers, and the smallest distance to the floor
-        [m].
+        Args:
+            q_m: (n_m,) posture at the start of the motion.
+            p: (3,) [m] start of the line.
+            inwards: (3,) direction of the line.
+            begin: [m] length at which the motion starts.
+            end: [m] length at which it ends.
+
+        Returns:
+            The posture (n_m,) at the end; the smallest distance [m] to the base; for each step
+                inside the buffers, the share [-] of the base's motion that the arm does not
+                compensate; and the smallest distance [m] to the floor.
         """
         search, least, carried, low = self._search, np.inf, [], np.inf
         n_b, speed = self._model.n_b, self._model.description.config.ee_hold.min_speed
@@ -422,9 +437,9 @@ class _Guide:
         return q_m, float(least), carried, float(low)
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
-        """(n_m,) the arm after a slow pull of its end-effector from a posture to a place (3,) [m].
+        """(n_m,) posture after a person has slowly pulled the end-effector to p (3,) [m].
 
-        Only the damping D resists a person without avoidance: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
+        Without avoidance only the damping D resists the person: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
         """
         search, D = self._search, np.array(self._search.model.description.arm.joint_damping)
         for _ in range(2):
@@ -437,7 +452,9 @@ class _Guide:
         return q_m
 
     def _free_at(self, p: Array) -> Array | None:
-        """(n_m,) a free posture near a known one with its end-effector at a place (3,)."""
+        """(n_m,) a free posture with the end-effector at p (3,) [m], near a known posture; or
+        None.
+        """
         away = np.linalg.norm(self._hands - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
             return None
@@ -452,7 +469,7 @@ class _Guide:
 
 
 def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
-    """(N, n_m) random postures at which the arm may start, and (N, 3) [m] their end-effectors."""
+    """Random free postures (N, n_m), and the positions (N, 3) [m] of their end-effectors."""
     postures, hands = [np.zeros((0, search.model.n_m))], [np.zeros((0, 3))]
     for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
         search.place(q_m)
@@ -468,14 +485,16 @@ def _is_free(search: PostureSearch) -> bool:
 
 
 _LED = (
-    "chosen: of lines on which the arm can start clear of the buffers, one to contact on which it "
-    "holds its hand best, else the deepest; it leads the hand to {:g} m beside the base and "
-    "without avoidance the arm to {:.3f} m"
+    "chosen: of lines that start outside of the buffers, one to contact on which the arm holds its "
+    "end-effector best, otherwise the deepest line; it ends {:g} m beside the base, and without "
+    "avoidance the smallest distance of the arm is {:.3f} m"
 )
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] heights of l_m's parts, the highest first, none above `most`, without near duplicates."""
+    """[m] heights of l_m's parts, limited to `most`, without near duplicates; the highest is
+    first.
+    """
     found: list[float] = []
     for top in sorted((float(part.upper[2]) for part in body.parts), reverse=True):
         if not found or min(top, most) < found[-1] - _SAME_TOP:
@@ -484,13 +503,13 @@ def _tops(body: MobileBody, most: float) -> list[float]:
 
 
 def _heights(tops: list[float]) -> list[float]:
-    """[m] heights of lines towards parts of l_m with these tops, the best ones first."""
+    """[m] heights of lines towards parts of l_m with these heights; the best lines are first."""
     ways = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
     return [share * top + over for share, over in ways for top in tops]
 
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
-    """[m] from a point (3,) inwards to l_m; 0 if the ray misses it, as above its top."""
+    """[m] distance from a point (3,) along `inwards` to l_m; 0 if the ray misses l_m."""
     size = body.upper - body.lower
     steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
     met = body.distance(p + steps[:, None] * inwards) <= _STEP
@@ -500,10 +519,10 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 def _lateral(
     body: MobileBody, mount: Array, outs: Sequence[float]
 ) -> Iterator[tuple[Array, Array]]:
-    """Starts x, y, their distance [m], and the direction inwards, left before right.
+    """Starts of lines towards the sides of the base: left before right.
 
-    They are beside the mount or near either end: a base without sideways motion moves least at its
-    axle.
+    They are beside the mount or near an end of the base, because a base without sideways motion can
+    avoid least at its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
@@ -513,7 +532,9 @@ def _lateral(
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[tuple[Array, Array]]:
-    """`_lateral` for the front: ahead of the mount, at an edge, or in a planar arm's plane."""
+    """Starts of lines towards the front: beside the mount, near an edge, or straight ahead of the
+    mount.
+    """
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

@@ -1,7 +1,8 @@
-"""Stops: joint limits that keep the arm away from the base where no buffer can.
+"""Stops: joint limits that prevent collisions of the arm with the base if no buffer can.
 
-A UR's upper arm is always nearer to the base than d_b: no force can move it away. But its lift
-joint alone determines whether it meets the base, and a limit of that joint prevents it.
+The upper arm of a UR is always within d_b of the base, so avoidance cannot move it away. But its
+shoulder lift joint alone determines whether it meets the base, and a limit of this joint prevents
+the collision.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-_VALUES = 400  # [-] sampled positions of a joint
-_POSES = 60  # [-] sampled poses of the other joints, at each position
+_VALUES = 400  # [-] sampled positions of the limited joint
+_POSES = 60  # [-] sampled poses of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
-_ALIKE = 0.05  # [-] difference of a joint's range that counts as equal
+_ALIKE = 0.05  # [-] resolution of the remaining share of a joint's range
 
 
 def with_stops(
@@ -33,15 +34,21 @@ def with_stops(
     meetings: Meetings,
     ready: Sequence[float] | None = None,
 ) -> Limits:
-    """The limits, narrowed until no link that is close to the base by design can reach it.
+    """Joint limits with which no link that is close to the base by design can reach the base.
 
-    Among the joints between the two, the one that retains most of its range is narrowed. If none
-    would retain any, because the two touch in all positions of each, the limits do not change, and
-    the check counts the collisions. The pose `ready` (n_m,) [rad or m] has to stay within the
-    limits.
+    For each of these links, one joint between the base and the link gets narrower limits: the joint
+    that retains the largest share of its range. If the link touches the base in all positions of
+    every joint, the limits do not change, and the check of the bodies counts the collisions.
+
+    Args:
+        limits: The limits in the URDF.
+        model: The robot.
+        arm: Its arm.
+        meetings: Distances and collisions in random poses.
+        ready: (n_m,) [rad or m] ready pose, which has to stay within the limits.
 
     Raises:
-        RobotFileError: In that pose they touch.
+        RobotFileError: In the ready pose, a link touches the base.
     """
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     stops = {}
@@ -59,7 +66,7 @@ def with_stops(
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
-            # Adjacent links never are this far apart: then half of their distance counts.
+            # For adjacent links, which are always nearer, half of their largest distance is used.
             for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:
@@ -68,12 +75,12 @@ def with_stops(
         if ways:
             *_, joint, low, high = max(ways)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
-            stops[arm.joints[joint].name] = f"{b.links[0]} comes to {a.links[0]}"
+            stops[arm.joints[joint].name] = f"{b.links[0]} reaches {a.links[0]}"
         elif ready is not None:
-            raise RobotFileError(f"--ready: {b.links[0]} can meet {a.links[0]} around that pose")
+            raise RobotFileError(f"--ready: {b.links[0]} can meet {a.links[0]} near that pose")
     if not stops:
         return limits
-    why = "; ".join(f"that of {name} to where {text}" for name, text in stops.items())
+    why = "; ".join(f"{name} is limited before {text}" for name, text in stops.items())
     source = limits.source | {
         field: f"{limits.source[field]}; {why}" for field in ("position_lower", "position_upper")
     }
@@ -81,6 +88,6 @@ def with_stops(
 
 
 def _runs(clear: Array) -> list[tuple[int, int]]:
-    """First and last index of each run of more than one."""
+    """First and last index of each sequence of at least two True values."""
     ends = np.flatnonzero(np.diff(np.concatenate([[False], clear, [False]]).astype(int)))
     return [(i, j - 1) for i, j in ends.reshape(-1, 2).tolist() if j - i > 1]

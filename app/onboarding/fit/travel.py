@@ -1,4 +1,4 @@
-"""The space that links beside the arm's chain, such as fingers, can fill."""
+"""The volume that moving links beside the arm's chain, such as fingers, can occupy."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 Positions = Mapping[str, float]
 """Positions of joints, by their names [rad or m]."""
 
-_STEP = np.radians(10.0)  # [rad] between the sampled angles
+_STEP = np.radians(10.0)  # [rad] step of the sampled angles
 
 
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which end-effector and telescopes fill all the space that they can reach."""
+    """Geometry in which the end-effector's parts and telescopes cover their whole travel."""
     found = with_travel(tree, geometry, chain[-1].child)
     own = [joint.name for joint in chain]
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
@@ -29,7 +29,7 @@ def filled(
 
 
 def _is_part(slide: Joint, joint: Joint) -> bool:
-    """Whether a joint slides a part of a telescope along another part."""
+    """Whether a joint moves a part of a telescope along the direction of `slide`."""
     return joint.moves and parallel(slide, joint)
 
 
@@ -39,10 +39,11 @@ def with_travel(
     carrier: str,
     without: Sequence[str] = (),
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which the shape of each link on a carrier covers the range of the link's joints.
+    """Geometry in which the shape of each link below `carrier` covers the link's whole travel.
 
-    The shapes are in the frames of the links at rest. A mimic joint moves with its leader. Links on
-    the joints in `without` do not change.
+    The travel is that over the ranges of the joints between `carrier` and the link. The shapes are
+    in the frames of the links at rest. A mimic joint moves with its leader. Links below the joints
+    in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -58,13 +59,15 @@ def with_travel(
 
 
 def held_at(joint: Joint) -> float:
-    """[rad or m] fixed position of a joint beside the arm: zero, or the limit nearest to it."""
+    """[rad or m] fixed position of a joint beside the arm: zero, or the limit nearest to zero."""
     low, high = joint.lower or 0.0, joint.upper or 0.0
     return 0.0 if low >= high else float(np.clip(0.0, low, high))
 
 
 def _positions(joints: Sequence[Joint]) -> Iterator[Positions]:
-    """Each joint through its range, the others at rest; then all of them at once."""
+    """Positions of the joints: each joint through its range with the others at rest, then all at
+    once.
+    """
     own = [joint for joint in joints if joint.moves]
     ranges = {joint.name: _range(joint) for joint in own}
     rest = {joint.name: held_at(joint) for joint in own}
@@ -87,9 +90,9 @@ def _range(joint: Joint) -> list[float]:
 
 
 def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
-    """Positions including those of joints that follow others."""
+    """The positions with those of mimic joints added."""
     found = dict(at)
-    for _ in joints:  # joints may follow in a chain
+    for _ in joints:  # a mimic joint may follow another mimic joint
         for joint in joints:
             if joint.mimic is not None:
                 leader, multiplier, offset = joint.mimic
@@ -98,7 +101,7 @@ def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
 
 
 def _placed(tree: Tree, links: Sequence[str], carrier: str, at: Positions) -> dict[str, pin.SE3]:
-    """T_carrier_link of links on a carrier, parents before children."""
+    """T_carrier_link of the links below a carrier; `links` has parents before children."""
     found = {carrier: pin.SE3.Identity()}
     for link in links:
         joint = tree.joint_of[link]

@@ -1,4 +1,4 @@
-"""Units: links that move as one, their hulls, and the distances between these in poses."""
+"""Units: links that move as one rigid body, their hulls, and the distances between the hulls."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Array = np.ndarray
 Pairs = Sequence[tuple[int, int]]
 
 _ALONG = 0.999  # [-] smallest cosine between parallel lines
-_THIN_OUT = 500  # [-] most points on a unit's surface, beside the outermost
-_EXACT = 0.5  # [m] largest exact distance if there are many shapes
-_MANY = 150  # [-] pairs of shapes from which a test of spheres saves time
+_THIN_OUT = 500  # [-] largest number of points on a unit's surface, plus the outermost points
+_EXACT = 0.5  # [m] distance up to which distances are exact even with many shapes
+_MANY = 150  # [-] pairs of shapes above which a test with spheres saves time
 
 
 class Part(NamedTuple):
@@ -34,33 +34,35 @@ class Part(NamedTuple):
     corners: Array
     """(N, 3) [m] corners of its hull, in the joint's frame."""
     reach: Array
-    """(K,) [m] its support along `directions(2)`."""
+    """(K,) [m] support of the hull along `directions(2)`."""
 
 
 class Unit(NamedTuple):
-    """Links that move as one."""
+    """Links that move as one rigid body."""
 
     index: int
-    """0 for the base, 1 for links fixed to it below the arm, then those of each joint of the arm,
-    after the units beside it."""
+    """0 for the base, 1 for links that are fixed to the base below the arm, then one or two for
+    each joint of the arm: the unit beside the arm, if any, then the unit of the arm."""
     frame: str
-    """The link in whose frame the joint is; the floor point for the first two."""
+    """Link whose frame is that of the joint; the floor point for the first two units."""
     links: tuple[str, ...]
     joint: int
-    """pinocchio's."""
+    """Number of the joint in pinocchio."""
     parts: tuple[Part, ...]
     surface: Array
     """(N, 3) [m] points on the hulls, in the joint's frame."""
     owners: Array
-    """(N,) the index of the link of each point."""
+    """(N,) index of each point's link in `links`."""
     beside: bool = False
-    """Whether another joint separates it from the arm's link, such as a head on a torso."""
+    """Whether another joint separates the unit from the arm's chain, such as a head on a torso."""
 
 
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Unit, ...]:
-    """The base, the arm's fixed part, and the links that each joint of the arm moves."""
+    """Units for the base, for the fixed part of the arm, and for the links that each joint
+    moves.
+    """
     wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
     rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)
     for k, (joint, links, beside) in enumerate(rows, 2):
@@ -77,9 +79,10 @@ def make_units(
 def units_of_links(
     model: RobotModel, geometry: Mapping[str, LinkGeometry]
 ) -> dict[str, list[Unit]]:
-    """The links that each body of a description encloses, by joint, by the body's name.
+    """Units of the links that each body of a description encloses, by the name of the body.
 
-    The units are numbered consecutively.
+    Each body has one unit for each joint that moves some of its links. The units are numbered
+    consecutively.
     """
     found: dict[str, list[Unit]] = {}
     for body in model.description.bodies:
@@ -93,7 +96,7 @@ def units_of_links(
             for k, (joint, links) in enumerate(by_joint.items())
         ]
     last = {unit.joint: name for name, each in found.items() for unit in each}
-    return {  # a body before that of the joint is beside the arm
+    return {  # the last body with links on a joint belongs to the chain, earlier ones are beside it
         name: [u._replace(beside=u.joint > 1 and last[u.joint] != name) for u in each]
         for name, each in found.items()
     }
@@ -117,7 +120,7 @@ def _unit(
         surface.append(moved(geometry[link].surface, T))
         owners.append(np.full(len(surface[-1]), k))
     points, owner = np.vstack(surface), np.concatenate(owners)
-    if len(points) > _THIN_OUT:  # keeps the outermost ones: a body has to enclose fingertips
+    if len(points) > _THIN_OUT:  # the outermost points stay: a body has to enclose fingertips
         some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
         kept = np.union1d(some, (points @ D.T).argmax(axis=0))
         points, owner = points[kept], owner[kept]
@@ -125,16 +128,16 @@ def _unit(
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
-    """(N, 3) points of a frame, transformed to the frame in which its pose is T."""
+    """Points (N, 3) of a frame, transformed to the frame in which the pose of the former is T."""
     return points @ T.rotation.T + T.translation
 
 
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether two units may touch by design.
 
-    They may if at most one joint separates them, or no joint if one is beside the arm; or if only
-    joints that slide along one line do: the parts of a telescope are nested, and only its joints'
-    limits can keep them apart.
+    They may touch if they are on the same joint, or if a single joint separates them and both
+    belong to the chain. They may also touch if only parallel prismatic joints separate them: the
+    parts of a telescope are nested, and only its joint limits can separate these parts.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -148,13 +151,16 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
 
 
 Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
-"""A shape: pinocchio's joint that moves it, its pose on that joint, and the shape."""
+"""A shape: the number of its joint in pinocchio, its pose in the joint's frame, and its
+geometry."""
 
 
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] as `group_distances`, between groups of shapes outside of a model."""
+    """(N, pairs) [m] distances of `group_distances`, between groups of shapes that no model
+    contains.
+    """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
         first = geometry.ngeoms
@@ -171,13 +177,16 @@ def group_distances(
     pairs: Pairs,
     q_m: Array,
 ) -> Array:
-    """(N, pairs) [m] signed distances between groups of shapes, each as near as its nearest shape.
+    """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
-    With many shapes, distances above 0.5 m are only lower bounds from the spheres around them.
+    With many shapes, distances above 0.5 m are only lower bounds, from spheres around the shapes.
 
-    Groups are indices of shapes, pairs those of groups, q_m (N, n_m) [rad or m] the joint
-    positions; the base is at the origin. The geometry has no collision pairs: this adds those of
-    the groups.
+    Args:
+        model: The robot, whose base is at the origin.
+        geometry: The shapes, without collision pairs; this function adds the pairs of the groups.
+        groups: Indices of the shapes of each group.
+        pairs: Pairs of groups, by their indices.
+        q_m: (N, n_m) [rad or m] joint positions.
     """
     starts, shapes = [], []
     for a, b in pairs:
@@ -217,7 +226,7 @@ def group_distances(
 def meshes_meet(
     model: RobotModel, a: Unit, b: Unit, geometry: Mapping[str, LinkGeometry], q_m: Array
 ) -> Array:
-    """(N,) whether the meshes of two units' links touch at poses (N, n_m), by their triangles."""
+    """(N,) whether triangles of the meshes of two units touch in the poses q_m (N, n_m)."""
     data, request = model.pin.createData(), coal.CollisionRequest()
     first, second = (
         [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
@@ -240,7 +249,7 @@ def meshes_meet(
 
 
 def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
-    """A mesh in coal's format."""
+    """A mesh in the format of coal."""
     made = coal.BVHModelOBBRSS()
     made.beginModel(len(mesh.faces), len(mesh.vertices))
     made.addVertices(np.asarray(mesh.vertices, dtype=float))
@@ -250,7 +259,9 @@ def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
 
 
 def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
-    """The joints (K,) of shapes, and centres (K, 3) [m] in them and radii (K,) [m] around them."""
+    """A sphere around each shape: its joint (K,), its centre (K, 3) [m] in the joint's frame, and
+    its radius (K,) [m].
+    """
     centres, radii = [], []
     for shape in geometry.geometryObjects:
         shape.geometry.computeLocalAABB()
@@ -261,7 +272,7 @@ def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
 
 
 def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
-    """The hulls of each link with a shape."""
+    """The hulls of each link that has a shape, by the name of the link."""
     shapes: dict[str, list[Placed]] = {}
     for unit in units:
         for part in unit.parts:
@@ -271,7 +282,7 @@ def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
 
 
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
-    """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
+    """(N, pairs) [m] signed distances between the hulls of units in the poses q_m (N, n_m)."""
     shapes = [
         [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
         for unit in units

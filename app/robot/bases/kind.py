@@ -36,7 +36,7 @@ TURN = Axis("ω", True)
 
 
 def acceleration_symbol(axis: Axis) -> str:
-    """As in v̇, v̇_x, ω̇: the dot is over the first letter."""
+    """Symbol of an acceleration with a dot over its first letter, such as v̇, v̇_x or ω̇."""
     return axis.symbol[:1] + "\u0307" + axis.symbol[1:]
 
 
@@ -64,11 +64,11 @@ class BaseForce(NamedTuple):
     """Planar force and torque on a base, in its own frame."""
 
     x: float
-    """[N] sum of the forces."""
+    """[N] force along x."""
     y: float
-    """[N]"""
+    """[N] force along y."""
     torque: float
-    """[N m] about the vertical through the frame's origin."""
+    """[N m] torque about the vertical through the frame's origin."""
 
 
 class Measure(NamedTuple):
@@ -101,7 +101,7 @@ class Wheels(NamedTuple):
     """Wheels that turn by the same angle; for drawing only."""
 
     name: str
-    """Which ones."""
+    """Name of these wheels."""
     field: str
     """Field of the description with the names of the joints."""
     joints: tuple[str, ...]
@@ -109,8 +109,9 @@ class Wheels(NamedTuple):
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
-"""From the present velocity (n_b,), the drive as in `BaseKind.drive_at_rest` and the velocity
-command (n_b,) to velocity and drive one period later; it does not change its arguments."""
+"""Function that computes the velocity (n_b,) and the drive one period later. Its arguments, which
+it does not change, are the present velocity, the drive as in `BaseKind.drive_at_rest` and the
+velocity command (n_b,)."""
 
 
 class BaseKind(Sourced, ABC):

@@ -1,1 +1,3 @@
-"""One program a library, run by its own interpreter; each imports that library and numpy alone."""
+"""A program for each library, which runs with its own interpreter and imports only this library and
+numpy.
+"""

@@ -1,4 +1,4 @@
-"""Capsules for libraries whose URDF parser, urdfdom before 6, knows none."""
+"""Capsules for libraries whose URDF parser, urdfdom before version 6, does not support them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 
 def without_capsules(urdf: str) -> str:
-    """The same URDF with each capsule as a cylinder that pinocchio makes a capsule again."""
+    """The URDF with cylinders instead of capsules; pinocchio converts these back to capsules."""
     robot = ElementTree.fromstring(urdf)
     robot.attrib.pop("version")
     for link in robot.iterfind("link"):

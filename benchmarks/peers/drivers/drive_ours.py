@@ -1,4 +1,4 @@
-"""Our own controllers at 1 kHz, with the plant between their torques and the motion."""
+"""Our own controllers at 1 kHz, with a plant between torques and motion."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Array = np.ndarray
 
 
 class Watch:
-    """Notes the motion as often as the libraries step, and the time of every control step."""
+    """Records the motion at each step of the libraries, and the time of every control step."""
 
     def __init__(self, duration: float, every: int) -> None:
-        """Watch a run of a duration [s]; `every` so many control steps the motion is noted."""
+        """Record a run of a duration [s]; the motion is recorded once in `every` control steps."""
         self._every, self._last = every, round(duration / DT) - 1
         self._q: list[Array] = []
         self._times: list[float] = []
         self._d_start: tuple[float, ...] = ()
 
     def __call__(self, session: Session, step: Step) -> None:
-        """Take one control step."""
+        """Record one control step."""
         k = len(self._times)
         self._times.append(step.duration)
         if k == 0:
@@ -52,7 +52,7 @@ class Watch:
 
 
 def main(source: Path, out: Path, controller: str) -> None:
-    """Follow all runs of a plan with one controller."""
+    """Run all paths of a plan with one controller."""
     plan: dict[str, Any] = json.loads((source / "plan.json").read_text(encoding="utf-8"))
     model = RobotModel(load_robot(plan["robot"]))
     data = load_border_data(model, progress=False)

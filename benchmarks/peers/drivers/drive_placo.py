@@ -13,7 +13,9 @@ from loop import Array, Plan, main
 
 
 class Placo:
-    """placo's loop; its floating base stands still, the base's joints are the URDF's."""
+    """The loop of placo; its floating base does not move, the base's joints are those of the
+    URDF.
+    """
 
     def __init__(self, plan: Plan, q: Array, base_cost: float) -> None:
         self._joints = [*plan["planar_joints"], *plan["arm_joints"]]

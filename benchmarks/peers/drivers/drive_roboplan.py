@@ -22,7 +22,7 @@ from roboplan.optimal_ik import (
 
 
 class Roboplan:
-    """roboplan's loop. Its world is the base: the pose of that on the floor is integrated here."""
+    """The loop of roboplan. Its world is the base; this class integrates the pose of the base."""
 
     def __init__(self, plan: Plan, q: Array, base_cost: float) -> None:
         self._scene = Scene("peers", loadUrdfSceneDescription(plan["unicycle_urdf"]))
@@ -35,7 +35,7 @@ class Roboplan:
         self._scene.setJointPositions(self._q)
         oink = self._oink = Oink(self._scene)
         hand = CartesianConfiguration("", plan["hand"], np.asfortranarray(np.eye(4)))
-        weight = plan["hand_cost"] ** 2  # its cost is the square of the others'
+        weight = plan["hand_cost"] ** 2  # its cost is the square of the other libraries' costs
         self._hand = FrameTask(oink, self._scene, hand, FrameTaskOptions(weight, weight))
         weights = np.full(len(joints), plan["arm_cost"] ** 2)
         weights[:2] = base_cost**2
@@ -54,7 +54,7 @@ class Roboplan:
         self._step = np.zeros(len(joints))
 
     def _keep_pairs(self, plan: Plan) -> None:
-        """Only the plan's pairs are kept apart."""
+        """Only the pairs of the plan are monitored."""
         robot = ElementTree.parse(plan["unicycle_urdf"])
         bodies = [link.get("name") for link in robot.iterfind("link[collision]")]
         for a, b in combinations(bodies, 2):
@@ -62,7 +62,7 @@ class Roboplan:
             self._scene.setCollisions(a, b, kept)
 
     def distances(self) -> list[float]:
-        """See `Follower.distances`; roboplan does not tell them."""
+        """See `Follower.distances`; roboplan does not report distances."""
         return []
 
     def step(self, target: Array) -> Array:

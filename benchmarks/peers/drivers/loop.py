@@ -22,14 +22,16 @@ Plan = dict[str, Any]
 
 
 class Follower(Protocol):
-    """One library at work on one path."""
+    """A library that follows one path."""
 
     def distances(self) -> Sequence[float]:
-        """[m] of the plan's pairs, as the library has them now; nothing if it does not tell."""
+        """[m] distances of the plan's pairs in the library; empty if the library does not report
+        them.
+        """
         ...
 
     def step(self, target: Array) -> Array:
-        """One step of its loop: towards the pose T_world_hand (4, 4); gives q (3 + n_m,)."""
+        """Compute a step towards the pose T_world_hand (4, 4), and return q (3 + n_m,)."""
         ...
 
 
@@ -38,7 +40,7 @@ def main(make: Callable[[Plan, Array, float], Follower], *packages: str) -> None
 
     Args:
         make: A follower from the plan, its start (3 + n_m,) and the cost of the base's motion.
-        packages: Whose versions are noted.
+        packages: Packages whose versions are recorded.
     """
     source, out = Path(sys.argv[1]), Path(sys.argv[2])
     plan: Plan = json.loads((source / "plan.json").read_text(encoding="utf-8"))
