@@ -39,7 +39,8 @@ class BorderConfig(Strict):
     eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] ε of (3): tolerance of the distance of border points from d_b."""
     kind: Annotated[Literal["surface", "points"], Shown("Acting point on")] = "surface"
-    """[-] the continuous surface, or the paper's points; among points the acting point jumps."""
+    """[-] the acting point is on the continuous surface, or on the paper's points, between which it
+    jumps."""
 
 
 class ForceConfig(Strict):

@@ -60,10 +60,10 @@ class StructType(NamedTuple):
     """numba's types: arrays, f8, i8 and b1."""
 
     def made_of(self, values: Any) -> Any:
-        """The struct of a named tuple, which it owns; without compilation the tuple itself.
+        """Make a struct from a named tuple; without compilation, return the tuple itself.
 
-        The memory is that of numba's struct, with arrays that own no memory: compiled code does not
-        count the references to them, which would take a fifth of a control step.
+        The struct keeps the tuple alive, and its arrays are views of the tuple's arrays. Therefore
+        compiled code counts no references to arrays; counting would take a fifth of a control step.
         """
         if config.DISABLE_JIT:
             return values

@@ -144,10 +144,11 @@ def reach(
 
     Positions p form a lattice around the arm's mount. For the body lEE, p is the end-effector's
     origin and the pose is the end-effector's pose. For another body, p is the centre of the body's
-    first shape, and the pose is this point with the direction of the shape's axis. R is the density
-    of inverse kinematics solutions within the joint limits and without self-collision. It follows
-    from random joint positions by the area formula: R is the sum of |det J| of the joint positions
-    that lead to a cell of the lattice. R is scaled to a mean of 100 in the best shell of
+    first shape, and the pose is this point with the direction of the shape's axis. Few joints
+    determine a part of the pose only, such as the position. R is the density of inverse kinematics
+    solutions within the joint limits and without self-collision. It follows from random joint
+    positions by the area formula: R is the sum of |det J| of the joint positions that lead to a
+    cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled to a mean of 100 in the best shell of
     ρ = ‖p − p_base‖, and (9) is fitted where the shells' means are at least 5. The paper does not
     state the end-effector's frame, the scale and the range of the fit, on which A depends.
 
@@ -263,7 +264,7 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        no_border: Do not measure the sampling of a new border, which takes half a minute.
+        no_border: Do not measure the sampling of a new border, which takes a minute or two.
         seed: Seed of the plant and of the synthetic borders.
     """
     options.check_seed(seed)

@@ -144,7 +144,7 @@ def run_case(
 ) -> None:
     """Repeat a case with the same start, pulls, robot, disturbances and seed.
 
-    The figures are the same too, unless another option changes the run.
+    The results are the same too, unless an option or a newer version changes the run.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in a study's folder `failures`.

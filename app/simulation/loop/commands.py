@@ -182,8 +182,9 @@ class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
     The length of the queue is bounded. A new command replaces a waiting command with the same key.
-    An `Adjustment` takes the place of the replaced command in the queue, so that a run that was
-    started later uses the newest value. Other commands, such as a pull, go to the end of the queue.
+    An `Adjustment` takes the place of the replaced command in the queue, so that a run whose start
+    waits behind it uses the newest value. Other commands, such as a pull, go to the end of the
+    queue. A `Restart` is dropped if a command that starts a run already waits.
     """
 
     def __init__(self) -> None:

@@ -93,7 +93,7 @@ class Ensemble:
 
         Args:
             q_m: (n_m,) [rad or m] joint positions of the arm; empty means the free start.
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
+            base_pose: (3,) x, y [m] and heading [rad] of the base; ignored if `q_m` is empty.
 
         Raises:
             TargetError: The arm has another number of joints; then nothing has changed.
@@ -107,7 +107,7 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Start the last scenario again, or the free motion from its last start.
+        """Start the present scenario again; without one, repeat the start of the last `reset`.
 
         Raises:
             DbbError: The scenario cannot start with the present configuration.

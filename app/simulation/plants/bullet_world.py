@@ -181,7 +181,7 @@ class BulletWorld:
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Restore the state at the first call, including contacts and the solver's state.
+        """Save the state at the first call; restore it, with contacts and solver, at later calls.
 
         Otherwise old contacts in the engine's memory would make equal runs differ in the last bits.
         """

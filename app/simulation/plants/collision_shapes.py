@@ -1,4 +1,4 @@
-"""The parts of a robot that may touch: their pairs and their shapes.
+"""The pairs of parts between which a plant computes contacts, and the shapes of the parts.
 
 The shapes are the links' collision shapes, or the description's bodies if a mesh is not installed.
 """

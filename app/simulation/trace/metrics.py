@@ -62,8 +62,9 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
             pairs; if empty, the pairs' own names are used.
     """
     touched = touches(figures)
-    text = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
     least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
+    result = outcome(least[1] if least else math.inf, touched=bool(touched))
+    text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
     larger = ""
     if least is not None:
         pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
@@ -71,7 +72,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
         if distance < 0:
             near = f"bodies overlapped by {-distance:.1f}"
         text += f"; {near} mm ({pair})"
-        if outcome(least[1], touched=bool(touched)) == "overlap":
+        if result == "overlap":
             larger = (
                 " Distances are between convex bodies that enclose the links: they can overlap"
                 " without contact."
