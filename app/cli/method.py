@@ -148,9 +148,10 @@ def reach(
     determine a part of the pose only, such as the position. R is the density of inverse kinematics
     solutions within the joint limits and without self-collision. It follows from random joint
     positions by the area formula: R is the sum of |det J| of the joint positions that lead to a
-    cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled to a mean of 100 in the best shell of
-    ρ = ‖p − p_base‖, and (9) is fitted where the shells' means are at least 5. The paper does not
-    state the end-effector's frame, the scale and the range of the fit, on which A depends.
+    cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled
+    to a mean of 100 in the best shell of ρ = ‖p − p_base‖, and (9) is fitted where the shells'
+    means are at least 5. The paper does not state the end-effector's frame, the scale and the range
+    of the fit, on which A depends.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
