@@ -122,7 +122,7 @@ class _Lowering(NativeLowering):
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
-    """Make numba's pass builder with other options."""
+    """Make numba's pass builder with the options that `_Lowering` needs."""
     options = llvm.create_pipeline_tuning_options()
     options.speed_level = config.OPT if opt is None else opt
     options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
@@ -130,7 +130,7 @@ def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
 
 
 class _Compiler(CompilerBase):
-    """numba's pipeline with another last pass."""
+    """numba's pipeline with a different lowering pass."""
 
     lowering: type[NativeLowering] = _Lowering
 
@@ -182,6 +182,6 @@ def _any_array(signature: str) -> Signature:
 @lru_cache(maxsize=1)
 def _announce_once(saved: bool) -> None:
     """Print the reason for the delay once: a kernel is being compiled because it is not stored."""
-    never = "each time: set NUMBA_CACHE_DIR to a writable folder"
+    never = "at each start; to store them, set NUMBA_CACHE_DIR to a writable folder"
     how_often = "once on this machine" if saved else never
-    print(f"dbb: compiling kernels, {how_often}: half a minute", file=sys.stderr)
+    print(f"dbb: compiling kernels for half a minute, {how_often}", file=sys.stderr)

@@ -53,9 +53,9 @@ def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
     On three or more cores, the process also gets a real-time policy if possible. With fewer cores,
-    a late process would leave too little time to other processes. A process that exceeds its budget
-    without a pause loses the policy permanently. Call this function in the main thread; the threads
-    that it starts inherit the policy.
+    a real-time process that cannot keep up would leave too little time to other processes. A
+    process that works for 0.5 s without a pause loses the policy permanently. Call this function in
+    the main thread; the threads that the main thread starts afterwards inherit the policy.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -74,7 +74,7 @@ def _leave_real_time(*_: object) -> None:
 
 
 def lower_priority(niceness: int) -> None:
-    """Lower the priority of this process by a niceness of 1 to 19."""
+    """Lower the priority of this process: increase its niceness by 0 to 19."""
     with suppress(OSError):
         os.nice(niceness)
 
@@ -173,7 +173,7 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock a file or a folder until it is closed.
+    """Lock an open file or folder until it is closed.
 
     Returns:
         True if the lock succeeded, False if another process has locked the file, None if the file
@@ -266,10 +266,11 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """Resolve the links of a path, but not links of other users in a shared folder.
+    """Resolve the links of a path.
 
     Raises:
-        OutputError: The path has a link of another user, or its links form a circle.
+        OutputError: The path has a link of another user in a shared folder, or its links form a
+            circle.
     """
     found, parts, links = Path("/"), list((Path.cwd() / path).parts[1:]), 0
     while parts:
@@ -325,7 +326,8 @@ def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` if the `with` raises no error.
 
     Raises:
-        OutputError: `out` exists or cannot be written, or another process is making it.
+        OutputError: `out` exists and is not an empty folder, `out` cannot be written, or another
+            process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -377,7 +379,7 @@ def home_folder(find: Callable[..., Path]) -> Path | None:
 def cache_folders() -> Iterator[Path]:
     """Folders of this user for files that can be made again: the standard and a temporary folder.
 
-    The temporary folder is created only if the caller continues to it.
+    The temporary folder is created only if the caller iterates up to it.
 
     A user without a home directory, for example in a container, has only the temporary folder.
     """

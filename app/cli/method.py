@@ -34,7 +34,7 @@ def pairs(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        samples: Number of joint positions.
+        samples: Number of random postures of the arm.
         seed: Seed of the sampling.
     """
     check_range("--samples", samples, 1, _MAX_SAMPLES)
@@ -71,7 +71,7 @@ def border(
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
         out: Folder for a CSV file of each pair with the border's points in the base's frame [m].
-        seed: Seed of the sampling; another seed gives other points.
+        seed: Seed of the sampling; a different seed gives different points.
     """
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
@@ -150,13 +150,13 @@ def reach(
     positions by the area formula: R is the sum of |det J| of the joint positions that lead to a
     cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled
     to a mean of 100 in the best shell of ρ = ‖p − p_base‖, and (9) is fitted where the shells'
-    means are at least 5. The paper does not state the end-effector's frame, the scale and the range
-    of the fit, on which A depends.
+    means are at least 5. A depends on the end-effector's frame, the scale and the range of the fit;
+    the paper does not state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
         body: lEE, l3 or another body that at least three joints move; `all` means all such bodies.
-        seed: Seed of the joint positions; another seed gives another map.
+        seed: Seed of the joint positions; a different seed gives a different map.
         out: Folder for two CSV files of each body: the map, and the means of shells with the fit.
     """
     from app.border.reach import (

@@ -48,7 +48,8 @@ class Files:
 
 FilesOptions = Annotated[Given, from_record(Files)]
 ContactOption = Annotated[
-    options.Flag, tyro.conf.arg(help="End with status 1 if the arm touched anything.")
+    options.Flag,
+    tyro.conf.arg(help="End with status 1 if the arm touched the base, itself or the floor."),
 ]
 
 
@@ -93,7 +94,7 @@ def run(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Run a scenario, or repeat a case, and print the figures."""
+    """Run a scenario, or repeat a case, and print the results."""
     del setup, parameters, files, config, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)

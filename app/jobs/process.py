@@ -112,7 +112,8 @@ class Child(AbstractContextManager["Child"]):
             if self.ended() is None:
                 if self._leads_group:
                     end_group(self._process.pid, at_once=hard)
-                self._process.kill() if hard else self._process.terminate()  # no group yet
+                # The process possibly does not lead its group yet.
+                self._process.kill() if hard else self._process.terminate()
                 self.ended(_PATIENCE)
         if self._leads_group:
             end_group(self._process.pid, at_once=True)  # the remaining children of the process

@@ -98,7 +98,7 @@ class BulletWorld:
             AssetError: pybullet cannot load the URDF.
         """
         self.client, self._open = Client(), True
-        # pybullet caches a file by its number, which the system may give to another file later.
+        # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
             self.robot = self.load(urdf, self_collision=True)
@@ -135,7 +135,7 @@ class BulletWorld:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         # The system removes a file without a name at the end of this process.
-        with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # without warnings
+        with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # hides warnings
             file.write(urdf.encode())
             file.seek(0)
             body = self.client.loadURDF(

@@ -45,21 +45,21 @@ class CollisionShape(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """All shapes of a robot, and the pairs that may touch."""
+    """All shapes of a robot, and the pairs of parts between which contacts are computed."""
 
     shapes: tuple[CollisionShape, ...]
     """The shapes."""
     pairs: ContactPairs
-    """The pairs of parts that may touch."""
+    """The pairs of parts between which contacts are computed."""
     mobile: tuple[str, ...]
     """Names of the parts of l_m."""
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies that may touch.
+    """Pairs of bodies between which contacts are computed.
 
-    Bodies with a reachability map may touch l_m and the floor. Bodies of the arm that are not
-    neighbours in the chain may touch each other.
+    These are each body that has a reachability map with l_m and with the floor, and any two bodies
+    of the arm that are not neighbours in the chain, except the `unwatched` pairs.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -73,7 +73,10 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links that may touch: the links of `body_contact_pairs`, except nested links."""
+    """Pairs of links between which contacts are computed.
+
+    These are the links of the bodies in `body_contact_pairs`, except nested links.
+    """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -90,6 +93,9 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
     A warning in the log reports the use of the bodies, which are larger than the links. The shapes
     are cached, because the meshes take half of the time that a plant needs to start.
+
+    Raises:
+        RobotFileError: Reading the meshes of a user's own robot exceeds the budget.
     """
     description = model.description
     try:

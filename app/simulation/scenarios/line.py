@@ -44,11 +44,12 @@ class LineScenario(Scenario):
     """[s] time at which the person releases the end-effector. The option `duration` then changes
     only the end of the run, not the speed of the motion."""
     regrasp_at: float | None = field(default=None, kw_only=True)
-    """[s] time at which the person grasps the end-effector again and continues the motion."""
+    """[s] time at which the person grasps the end-effector again and pulls it to the target, which
+    has moved on."""
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Names of the options; only guiding has those of a release."""
+        """Names of the options; only guiding has the options of release and new grasp."""
         released = ("release_at", "regrasp_at") if self.mode == "guiding" else ()
         return ("start", "move", "duration", *released)
 

@@ -74,7 +74,8 @@ class StartSolver:
 
         With further positions in `along`, the search prefers a configuration from which the arm,
         with the base at rest, also reaches these positions in its starting orientation, away from
-        its joint limits. It may find none, because the base can also move during a run.
+        its joint limits. If there is none, the result is another valid configuration, because the
+        base can also move during a run.
 
         Args:
             p_ee: (3,) [m] position of the end-effector.
@@ -190,7 +191,10 @@ class StartSolver:
         return self._room(q, along) + min(clearance, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] quality of a posture: smallest joint margin and manipulability, also on the path."""
+        """[-] quality of a posture: smallest joint margin and manipulability, also on the path.
+
+        It is 0 if the arm cannot follow the path with the base at rest.
+        """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility = search.joint_room(q_m), manipulability(search.J_hand)
