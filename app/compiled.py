@@ -31,8 +31,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """Compile a function for the given types when its module is first imported.
 
-    Thus a control loop never waits for a compiler, and a call with an array of another dtype
-    fails. If no folder is writable, each process compiles the kernels that it imports.
+    Thus a control loop never waits for a compiler, and a call with an array of a different
+    dtype fails. If no folder is writable, each process compiles the kernels that it imports.
 
     Args:
         signatures: Types in numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own

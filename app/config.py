@@ -141,7 +141,8 @@ class TaskConfig(Strict):
     base_time_scale: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
         default=5.0, ge=1.0, le=100.0
     )
-    """[-] ratio of the base's time constants to the arm's; the base's command has a low rate."""
+    """[-] ratio of the base's time constants to the arm's, because the base's velocity command has
+    a low rate."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] cost of the base's acceleration relative to that of the arm's, in the posture task."""
     ee_weight: Annotated[float, Shown("End-effector weight", advanced=True)] = Field(

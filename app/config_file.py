@@ -1,6 +1,6 @@
 """A configuration as a TOML file with comments: functions that write, read and check the file.
 
-A file may have only some sections and parameters; the other parameters have their defaults.
+A file can have only some sections and parameters; the other parameters have their defaults.
 """
 
 import re

@@ -240,7 +240,7 @@ def _locked(folder: Path, *, surely: bool = False) -> int | None:
     found = os.fstat(lock)
     with suppress(FileNotFoundError):
         free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
-        # Another folder of the same name may have replaced it before it was locked.
+        # A new folder of the same name has possibly replaced this folder before the lock.
         if free and os.path.samestat(found, folder.lstat()):
             return lock
     os.close(lock)

@@ -39,7 +39,7 @@ def say(text: str) -> None:
 
 
 def show(text: str) -> None:
-    """Print a line whose text may come from an untrusted source."""
+    """Print a line whose text possibly comes from an untrusted source."""
     print(printable(text))
 
 

@@ -234,8 +234,8 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
         suffixes: The valid endings.
 
     Raises:
-        OutputError: The file has another ending or cannot be written; the message names the option
-            and the reason.
+        OutputError: The file has a different ending or cannot be written; the message names the
+            option and the reason.
     """
     if path is None:
         return

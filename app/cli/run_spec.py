@@ -57,7 +57,7 @@ def spec_with(setup: Setup, scenario: Scenario, config: Config) -> RunSpec:
 
 
 def spec_of_case(case: RunCase, setup: Given) -> RunSpec:
-    """The run of a case, with another controller or plant if `setup` has one."""
+    """The run of a case; a controller or plant in `setup` replaces that of the case."""
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
     return spec_with(Setup(**(own | setup)), case.scenario(), case.config())
 
@@ -107,9 +107,9 @@ def read(path: Path) -> RunCase:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Check that no option is set that a case already sets and that cannot override the case.
+    """Check that no option is set that a case already sets.
 
-    The options for the buffer distance and the kind of border can.
+    The buffer distance and the kind of border are exceptions: these options override the case.
 
     Args:
         options: Values of options by name; None means that an option is not set.

@@ -51,12 +51,12 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     finally:
         os.close(alive)
         if guard is not None:
-            guard.kill()  # the guard may be suspended
+            guard.kill()  # the guard is possibly suspended
             guard.wait()
 
 
 def main(heard: int, lives: int, pid: int, patience: float) -> None:
-    """Wait for the announcement, then up to `patience` [s] for the end of the process; kill it."""
+    """Wait for the announcement; kill the process if it still runs `patience` [s] later."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     while True:

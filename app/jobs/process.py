@@ -94,7 +94,7 @@ class Child(AbstractContextManager["Child"]):
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status if the process ends within a patience [s], otherwise None.
+        """The exit status if the process ends within `patience` [s], otherwise None.
 
         A negative status is the number of a signal.
         """
@@ -191,7 +191,8 @@ def portable(error: BaseException) -> BaseException:
 def begin(receiver: int, sender: int, leads_group: bool) -> None:
     """Main function of a `Child`; `receiver` and `sender` are the numbers of its connections.
 
-    The child watches its parent before it imports the modules of the work, which may take seconds.
+    The child watches its parent before it imports the modules of the work, because the import can
+    take seconds.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     wake_without_parent()

@@ -30,7 +30,7 @@ def begin(
     """Make a session at the start of a setting.
 
     Args:
-        setting: The start; its model may have a held door as an additional body.
+        setting: The start; its model can have a held door as an additional body.
         robot: The robot without a door.
         controller: Name of the controller.
         physics: Name of the plant, or None for the default.

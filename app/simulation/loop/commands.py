@@ -83,7 +83,7 @@ class Configure(Adjustment):
 
 @dataclass(frozen=True)
 class Choose(Adjustment):
-    """Use another controller from now on."""
+    """Use this controller from now on."""
 
     controller: str
     """Name of the controller."""
@@ -206,7 +206,7 @@ class Mailbox:
             LoopError: Too many different commands wait.
         """
         if isinstance(command, Pull) and command.link is not None:
-            check_name("link", str(command.link), links)  # a page may send any name
+            check_name("link", str(command.link), links)  # a page can send any name
         key = _key(command)
         with self._lock:
             if len(self._waiting) >= MAX_WAITING and key not in self._waiting:

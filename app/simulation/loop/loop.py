@@ -117,7 +117,7 @@ class SimulationLoop(LiveLoop):
             make_session: Called once, in the loop's own thread, which then owns the session.
             q_start: (n_m,) [rad or m] joint positions of the arm at the free start: the first
                 start, and a `Reset` without a posture.
-            kept: Number of snapshots in `history`.
+            kept: Largest number of snapshots in `history`.
         """
         super().__init__(kept)
         self._make_session, self._q_start = make_session, np.array(q_start)

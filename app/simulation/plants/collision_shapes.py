@@ -131,7 +131,7 @@ def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
 
 
 def vertices(geometry: coal.CollisionGeometry) -> Array | None:
-    """(n, 3) [m] vertices of a mesh or a hull; None for another shape."""
+    """(n, 3) [m] vertices of a mesh or a hull; None for a shape without vertices."""
     if isinstance(geometry, coal.BVHModelBase):
         return np.array(geometry.vertices())
     if isinstance(geometry, coal.ConvexBase):

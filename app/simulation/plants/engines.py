@@ -32,7 +32,7 @@ class Difference(NamedTuple):
     depth: float
     """[m] depth of the deepest contact that exists in only one engine."""
     contacts: int
-    """Number of contacts that exist in both engines."""
+    """Number of contacts in both engines; those of the same kind in a pose count once."""
     poses: int
     """Number of compared poses."""
 

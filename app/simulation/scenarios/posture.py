@@ -228,7 +228,7 @@ def best_posture(
     return least_squares(
         residual,
         inside,
-        jacobian,  # pyright: ignore[reportArgumentType] - it may be a function
+        jacobian,  # pyright: ignore[reportArgumentType] - a function is valid
         bounds=bounds,
         max_nfev=_MAX_EVALUATIONS,
     ).x

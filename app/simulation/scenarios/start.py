@@ -127,13 +127,13 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Find the posture (n_m,) near another posture for a new position of the end-effector.
+        """Find the posture (n_m,) near a known posture for a new position of the end-effector.
 
         The direction of the end-effector and the branch of the inverse kinematics do not change.
 
         Args:
             p_ee: (3,) [m] new position of the end-effector.
-            q_m: (n_m,) [rad or m] the other posture.
+            q_m: (n_m,) [rad or m] the known posture.
 
         Raises:
             UnreachableError: The new posture is invalid; the message names the reason.
@@ -223,7 +223,7 @@ def find_start(
 ) -> Array:
     """Find an arm configuration (n_m,), read-only and cached, by `StartSolver.solve`.
 
-    Thus a run that starts again, for example with another controller, does not repeat the search.
+    Thus a run that starts again, for example with a different controller, needs no new search.
 
     Args:
         model: The robot.

@@ -56,7 +56,7 @@ def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
     Raises:
-        LogError: The file's name has another ending.
+        LogError: The file's name has a different ending.
         OutputError: The file cannot be written.
     """
     _check_suffix(path)
@@ -175,7 +175,8 @@ def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArr
         filled: Required number of cells with a value, unless the column is optional or a text.
 
     Raises:
-        LogError: The cells have another type, or fewer or more than `filled` cells have a value.
+        LogError: The cells have a different type, or fewer or more than `filled` of them have a
+            value.
     """
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:

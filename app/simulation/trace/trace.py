@@ -37,8 +37,8 @@ SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] error above which the end-effector counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting reference
 _MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
-_AT_LIMIT = 0.005  # [-] distance from a limit, by the joint's range, that counts as at the limit
-_AT_SPEED = 0.99  # [-] ratio of a joint's speed to its limit that counts as at the limit
+_AT_LIMIT = 0.005  # [-] largest distance of a joint at a limit, relative to the joint's range
+_AT_SPEED = 0.99  # [-] smallest ratio of speed to speed limit of a joint at its speed limit
 _STRETCHED = 0.05  # [-] smallest singular value of the Jacobian below which the arm is stretched
 _PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts as a push
 
