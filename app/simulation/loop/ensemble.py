@@ -127,7 +127,7 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, adapted by `Scenario.adapted`.
+        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
 
         A change ends the recording of pulls in an open scenario.
         """

@@ -58,8 +58,8 @@ class CollisionShapes(NamedTuple):
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of bodies between which contacts are computed.
 
-    These are each body that has a reachability map with l_m and with the floor, and any two bodies
-    of the arm that are not neighbours in the chain, except the `unwatched` pairs.
+    A body with a reachability map has a pair with l_m and a pair with the floor. Two bodies of the
+    arm are a pair if they are not neighbours in the chain and the pair is not in `unwatched`.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]

@@ -63,8 +63,9 @@ class HeldDoor(ABC):
 class Physics(ABC):
     """A plant with a velocity-controlled base and a torque-controlled arm.
 
-    The world's floor is z = 0. Implementations: `planar` in pybullet (default) or in MuJoCo,
-    `mujoco_wheels`, and `kinematic` (a simple plant for tests).
+    The world's floor is z = 0. Implementations: the module `planar` with pybullet (the default if
+    pybullet is installed) or with MuJoCo, `mujoco_wheels`, and `kinematic` (a simple plant for
+    tests).
     """
 
     dt: float

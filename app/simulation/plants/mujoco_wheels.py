@@ -33,7 +33,7 @@ from app.strict import Array
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
 """[-] factor of the friction of two wheels, because casters carry a part of the weight. With more
-wheels, factor of each motor's torque limit, an equal share of the traction limit."""
+wheels, ratio of each motor's torque limit to an equal share of the traction limit's torque."""
 _SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and skidding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 """A tyre that deforms by a millimetre and whose drag builds up within 0.1 s. With stiffer contacts

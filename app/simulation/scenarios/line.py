@@ -34,9 +34,11 @@ class LineScenario(Scenario):
     mode: Literal["guiding", "tracking"]
     """"guiding": a person pulls the end-effector; "tracking": the end-effector tracks the line."""
     start: Point
-    """[m] start of the end-effector, in the world; default: the robot's own start."""
+    """[m] start of the end-effector, in the world; a start in the robot's description replaces the
+    default."""
     move: Point
-    """[m] displacement of the end-effector, in the world; default: the robot's own displacement."""
+    """[m] displacement of the end-effector, in the world; a displacement in the robot's description
+    replaces the default."""
     moving: float
     """[-] ratio of the motion's duration to the run's duration. The target rests after the motion.
     A ratio above 1 requires a release: then the run ends before the motion."""
