@@ -39,8 +39,8 @@ class BorderConfig(Strict):
     eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] ε of (3): tolerance of the distance of border points from d_b."""
     kind: Annotated[Literal["surface", "points"], Shown("Acting point on")] = "surface"
-    """[-] the acting point is on the continuous surface, or on the paper's points, between which it
-    jumps."""
+    """[-] the acting point is on the border's continuous surface, or on the paper's sampled points
+    and then jumps between these points."""
 
 
 class ForceConfig(Strict):
@@ -201,7 +201,7 @@ class EstimateConfig(Strict):
 
 
 class PayloadConfig(Strict):
-    """Load in the gripper that the controller includes: mass and centre, without its shape."""
+    """Known load in the gripper: the controller includes its mass and centre, but not its shape."""
 
     mass: Annotated[float, Shown("Payload mass")] = Field(default=0.0, ge=0.0, le=20.0)
     """[kg] mass of the load."""

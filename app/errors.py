@@ -79,7 +79,7 @@ class OutputError(DbbError):
 
 
 class LogError(DbbError):
-    """A log cannot be read or written: it is damaged, is not a log, or has unknown columns."""
+    """A log cannot be read or written, for example because it is damaged or has other columns."""
 
 
 class CaseError(DbbError):

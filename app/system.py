@@ -69,7 +69,7 @@ def raise_priority(niceness: int) -> None:
 def _leave_real_time(*_: object) -> None:
     """Return all threads of this process to the normal policy."""
     for thread in threading.enumerate():
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the thread has just ended
             os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
 
 

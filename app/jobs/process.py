@@ -87,7 +87,7 @@ class Child(AbstractContextManager["Child"]):
                 stdin=alive.fileno(),
                 pass_fds=given,
             )
-        with suppress(BrokenPipeError):  # it has ended; the waiting thread detects that
+        with suppress(BrokenPipeError):  # the process has ended; the waiting thread detects that
             self.sender.send_bytes(task)
 
     def __exit__(self, *_: object) -> None:

@@ -99,6 +99,8 @@ class RunCase(Strict):
     def config(self) -> Config:
         """The configuration with those parameters of the case that still exist.
 
+        Parameters that are not in the case have their defaults.
+
         Raises:
             ConfigError: A value is invalid, for example out of its range.
         """
@@ -180,7 +182,7 @@ def read_case(path: Path) -> RunCase:
 
 @cache
 def _options_of(kind: type[Scenario]) -> type[Strict]:
-    """The record of a scenario's options, each of its own type, or None for no change."""
+    """The record of a scenario's options; each has its field's type, or is None for no change."""
     options: dict[str, Any] = {
         name: (hint | None, None) for name, hint in get_type_hints(kind).items()
     }

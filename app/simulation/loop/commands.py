@@ -150,7 +150,11 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario, which moves the end-effector until it ends or a person pulls there."""
+    """Start a scenario.
+
+    Unless it is open, the scenario moves the end-effector until the scenario's end, or until a
+    person pulls the end-effector.
+    """
 
     scenario: Scenario
     until: float = 0.0

@@ -331,7 +331,7 @@ class GraspSolver:
         )
 
     def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) the posture after one step towards the target, in its null space to `q_start`."""
+        """(n_m,) the posture after one step to the target and, in the null space, to `q_start`."""
         error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)

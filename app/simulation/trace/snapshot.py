@@ -124,9 +124,9 @@ class Score(NamedTuple):
     clearance: float
     """[m] smallest distance of any pair of L_m."""
     error: float
-    """[m] present distance of the end-effector from its reference or the person's target."""
+    """[m] present distance of the end-effector from its target, as `Snapshot.ee_error`."""
     error_max: float
-    """[m] largest distance of the end-effector from its reference or the person's target."""
+    """[m] largest distance of the end-effector from its target."""
     base_path: float
     """[m] length of the path of the base's centre."""
     acceleration_jump: float

@@ -289,7 +289,7 @@ class Recorder:
 
 
 class History:
-    """The newest snapshots in order of time; a restart removes the snapshots before it."""
+    """The newest snapshots in order of time; the start of a run removes all older snapshots."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
         """Start empty; `kept` is the largest number of stored snapshots."""
