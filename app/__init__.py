@@ -1,4 +1,4 @@
-"""Reactive self-collision avoidance for a differentially driven mobile manipulator.
+"""Reactive self-collision avoidance for a mobile manipulator.
 
 An implementation of Jang, Kim and Park's method: a distance buffer border (DBB) around the base,
 scored by the base's singularity and the arm's reachability; a force from the border that moves the

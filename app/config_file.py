@@ -1,6 +1,6 @@
 """A configuration as a TOML file with comments: functions that write, read and check the file.
 
-A file may have only some sections and parameters; the other parameters have their defaults.
+A file can have only some sections and parameters; the other parameters have their defaults.
 """
 
 import re
@@ -15,7 +15,7 @@ from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
 from app.strict import from_toml, text_of
 
-MAX_BYTES = 64 * 1024  # [-] largest file, ten times as large as a file with all parameters
+MAX_BYTES = 64 * 1024  # [bytes] largest file, ten times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
 _NAME = "name"  # key of the file's own name, beside the sections
 _SERVER, _HOSTS = "server", "allow_host"  # a separate section, without parameters of the controller
@@ -59,8 +59,8 @@ def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
     """The parameters in the bytes of a file; missing parameters come from `usual` or the defaults.
 
     Raises:
-        ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value is
-            out of its range.
+        ConfigError: The file is too large or is not TOML, a parameter is unknown, or a value, the
+            name or a host is invalid.
     """
     if len(content) > MAX_BYTES:
         raise ConfigError(

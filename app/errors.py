@@ -7,7 +7,7 @@ from traceback import walk_tb
 
 
 class DbbError(Exception):
-    """Base of all errors that a user can cause; the command line prints it, with status 2."""
+    """Base of all errors that a user can cause; commands print the text and end with status 2."""
 
     def __str__(self) -> str:
         """One printable line, also if the message quotes a file with other characters."""
@@ -46,7 +46,7 @@ class DescriptionError(DbbError):
 
 
 class AssetError(DbbError):
-    """A mesh or package that a description refers to is missing."""
+    """A mesh or package that a description refers to is missing, or an engine cannot load it."""
 
 
 class RobotFileError(DbbError):
@@ -67,11 +67,11 @@ class UnreachableError(DbbError):
 
 
 class MeasurementError(DbbError):
-    """A measurement has a wrong shape or an impossible first value."""
+    """A measurement has a wrong number of entries or an impossible first value."""
 
 
 class TargetError(DbbError):
-    """A position is impossible, such as a target of the person's hand below the floor."""
+    """A position is impossible: a target below the floor, or a joint position beyond its limits."""
 
 
 class OutputError(DbbError):
@@ -79,11 +79,11 @@ class OutputError(DbbError):
 
 
 class LogError(DbbError):
-    """A log cannot be read or written: it is damaged, is not a log, or has unknown columns."""
+    """A log cannot be read or written, for example because it is damaged or has other columns."""
 
 
 class CaseError(DbbError):
-    """A case cannot be read, or belongs to another robot."""
+    """A case cannot be read, is invalid, or belongs to another robot."""
 
 
 class StudyError(DbbError):
@@ -103,7 +103,7 @@ class BrowserError(DbbError):
 
 
 class LoopError(DbbError):
-    """The simulation thread ended with an exception, which is the cause of this error."""
+    """The simulation or a child process has ended or failed, or too many commands wait."""
 
 
 EXTRAS = {

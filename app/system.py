@@ -53,9 +53,9 @@ def raise_priority(niceness: int) -> None:
     """Raise the priority of this process to a niceness below 0, if the user's rights permit it.
 
     On three or more cores, the process also gets a real-time policy if possible. With fewer cores,
-    a late process would leave too little time to other processes. A process that exceeds its budget
-    without a pause loses the policy permanently. Call this function in the main thread; the threads
-    that it starts inherit the policy.
+    a real-time process that cannot keep up would leave too little time to other processes. A
+    process that works for 0.5 s without a pause loses the policy permanently. Call this function in
+    the main thread; the threads that the main thread starts afterwards inherit the policy.
     """
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
@@ -69,12 +69,12 @@ def raise_priority(niceness: int) -> None:
 def _leave_real_time(*_: object) -> None:
     """Return all threads of this process to the normal policy."""
     for thread in threading.enumerate():
-        with suppress(OSError):  # it has just ended
+        with suppress(OSError):  # the thread has just ended
             os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def lower_priority(niceness: int) -> None:
-    """Lower the priority of this process by a niceness of 1 to 19."""
+    """Lower the priority of this process: increase its niceness by 0 to 19."""
     with suppress(OSError):
         os.nice(niceness)
 
@@ -173,7 +173,7 @@ def end_group(leader: int, *, at_once: bool) -> None:
 
 
 def claim(file: BinaryIO | int) -> bool | None:
-    """Lock a file or a folder until it is closed.
+    """Lock an open file or folder until it is closed.
 
     Returns:
         True if the lock succeeded, False if another process has locked the file, None if the file
@@ -240,7 +240,7 @@ def _locked(folder: Path, *, surely: bool = False) -> int | None:
     found = os.fstat(lock)
     with suppress(FileNotFoundError):
         free = found.st_uid == os.geteuid() and claim(lock) in (True, None)[: 2 - surely]
-        # Another folder of the same name may have replaced it before it was locked.
+        # A new folder of the same name has possibly replaced this folder before the lock.
         if free and os.path.samestat(found, folder.lstat()):
             return lock
     os.close(lock)
@@ -266,10 +266,11 @@ def temporary_folder() -> AbstractContextManager[Path]:
 
 
 def own_path(path: Path) -> Path:
-    """Resolve the links of a path, but not links of other users in a shared folder.
+    """Resolve the links of a path.
 
     Raises:
-        OutputError: The path has a link of another user, or its links form a circle.
+        OutputError: The path has a link of another user in a shared folder, or its links form a
+            circle.
     """
     found, parts, links = Path("/"), list((Path.cwd() / path).parts[1:]), 0
     while parts:
@@ -325,7 +326,8 @@ def whole_folder(out: Path) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` if the `with` raises no error.
 
     Raises:
-        OutputError: `out` exists or cannot be written, or another process is making it.
+        OutputError: `out` exists and is not an empty folder, `out` cannot be written, or another
+            process is making it.
     """
     with ExitStack() as stack:
         try:
@@ -380,7 +382,7 @@ def cache_folders(*, make: bool = True) -> Iterator[Path]:
     A user without a home directory, for example in a container, has only the temporary folder.
 
     Args:
-        make: Whether to create the temporary folder if the caller continues to it; readers need
+        make: Whether to create the temporary folder if the caller iterates up to it; readers need
             only an existing folder.
     """
     usual = home_folder(platformdirs.user_cache_path)

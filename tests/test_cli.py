@@ -501,7 +501,7 @@ FIGURES_OF_A_RUN = {
         ),
         (
             {"min_distance_m": {"lm-lEE": -0.008}},
-            "No contact; bodies overlapped by 8.0 mm (lm-lEE); final hand error 12.3 mm. "
+            "Overlap; bodies overlapped by 8.0 mm (lm-lEE); final hand error 12.3 mm. "
             "Distances are between convex bodies that enclose the links",
         ),
         ({"min_distance_m": {}}, "No contact; final hand error"),

@@ -96,7 +96,7 @@ def test_where_no_kernel_can_be_kept_it_is_compiled_all_the_same(tmp_path):
     write(tmp_path, 2.0, NOWHERE)
     printed, said = run(tmp_path, "kernel.py")
     assert printed == "4.0 1 1"
-    assert "each time: set NUMBA_CACHE_DIR" in said
+    assert "at each start; to store them, set NUMBA_CACHE_DIR" in said
     assert "once" not in said
 
 

@@ -285,7 +285,7 @@ class Voxels:
     def _plan_sectors(self) -> Array:
         """(ny, nx) sector of each column of voxels.
 
-        The sectors are turned by half a sector, so that no border is on the wheels' axis.
+        The sectors are turned by half a sector, so that none of their edges is on the wheels' axis.
         """
         x = (np.arange(self.shape[0]) + 0.5) * self._size[0] + self._origin[0]
         y = (np.arange(self.shape[1]) + 0.5) * self._size[1] + self._origin[1]

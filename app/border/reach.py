@@ -124,10 +124,12 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 
 
 def free_joints(chain: Chain) -> tuple[int, ...]:
-    """Indices of the outermost joints that can be fixed so that a pose determines the other joints.
+    """Indices of the redundant joints: with these fixed, a pose determines the other joints.
+
+    Outer joints are preferred. The result is empty for a chain without redundancy.
 
     Raises:
-        DescriptionError: There are no such joints.
+        DescriptionError: Whichever joints are fixed, the Jacobian of the others is singular.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(_FREE_TRIALS)]

@@ -39,7 +39,7 @@ def say(text: str) -> None:
 
 
 def show(text: str) -> None:
-    """Print a line whose text may come from an untrusted source."""
+    """Print a line whose text possibly comes from an untrusted source."""
     print(printable(text))
 
 
@@ -49,7 +49,7 @@ def print_json(result: object) -> None:
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
-    """Print a command's figures, as one JSON object or with one figure on each line."""
+    """Print a command's results, as one JSON object or with one result on each line."""
     print_json(result) if json else _print_lines(result)
 
 

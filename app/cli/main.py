@@ -95,7 +95,7 @@ def main(args: list[str] | None = None) -> None:
 
 
 class _Plain(logging.Formatter):
-    """Formats log records whose text may come from an untrusted source."""
+    """Formats log records whose text possibly comes from an untrusted source."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Format a record as a text that is safe for a terminal."""

@@ -34,7 +34,7 @@ def pairs(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        samples: Number of joint positions.
+        samples: Number of random postures of the arm.
         seed: Seed of the sampling.
     """
     check_range("--samples", samples, 1, _MAX_SAMPLES)
@@ -71,7 +71,7 @@ def border(
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
         out: Folder for a CSV file of each pair with the border's points in the base's frame [m].
-        seed: Seed of the sampling; another seed gives other points.
+        seed: Seed of the sampling; a different seed gives different points.
     """
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
@@ -144,17 +144,19 @@ def reach(
 
     Positions p form a lattice around the arm's mount. For the body lEE, p is the end-effector's
     origin and the pose is the end-effector's pose. For another body, p is the centre of the body's
-    first shape, and the pose is this point with the direction of the shape's axis. R is the density
-    of inverse kinematics solutions within the joint limits and without self-collision. It follows
-    from random joint positions by the area formula: R is the sum of |det J| of the joint positions
-    that lead to a cell of the lattice. R is scaled to a mean of 100 in the best shell of
-    ρ = ‖p − p_base‖, and (9) is fitted where the shells' means are at least 5. The paper does not
-    state the end-effector's frame, the scale and the range of the fit, on which A depends.
+    first shape, and the pose is this point with the direction of the shape's axis. Few joints
+    determine a part of the pose only, such as the position. R is the density of inverse kinematics
+    solutions within the joint limits and without self-collision. It follows from random joint
+    positions by the area formula: R is the sum of |det J| of the joint positions that lead to a
+    cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled
+    to a mean of 100 in the best shell of ρ = ‖p − p_base‖, and (9) is fitted where the shells'
+    means are at least 5. A depends on the end-effector's frame, the scale and the range of the fit;
+    the paper does not state these.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
         body: lEE, l3 or another body that at least three joints move; `all` means all such bodies.
-        seed: Seed of the joint positions; another seed gives another map.
+        seed: Seed of the joint positions; a different seed gives a different map.
         out: Folder for two CSV files of each body: the map, and the means of shells with the fit.
     """
     from app.border.reach import (
@@ -263,7 +265,7 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        no_border: Do not measure the sampling of a new border, which takes half a minute.
+        no_border: Do not measure the sampling of a new border, which takes a minute or two.
         seed: Seed of the plant and of the synthetic borders.
     """
     options.check_seed(seed)

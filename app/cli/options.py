@@ -114,7 +114,7 @@ def configured(
         robot: Name of the robot.
         file: File of `--config`, or None.
         given: Values of the options that the user set.
-        paths: The parameter's path for each option.
+        paths: The path of the parameter that each option sets, such as `border.d_b`.
 
     Raises:
         ConfigError: The file cannot be read, or a parameter is unknown or out of range.
@@ -234,8 +234,8 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
         suffixes: The valid endings.
 
     Raises:
-        OutputError: The file has another ending or cannot be written; the message names the option
-            and the reason.
+        OutputError: The file has a different ending or cannot be written; the message names the
+            option and the reason.
     """
     if path is None:
         return

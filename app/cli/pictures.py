@@ -100,7 +100,7 @@ class Filming:
     speed: float = 1.0
     """[-] playback speed; 1 is real time."""
     orbit: float = 0.0
-    """[deg/s] rotation of the camera around the robot."""
+    """[deg/s] rotation of the camera around the robot, per second of the film."""
     span: tuple[float, float] | None = None
     """[s] part of the scenario; default: the whole scenario."""
     side_by_side: bool = False
@@ -213,7 +213,7 @@ def replay(
     looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
-    """Make a web page from a log that replays the run in any browser.
+    """Make a web page that replays the run of a log in any browser.
 
     The file needs no network.
 
@@ -248,7 +248,7 @@ def report(
     out: Path = Path("out/report.html"),
     json: options.Json = False,
 ) -> None:
-    """Make one HTML file from a log, with figures and key numbers.
+    """Make one HTML file from a log, with plots and key numbers.
 
     Args:
         log: File of `dbb run --log` or `--out`, or the JSON file of a case.

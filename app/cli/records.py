@@ -55,7 +55,7 @@ def from_record(
         record: A dataclass or pydantic record, or an instance whose values are the defaults.
         only: Names of the included fields; None means all fields.
         leave: Names of the excluded fields.
-        names: The option name of each field whose option has another name than the field.
+        names: Name of the option, for each field whose option has a different name.
         positional: The field that is a positional argument.
     """
     found = {

@@ -80,7 +80,7 @@ def check_robot(
     """Check that a robot's description agrees with the robot.
 
     The command compares pinocchio and the engines; checks limits, bodies against meshes, pairs,
-    border and a guiding run; and prints warnings. The status is 0 only if no check fails.
+    border and a guiding run; and prints warnings. The exit status is 0 only if no check fails.
 
     Args:
         name: Name of the robot; `dbb robots` lists all names.

@@ -48,7 +48,8 @@ class Files:
 
 FilesOptions = Annotated[Given, from_record(Files)]
 ContactOption = Annotated[
-    options.Flag, tyro.conf.arg(help="End with status 1 if the arm touched anything.")
+    options.Flag,
+    tyro.conf.arg(help="End with status 1 if the arm touched the base, itself or the floor."),
 ]
 
 
@@ -93,7 +94,7 @@ def run(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Run a scenario, or repeat a case, and print the figures."""
+    """Run a scenario, or repeat a case, and print the results."""
     del setup, parameters, files, config, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
@@ -144,7 +145,7 @@ def run_case(
 ) -> None:
     """Repeat a case with the same start, pulls, robot, disturbances and seed.
 
-    The figures are the same too, unless another option changes the run.
+    The results are the same too, unless an option or a newer version changes the run.
 
     Args:
         case: JSON file of a case, saved in the dashboard or in a study's folder `failures`.

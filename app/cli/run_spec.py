@@ -36,7 +36,8 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
         config: File of parameters, or None.
 
     Raises:
-        DbbError: The scenario or case does not exist, or the case already sets an option.
+        DbbError: The scenario or case does not exist, or an option is set that the case already
+            sets.
     """
     # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
@@ -56,7 +57,7 @@ def spec_with(setup: Setup, scenario: Scenario, config: Config) -> RunSpec:
 
 
 def spec_of_case(case: RunCase, setup: Given) -> RunSpec:
-    """The run of a case, with another controller or plant if `setup` has one."""
+    """The run of a case; a controller or plant in `setup` replaces that of the case."""
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
     return spec_with(Setup(**(own | setup)), case.scenario(), case.config())
 
@@ -85,7 +86,7 @@ def is_case(word: str) -> bool:
     """Whether a word is the file of a case, and not the name of a scenario.
 
     Raises:
-        UnknownNameError: The word is neither a file of a case nor the name of a scenario.
+        UnknownNameError: The word does not end in .json and is not the name of a scenario.
     """
     if not word.lower().endswith(_CASE):
         check_name("scenario", word, SCENARIOS)
@@ -94,10 +95,10 @@ def is_case(word: str) -> bool:
 
 
 def read(path: Path) -> RunCase:
-    """Read a case from a file, and print all differences since the case was written.
+    """Read a case from a file, and print its `differences`.
 
     Raises:
-        DbbError: The file is not a case.
+        CaseError: The file cannot be read or is not a valid case.
     """
     case = read_case(path)
     for difference in case.differences():
@@ -107,6 +108,8 @@ def read(path: Path) -> RunCase:
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
     """Check that no option is set that a case already sets.
+
+    The buffer distance and the kind of border are exceptions: these options override the case.
 
     Args:
         options: Values of options by name; None means that an option is not set.

@@ -38,10 +38,11 @@ class Serving:
     """Port to listen on; 0 selects a free port."""
     allow_host: tuple[str, ...] = ()
     """Further names under which browsers reach the server, for example through a proxy. The option
-    may be repeated. The file of --config may also have these names:
+    can be repeated. The file of --config can also have these names:
     [server] allow_host = ["NAME"]."""
     start: Point | None = None
-    """[m] start of the end-effector, in the world; default: in front of the base."""
+    """[m] start of the end-effector, in the world; default: the start of guiding-front, or the
+    ready position of a robot without a line for that scenario."""
     case: Path | None = None
     """File of a case, from the page or from `failures` of a study. The robot, its start and its
     disturbances are those of the case, and a button plays the pull."""
@@ -169,7 +170,7 @@ def _serve(first: _First) -> None:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border; if it is coarse, another process samples the full border meanwhile."""
+    """The robot's border; if it is coarse, a background process samples the full border."""
     from app.border.cache import kept_border_data, load_border_data
     from app.border.config import QUICK
     from app.dashboard.job import Job, sample_border

@@ -9,8 +9,8 @@ readings themselves:
 - **The lag** is the delay with which accelerations by the torques and by the base appear in the
   measured positions.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
-  period, is 1. If the readings arrive at regular intervals, and three successive ratios agree on
-  another value, the loop does not run at the stated period.
+  period, is 1. If the readings arrive at regular intervals, and three successive measurements of
+  this ratio agree on another value, the loop does not run at the stated period.
 - **The velocities** are not used if no plausible period explains their ratio to the positions.
 """
 
@@ -283,9 +283,10 @@ def _measure_from(w: Any, q: Array) -> None:
 
 @compiled()
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
-    """Estimate `w.ratio`, the motion of a joint divided by the integral of its velocity.
+    """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
-    `w.no_velocity` becomes 1 if no plausible period explains the ratio.
+    If the ratio is outside of 0.1 to 10, no plausible period explains it: then `w.no_velocity`
+    becomes 1, and `w.ratio` becomes 1.
     """
     irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
     if w.known[()] == 0.0 or irregular:  # a gap, or lost readings

@@ -137,7 +137,7 @@ class Gate:
         Args:
             names: Names under which browsers may reach the server.
             largest_upload: [bytes] largest size of a file; 0 without uploads.
-            read_link: Reads an address's query.
+            read_link: Function that checks the query of an address.
         """
         self._own_names = {name.lower() for name in names}
         self._largest_upload, self._read_link = largest_upload, read_link

@@ -228,8 +228,9 @@ def finite(value: Any) -> float:
 class Channel:
     """Messages between a viewer's page and this program, in addition to viser's widgets.
 
-    viser has no widget that spans the page, reads a complete typed number, or reports whether it is
-    visible; the page's own scripts do this. Both sides call functions of the other side by name.
+    viser has no widget that spans the page or reads a complete typed number, and does not report
+    whether a widget is visible; the page's own scripts do this. Both sides call functions of the
+    other side by name.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:

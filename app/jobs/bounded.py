@@ -79,7 +79,7 @@ def _limited_read(
             return pickle.dumps(result, pickle.HIGHEST_PROTOCOL)  # keeps arrays read-only
         except RecursionError:
             raise ValueError("its brackets or tables nest too deeply") from None
-        except RuntimeError as error:  # of a shape's own stream, which has no more memory
+        except RuntimeError as error:  # a shape's serialisation has exhausted the memory
             raise MemoryError from error
 
 

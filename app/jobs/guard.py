@@ -1,10 +1,11 @@
 """A guard: a process that kills another process if the other process does not end in time.
 
 The guard is separate, so a library that hangs and holds Python's lock cannot stop the guard. Its
-command is `python guard.py HEARD LIVES PID PATIENCE`. HEARD is the number of a file. The end of
-this file, or a byte with the number of a signal, announces the end of the process; the guard copies
-the bytes to standard output. LIVES is the number of a pipe that is open while the process lives. A
-negative PID is the number of a process group. PATIENCE is a time in seconds.
+command is `python guard.py HEARD LIVES PID PATIENCE`. HEARD is a file descriptor. The end of this
+file, or a byte with the number of an ending signal, announces the end of the process; the guard
+copies all bytes to standard output. LIVES is the file descriptor of a pipe that is open while the
+process lives. A negative PID is the number of a process group. PATIENCE is the time in seconds
+between the announcement and the kill.
 """
 
 import ctypes
@@ -24,15 +25,15 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     """Run a guard for this process during the `with`.
 
     Args:
-        heard: Number of the file that announces the end of the process.
+        heard: Descriptor of the file that announces the end of the process.
         patience: [s] time between the announcement and the kill.
         group: Whether the guard kills the whole group of this process.
 
     Yields:
-        The number of a file with the bytes that the guard copies; `heard` if the guard cannot
+        The descriptor of a file with the bytes that the guard copies; `heard` if the guard cannot
         start.
     """
-    passed = os.dup(heard)  # not the number 0, which is the guard's standard input
+    passed = os.dup(heard)  # not the descriptor 0, which is the guard's standard input
     lives, alive = os.pipe()
     pid = -os.getpgid(0) if group else os.getpid()
     words = map(str, (__file__, passed, lives, pid, patience))
@@ -53,12 +54,12 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     finally:
         os.close(alive)
         if guard is not None:
-            guard.kill()  # the guard may be suspended
+            guard.kill()  # the guard is possibly suspended
             guard.wait()
 
 
 def main(heard: int, lives: int, pid: int, patience: float) -> None:
-    """Wait for the announcement or the end, and then for the end of the process."""
+    """Wait for the announcement; kill the process if it still runs `patience` [s] later."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
     with suppress(AttributeError):  # Linux: the process may end while the guard is suspended

@@ -27,9 +27,9 @@ _log = logging.getLogger(__name__)
 class Workers(AbstractContextManager["Workers"]):
     """Runs `function(context, job)` for many jobs; each process makes its context once.
 
-    The processes start when the `with` begins, and make their contexts in parallel with the work
-    before the first job. Results are in the order of the jobs, so they do not depend on the number
-    of processes.
+    The processes start when the `with` begins, and make their contexts while this process continues
+    its own work. Results are in the order of the jobs, so they do not depend on the number of
+    processes.
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
@@ -171,7 +171,10 @@ class _Shares:
             self.take(*self._sent.get())
 
     def take(self, number: int, share: float) -> None:
-        """Store the share of a job, which may have restarted, and report the mean of all jobs."""
+        """Store the share of a job, and report the mean of all jobs.
+
+        The share of a job that starts again does not decrease.
+        """
         self._of[number] = max(self._of[number], min(share, 1.0))
         self._on_progress(sum(self._of) / len(self._of))
 

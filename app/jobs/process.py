@@ -87,14 +87,14 @@ class Child(AbstractContextManager["Child"]):
                 stdin=alive.fileno(),
                 pass_fds=given,
             )
-        with suppress(BrokenPipeError):  # it has ended; the waiting thread detects that
+        with suppress(BrokenPipeError):  # the process has ended; the waiting thread detects that
             self.sender.send_bytes(task)
 
     def __exit__(self, *_: object) -> None:
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
-        """The exit status if the process ends within a patience [s], otherwise None.
+        """The exit status if the process ends within `patience` [s], otherwise None.
 
         A negative status is the number of a signal.
         """
@@ -112,7 +112,8 @@ class Child(AbstractContextManager["Child"]):
             if self.ended() is None:
                 if self._leads_group:
                     end_group(self._process.pid, at_once=hard)
-                self._process.kill() if hard else self._process.terminate()  # no group yet
+                # The process possibly does not lead its group yet.
+                self._process.kill() if hard else self._process.terminate()
                 self.ended(_PATIENCE)
         if self._leads_group:
             end_group(self._process.pid, at_once=True)  # the remaining children of the process
@@ -190,7 +191,8 @@ def portable(error: BaseException) -> BaseException:
 def begin(receiver: int, sender: int, leads_group: bool) -> None:
     """Main function of a `Child`; `receiver` and `sender` are the numbers of its connections.
 
-    The child watches its parent before it imports the modules of the work, which may take seconds.
+    The child watches its parent before it imports the modules of the work, because the import can
+    take seconds.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     wake_without_parent()

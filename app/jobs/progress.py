@@ -37,8 +37,9 @@ def progress_bar(
         shown: Whether the progress is displayed.
 
     Yields:
-        A function that takes the amount of work that is done. If a library has swallowed Ctrl-C,
-        the start of the work, or the next call of this function, raises it again.
+        A function that takes the amount of work that is done. If a library has swallowed the
+        exception of an ending signal, such as Ctrl-C, the start of the work or the next call of
+        this function raises the exception again.
     """
     _raise_what_was_lost()
     show = _bar if sys.stderr.isatty() else _lines
@@ -144,9 +145,10 @@ def _deadline(numbers: Sequence[int]) -> Iterator[None]:
     """End the process 2 s after one of some signals, independently of the main thread.
 
     Python's own handlers wait until compiled code of the main thread has returned, and their
-    exceptions may be lost there. The numbers of signals are also written to a file, at once, which
-    a thread reads from the guard, or itself if the guard is killed. If compiled code holds Python's
-    lock too, so that no thread of this process can act, the guard kills the process.
+    exceptions can be lost there. Therefore the number of each signal is also written to a pipe,
+    immediately. The guard reads the pipe and passes the numbers on to a thread of this process,
+    which ends the process; if the guard is killed, the thread reads the pipe itself. If compiled
+    code holds Python's lock, so that no thread of this process can run, the guard kills it.
     """
     if not numbers:
         yield

@@ -244,7 +244,7 @@ def shown_urdf(description: HasUrdf) -> str:
 
 
 def bare_urdf(description: HasUrdf) -> str:
-    """The robot's URDF without shapes, and thus without meshes that may not be installed.
+    """The robot's URDF without shapes, and thus without meshes, which may be missing.
 
     Raises:
         AssetError: The URDF is missing.

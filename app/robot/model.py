@@ -239,8 +239,9 @@ def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
 def length_bound(links: Sequence[pin.SE3], slides: Array) -> float:
     """[m] upper bound of the distance between the two ends of a chain of joints.
 
-    It is the sum of the offsets `links`, each in the frame before it, and of the largest travels of
-    the joints that slide, whose limits [m] are `slides` (2, k), lower and upper.
+    It is the sum of two parts: the lengths of the translations of `links`, which are the poses of
+    the frames, each in the frame before it; and for each sliding joint the larger absolute value of
+    its limits [m], `slides` (2, k), lower and upper.
     """
     offsets = sum(float(np.linalg.norm(each.translation)) for each in links)
     return offsets + float(np.abs(slides).max(axis=0).sum())

@@ -1,10 +1,11 @@
-"""Convex shapes of the simplified collision bodies (Figure 2b), in the form of a description.
+"""Convex shapes of the simplified collision bodies (Figure 2b), as records of `robot.toml`.
 
-Each shape provides coal's geometry for exact signed distances, and a mesh for drawing.
+Each shape provides coal's geometry for signed distances, and a mesh for drawing.
 
-A superquadric (hyper-ellipsoid) has the surface f(p) = 1, and less inside, of
-f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). e₁ rounds it from top to bottom, e₂ in
-plan: 1 is an ellipsoid, towards 0 it becomes a box. A convex polytope approximates it.
+A superquadric (hyper-ellipsoid) is the set of points p with f(p) ≤ 1, where
+f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). e₁ rounds the vertical profile, e₂ the
+plan view: 1 is an ellipsoid, and values near 0 a box. Its distances are those of a convex polytope
+that approximates it.
 """
 
 from __future__ import annotations

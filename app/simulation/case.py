@@ -1,4 +1,4 @@
-"""A planned run, and a case: a file with all data that are needed to repeat a run exactly."""
+"""A planned run, and a case: a file with all data for the exact repetition of a run."""
 
 import json
 from functools import cache
@@ -20,12 +20,12 @@ from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
-_MAX_ENTRIES = 1000  # [-] options, parameters or figures of a case; about a hundred are usual
+_MAX_ENTRIES = 1000  # [-] options, parameters or results of a case; about a hundred are usual
 FORMAT = "dbb_case"  # the key that identifies such a file
 
 
 class RunSpec(NamedTuple):
-    """A planned run: all data that determine its figures."""
+    """A planned run: all data that determine its results."""
 
     robot: str
     scenario: Scenario
@@ -55,7 +55,7 @@ class RunCase(Strict):
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
     """All parameters, by their paths."""
     figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
-    """The results, by the names of the figures of `dbb run`."""
+    """The results, by the keys that `dbb run` prints."""
 
     @field_validator("parameters")
     @classmethod
@@ -99,14 +99,19 @@ class RunCase(Strict):
     def config(self) -> Config:
         """The configuration with those parameters of the case that still exist.
 
+        Parameters that are not in the case have their defaults.
+
         Raises:
-            ConfigError: A value is out of its range.
+            ConfigError: A value is invalid, for example out of its range.
         """
         known = {path: value for path, value in self.parameters.items() if path in tunables()}
         return Config().changed(known)
 
     def differences(self) -> list[str]:
-        """The differences of program and parameters since the case was written, one per line."""
+        """Changes of the program's version and set of parameters since the case was written.
+
+        Each change is one line of text.
+        """
         now, found = version("dbb-mobile-manipulator"), []
         if self.version != now:
             found.append(f"dbb {self.version} wrote the case; this is dbb {now}")
@@ -119,7 +124,7 @@ class RunCase(Strict):
         return found
 
     def changes(self, figures: dict[str, Any]) -> list[str]:
-        """The figures that differ from the figures of the case, one per line."""
+        """The results of the case that differ from the new results `figures`, one per line."""
         return [
             f"{name} was {value!r}, is now {figures.get(name)!r}"
             for name, value in self.figures.items()
@@ -139,8 +144,9 @@ class RunCase(Strict):
             where: Name of the file, for messages.
 
         Raises:
-            CaseError: The text is not a case, or a name, option or parameter in the text is
-                invalid; the message names the fault.
+            CaseError: The text is not a case, or its scenario, controller, an option or a
+                parameter is invalid; the message names the fault. The names of robot and plant
+                are not checked.
         """
         try:
             content = parsed(json.loads, text)
@@ -164,7 +170,7 @@ def read_case(path: Path) -> RunCase:
     """Read a case from a file.
 
     Raises:
-        CaseError: The file does not exist or is not a valid case; the message names the fault.
+        CaseError: The file cannot be read or is not a valid case; the message names the fault.
     """
     try:
         return RunCase.read(file_text(path), path)
@@ -176,7 +182,7 @@ def read_case(path: Path) -> RunCase:
 
 @cache
 def _options_of(kind: type[Scenario]) -> type[Strict]:
-    """The record of a scenario's options, each of its own type, or None for no change."""
+    """The record of a scenario's options; each has its field's type, or is None for no change."""
     options: dict[str, Any] = {
         name: (hint | None, None) for name, hint in get_type_hints(kind).items()
     }

@@ -21,8 +21,8 @@ from app.strict import Array
 _ARM = 2  # pinocchio's index of the arm's first joint; joint 1 is the base's planar joint
 _QUICKNESS = 20.0  # [rad/s] bandwidth of the hand's motion towards a new target
 _TOP_SPEED = 1.5  # [m/s] largest speed of the hand
-_FARTHEST = 1e4  # [m] farthest target from the world's origin
-_LINK_SIZE = 1.0  # [m] largest distance of a link's point from its origin
+_FARTHEST = 1e4  # [m] largest coordinate of a target in the world
+_LINK_SIZE = 1.0  # [m] largest distance of a held point from the origin of its link
 _GRIP = 2e4  # [N/m] stiffness of the grip between a hand with a mass and the robot
 _GRIP_DAMPING = 0.5  # [-] damping ratio of that spring with the hand's mass
 
@@ -92,7 +92,7 @@ class People:
             holds: At most one hold for each person.
 
         Raises:
-            TargetError: A target is below the floor, or is not three finite numbers.
+            TargetError: A target is invalid, as in `checked_target`.
         """
         hands, readings, pushes = {}, [], []
         total = np.zeros(3)
@@ -122,15 +122,15 @@ class PersonHand:
     The damper acts against the world: while p rests, the person only absorbs energy.
 
     If the hand has a mass, F moves the mass, and the robot receives the force that the grip
-    transmits. The grip's force exceeds f_max while the mass decelerates, is smaller than F while
-    the mass accelerates, and equals F at rest. Spring, damper, mass and grip are passive, so such
-    a hand also only absorbs energy while p rests.
+    transmits. The grip's force is smaller than F while F accelerates the mass, equals F at rest,
+    and is larger than F, possibly above f_max, while the robot stops the mass. Spring, damper, mass
+    and grip are passive, so such a hand also only absorbs energy while p rests.
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
         """Start without a hold; `config` has the strength, `dt` [s] is the period of `force`."""
         self.config, self._dt = config, dt
-        """K, D, f_max and the mass; this record may be replaced at any time."""
+        """`config` has K, D, f_max and the mass; it can be replaced at any time."""
         self.motion: Array | None = None
         """(2, 3) p [m] and its velocity [m/s]; None while the robot is not held."""
         self._mass: Array | None = None  # (2, 3) position and velocity of the hand's mass
@@ -144,7 +144,7 @@ class PersonHand:
             target: (3,) [m] target of the held point; None means that the person releases.
 
         Raises:
-            TargetError: The target is below the floor, or is not three finite numbers.
+            TargetError: The target is invalid, as in `checked_target`.
         """
         if target is None:
             self.motion = self._mass = None
@@ -182,15 +182,15 @@ def checked_target(target: Sequence[float] | Array) -> Array:
     """Check a person's target in the world and return it as an array (3,) [m].
 
     Raises:
-        TargetError: The target is below the floor, farther away than 10 km, or not three finite
-            numbers.
+        TargetError: The target is below the floor, a coordinate exceeds 10 km, or the target is
+            not three finite numbers.
     """
     place = _finite_point(target, "the hand's target")
     x, y, z = place.tolist()
     if z < 0:
         raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor at z = 0")
     if max(abs(x), abs(y), z) > _FARTHEST:
-        raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
+        raise TargetError(f"a coordinate of the hand's target exceeds {_FARTHEST:g} m: {target!r}")
     return place
 
 
@@ -198,12 +198,13 @@ def checked_hold(point: Sequence[float] | Array) -> Array:
     """Check a held point in the frame of a link and return the point as an array (3,) [m].
 
     Raises:
-        TargetError: The point is too far from the link, or not three finite numbers.
+        TargetError: The point is farther than 1 m from the link's origin, or is not three finite
+            numbers.
     """
     place = _finite_point(point, "the held point")
     if np.linalg.norm(place) > _LINK_SIZE:
         raise TargetError(
-            f"the held point is farther than {_LINK_SIZE:g} m from its link: {point!r}"
+            f"the held point is farther than {_LINK_SIZE:g} m from its link's origin: {point!r}"
         )
     return place
 
@@ -272,16 +273,16 @@ def _push_mass(
 
     F = K' (p - x) - D ẋ, limited to f_max, acts on the mass. The grip's force G = k (x - p_ee) +
     c (ẋ - v_ee) acts on the robot. Both forces are evaluated at the period's end; the position of
-    the held point is extrapolated with its velocity. K' and the grip together have the stiffness K.
+    the held point is extrapolated with its velocity. K' and k in series have the stiffness K.
     The rule is stable for every mass, spring and damper. The force limit does not change the
     direction of F.
 
     Args:
         held: (2, 3) position x [m] and velocity ẋ [m/s] of the mass.
-        p: (3,) [m] target of the spring.
+        p: (3,) [m] position of the spring's free end, p of `PersonHand`.
         p_ee: (3,) [m] position of the held point.
         v_ee: (3,) [m/s] velocity of the held point.
-        stiffness: [N/m] K, stiffness of spring and grip together.
+        stiffness: [N/m] K, stiffness of spring and grip in series.
         damping: [N s/m] D, damping against the world.
         f_max: [N] limit of F.
         mass: [kg] m, mass of the hand.
@@ -292,7 +293,7 @@ def _push_mass(
     """
     K = stiffness * _GRIP / (_GRIP - stiffness)
     grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)
-    alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] effective mass of F in this rule
+    alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] mass that F moves in this rule
     grip = p_ee + dt * v_ee
     driven = mass * held[1] + dt * (grip_damping * v_ee - _GRIP * (held[0] - grip))
     pull = K * (p - held[0])

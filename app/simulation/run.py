@@ -18,7 +18,7 @@ from app.simulation.trace.trace import Recorder, Trace
 
 
 class RunResult(NamedTuple):
-    """Figures of a run and its trace."""
+    """The figures of merit and the trace of a run."""
 
     figures: dict[str, Any]
     trace: Trace
@@ -30,7 +30,7 @@ def begin(
     """Make a session at the start of a setting.
 
     Args:
-        setting: The start; its model may have a held door as an additional body.
+        setting: The start; its model can have a held door as an additional body.
         robot: The robot without a door.
         controller: Name of the controller.
         physics: Name of the plant, or None for the default.
@@ -38,6 +38,8 @@ def begin(
 
     Raises:
         ConfigError: The setting has a door, and the plant has no doors.
+        DescriptionError: No part of the arm can meet the base.
+        TargetError: A joint is beyond its limits at the start.
         UnknownNameError: The controller or plant does not exist.
     """
     session = Session(
@@ -63,7 +65,8 @@ def steps_of(
 
     Raises:
         UnreachableError: The arm cannot reach the start of the scenario.
-        TargetError: The end-effector's path goes below the floor.
+        TargetError: The end-effector's path goes below the floor, or a joint is beyond its limits
+            at the start.
         ConfigError: The scenario has a door, and the plant has no doors.
         UnknownNameError: The controller or plant does not exist.
     """
@@ -87,7 +90,7 @@ def run_from_spec(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Execute a run and compute its figures; raises the errors of `steps_of`.
+    """Execute a run and compute its figures of merit; raises the errors of `steps_of`.
 
     Args:
         run: The planned run.
@@ -150,11 +153,14 @@ def filmed(
 ) -> list[Snapshot]:
     """Execute a run up to the last of some times, and return its snapshots.
 
+    It raises the errors of `steps_of`.
+
     Args:
         run: The planned run.
         model: The robot.
         data: The robot's border data.
-        times: [s] times at which there must be a snapshot, in addition to those at 50 Hz.
+        times: [s] times of required snapshots, in addition to those at 50 Hz; a time after the
+            end of the run means the last step.
         on_progress: Called every 100 steps with the simulated time [s].
     """
     last = round(run.scenario.duration / DT) - 1

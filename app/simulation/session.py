@@ -41,29 +41,29 @@ class Step(NamedTuple):
     control: ControlStep
     """All quantities of the control step; the next step overwrites them."""
     base_command: Array
-    """(n_b,) [m/s or rad/s] present base command; a delay may hold this command back."""
+    """(n_b,) [m/s or rad/s] present base command of the controller, before delay and slip."""
     hand_target: Array | None
-    """(3,) [m] target of the (first) person at the end-effector, or None."""
+    """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
     hand_force: Array
-    """(3,) [N] person's force on the end-effector, or the end-effector's force on a held door, in
-    the world."""
+    """(3,) [N] force of all people on the end-effector, in the world; while `door` is present,
+    the end-effector's force on the door."""
     ee_error: float
-    """[m] true distance of the end-effector from its reference or the person's target; 0 if there
-    is neither."""
+    """[m] true distance of the end-effector from the person's target; without a person, from its
+    reference; 0 if there is neither."""
     contacts: Contacts
     """Contacts of the step."""
     duration: float
     """[s] real time of the controller's computation."""
     truth: Measurement
-    """The true state of the robot; equal to `measurement` without noise."""
+    """The true state of the robot; equal to `measurement` without sensor errors."""
     distances: tuple[float, ...]
     """[m] true signed distances of the pairs, in the order of the control step's pairs."""
     buffer: BufferReading
     """Whether d_b is sufficient for the arm's approach speed."""
     door: DoorReading | None = None
-    """State of the opening door, or None without one."""
+    """State of the door while a scenario opens it, otherwise None."""
     pulls: tuple[PullReading, ...] = ()
-    """All people who hold the robot."""
+    """All people who hold the robot; empty if `Session.step` had the argument `forces`."""
     person: PersonForces = PersonForces(np.zeros(3))
     """The forces of people on the robot."""
     reference: Reference | None = None
@@ -148,7 +148,8 @@ class Session:
         """(n_w,) [rad] angles of the base's wheels, for drawing."""
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
-        """The state of the robot at the last step."""
+        """The true state of the robot at the last step; without sensor errors, the controller's
+        estimate."""
         self._watch.reset()
 
     def configure(self, config: Config) -> None:
@@ -167,7 +168,7 @@ class Session:
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector at the last step, computed from the sensors' readings."""
+        """The controller's pose of the end-effector at the last step, from the readings."""
         return self.controller.state.T_world_ee
 
     def step(
@@ -183,7 +184,7 @@ class Session:
 
         Args:
             reference: The end-effector's reference, or None while a person guides the arm.
-            pull: (3,) [m] target of a person at the end-effector, or None.
+            pull: (3,) [m] target of a person at the end-effector, in the world, or None.
             door: State of the opening door, for the record only.
             holds: Other people who hold the robot, at the end-effector or another point.
             forces: Forces on the robot that replace the forces of the people's springs. The error
@@ -232,7 +233,10 @@ class Session:
         return step
 
     def _weights_of(self, config: Config) -> tuple[tuple[Push, ...], tuple[Push, ...]]:
-        """The weight of the payload, and the weights of payload and unknown load together."""
+        """The weight of the payload, and the weights of payload and unknown load together.
+
+        The second entry applies from `disturbance.begins` on.
+        """
         payload, model = config.payload, self.model
         at = model.pin.frames[model.ee_frame].placement
         joint = model.pin.names[model.pin.njoints - 1]
@@ -273,14 +277,15 @@ class Session:
 
 
 class Disturbances:
-    """The disturbances between the controller and the robot: noise, delay, slip.
+    """The disturbances between the controller and the robot.
 
-    They convert true sensor values to readings, and base commands to the commands that reach the
-    drive. The error of the arm's masses is elsewhere: in the controller's model (`RobotState`).
+    They convert true sensor values to readings with noise, delay and losses, and base commands to
+    the commands that reach the drive after delay and slip. The error of the arm's masses is in the
+    controller's model (`RobotState`), and the unknown load in `Session`.
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Start with a history as after `reset`.
+        """Start in the state after `reset`.
 
         Args:
             config: The disturbances.
@@ -306,7 +311,7 @@ class Disturbances:
         self._begins = round(config.begins / self._dt)
 
     def reset(self) -> None:
-        """Restart the noise and forget all commands."""
+        """Restart the random numbers, and forget all commands and readings."""
         self._rng = np.random.default_rng(self._seed)
         self._tracking: VelocityTracking | None = None
         self._commands.clear()
@@ -317,9 +322,10 @@ class Disturbances:
     def sensed(self, truth: Measurement) -> Measurement:
         """The sensors' readings in a control step; without disturbances, the true values.
 
-        White noise is added to each joint position. The joint velocities are then computed from
-        the noisy positions by `VelocityTracking`, as on a robot that has only encoders. The base's
-        sensors have no noise. All readings can be late, repeated or lost.
+        With `encoder_noise`, white noise is added to each joint position. The joint velocities are
+        then computed from the noisy positions by `VelocityTracking`, as on a robot that has only
+        encoders. The base's sensors have no noise. From `begins` on, all readings can be late,
+        repeated or lost.
         """
         if self._encoder_noise == 0.0:
             self._tracking = None
@@ -347,8 +353,8 @@ class Disturbances:
         """The base command (n_b,) [m/s or rad/s] that takes effect after delay and slip.
 
         Args:
-            command: (n_b,) [m/s or rad/s] the controller's command in this control step. Before
-                the first command the base is at rest.
+            command: (n_b,) [m/s or rad/s] the controller's command in this control step. Until the
+                first command arrives, the result is zero.
         """
         self._commands.append(command)
         steps = self._command_late

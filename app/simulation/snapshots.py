@@ -22,7 +22,7 @@ Rgba = tuple[float, float, float, float]
 
 _FINER = 2  # [-] rendered pixels per pixel of the picture, along width and height
 _NEAR, _FAR = 0.1, 30.0  # [m] smallest and largest drawn distance from the camera
-_LIGHT = (2.0, -2.5, 5.0)  # [m] direction to the light, which turns with the camera
+_LIGHT = (2.0, -2.5, 5.0)  # [m] vector to the light at yaw 0; it turns with the camera's yaw
 
 
 class Camera(NamedTuple):
@@ -41,7 +41,7 @@ class Camera(NamedTuple):
     height: int = 480
     """[px] height of the picture."""
     fov: float = 0.35
-    """[rad] vertical field of view; a small one keeps vertical edges vertical."""
+    """[rad] vertical field of view; with a small one, vertical edges look almost parallel."""
 
     @property
     def eye(self) -> Array:
@@ -55,7 +55,7 @@ class Camera(NamedTuple):
 
         Args:
             points: (N, 3) [m] points in the world.
-            margin: [-] empty part of the picture on each side.
+            margin: [-] smallest empty part of the picture on each side.
         """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
@@ -95,7 +95,7 @@ class Picture(NamedTuple):
     rgb: Array
     """(height, width, 3) colours, uint8."""
     floor: Array
-    """(height, width) whether no body covers a pixel."""
+    """(height, width) whether each pixel shows no body, so that it is floor or background."""
     view: Array
     """(4, 4) transform from the world to the camera."""
     projection: Array

@@ -247,11 +247,12 @@ def gives_way(
     place: Place,
     on_progress: OnProgress = lambda _: None,
 ) -> bool:
-    """Whether a run on a line ends with a base that has moved away, without a near miss of the arm.
+    """Whether in a run on a line the base moves away while the arm stays clear of base and floor.
 
-    The base has moved by `GIVES_WAY` or more at the end, and the arm has always been farther than
-    `CLEARANCE` from the base and `_LOWEST` from the floor. This fails if other parts of the arm
-    meet the base first, or if the arm cannot hold its end-effector while the base moves.
+    The base moves by `GIVES_WAY` or more, and the arm stays farther than `CLEARANCE` from the base
+    and `_LOWEST` from the floor. The result is False if another part of the arm than the
+    end-effector meets the base first, or if the arm cannot hold its end-effector while the base
+    moves.
     `on_progress` is called with the finished share of the run from time to time.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
@@ -384,8 +385,9 @@ class _Guide:
             yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The line from one start, up to contact or to its end; None if the arm cannot start
-        there.
+        """The end-effector's line from one start, to its end or to contact with the base.
+
+        It is None if the arm cannot start there, or comes nearer than `_LOWEST` to the floor.
         """
         at, inwards = start
         gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
@@ -492,8 +494,9 @@ _LED = (
 
 
 def _tops(body: MobileBody, most: float) -> list[float]:
-    """[m] heights of l_m's parts, limited to `most`, without near duplicates; the highest is
-    first.
+    """[m] heights of the tops of l_m's parts, clipped to `most`, from high to low.
+
+    A top that is less than `_SAME_TOP` below the previous one is left out.
     """
     found: list[float] = []
     for top in sorted((float(part.upper[2]) for part in body.parts), reverse=True):

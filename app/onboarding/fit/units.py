@@ -179,7 +179,8 @@ def group_distances(
 ) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
-    With many shapes, distances above 0.5 m are only lower bounds, from spheres around the shapes.
+    With 150 or more pairs of shapes, only distances below 0.5 m are exact: a larger result means
+    that the distance is at least 0.5 m.
 
     Args:
         model: The robot, whose base is at the origin.

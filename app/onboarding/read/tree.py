@@ -337,9 +337,9 @@ def parallel(a: Joint, b: Joint) -> bool:
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Check that only frames are fixed above the base, without other descendants.
+    """Check that each link between the root and the base has no shapes and no other children.
 
-    Links above a joint for the motion of the whole base are the world, which is left out.
+    Links above a joint that moves the whole base belong to the world, and are left out.
     """
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:

@@ -142,9 +142,10 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) 
 def _find_wheels(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], given: tuple[str, str] | None
 ) -> Wheels:
-    """The named wheels and similar ones, or otherwise the wheels that stand on the floor in pairs.
+    """The wheels with the names `given`, or the lowest pair of equal wheels on opposite sides.
 
-    Without `given`, wheels are the round links on level axles fixed to the base.
+    All wheels that are similar to these two are included. Wheels are round links on level axles
+    that are fixed to the base.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}

@@ -34,18 +34,19 @@ class Command:
 
 
 class Adjustment(Command):
-    """A command that sets a value; it replaces a waiting command of its kind in the queue."""
+    """A command that sets a value; it replaces a waiting command of the same type in the queue."""
 
 
 class Beginning(Command):
-    """A command that starts a run; it replaces all other waiting commands of this class."""
+    """A command that starts a run; it replaces a waiting command of this class (see `Mailbox`)."""
 
 
 @dataclass(frozen=True)
 class Pull(Command):
     """A person holds the robot and pulls it to `target`.
 
-    Holding the end-effector ends a scenario that moves it; a pull elsewhere disturbs the scenario.
+    A pull of the end-effector ends the motion of a scenario; a pull elsewhere disturbs this motion.
+    An open scenario continues and records all pulls.
     """
 
     target: Point
@@ -82,7 +83,7 @@ class Configure(Adjustment):
 
 @dataclass(frozen=True)
 class Choose(Adjustment):
-    """Use another controller from now on."""
+    """Use this controller from now on."""
 
     controller: str
     """Name of the controller."""
@@ -135,7 +136,7 @@ class Reset(Beginning):
     q_m: tuple[float, ...] = ()
     """(n_m,) [rad or m] joint positions of the arm; empty means the free start."""
     base_pose: Point = (0.0, 0.0, 0.0)
-    """[m] [m] [rad] x, y and heading of the base."""
+    """[m] [m] [rad] x, y and heading of the base; ignored if `q_m` is empty."""
 
     def __post_init__(self) -> None:
         if not all(map(math.isfinite, (*self.q_m, *self.base_pose))):
@@ -144,12 +145,16 @@ class Reset(Beginning):
 
 @dataclass(frozen=True)
 class Restart(Beginning):
-    """Start the last scenario again, or the free motion from its last start."""
+    """Start the scenario of the last start again; without one, repeat the last `Reset`."""
 
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario, which moves the end-effector until it ends or a person pulls there."""
+    """Start a scenario.
+
+    Unless it is open, the scenario moves the end-effector until the scenario's end, or until a
+    person pulls the end-effector.
+    """
 
     scenario: Scenario
     until: float = 0.0
@@ -182,8 +187,9 @@ class Mailbox:
     """A queue of commands from any thread to the thread that executes them.
 
     The length of the queue is bounded. A new command replaces a waiting command with the same key.
-    An `Adjustment` takes the place of the replaced command in the queue, so that a run that was
-    started later uses the newest value. Other commands, such as a pull, go to the end of the queue.
+    An `Adjustment` takes the place of the replaced command in the queue, so that a run whose start
+    waits behind it uses the newest value. Other commands, such as a pull, go to the end of the
+    queue. A `Restart` is dropped if a command that starts a run already waits.
     """
 
     def __init__(self) -> None:
@@ -204,13 +210,13 @@ class Mailbox:
             LoopError: Too many different commands wait.
         """
         if isinstance(command, Pull) and command.link is not None:
-            check_name("link", str(command.link), links)  # a page may send any name
+            check_name("link", str(command.link), links)  # a page can send any name
         key = _key(command)
         with self._lock:
             if len(self._waiting) >= MAX_WAITING and key not in self._waiting:
                 raise LoopError(f"{MAX_WAITING} commands already wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
-                return  # one restart is sufficient
+                return  # the waiting command starts a run anyway
             if not isinstance(command, Adjustment):
                 self._waiting.pop(key, None)
             self._waiting[key] = command

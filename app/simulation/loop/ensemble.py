@@ -42,17 +42,17 @@ class Ensemble:
         self._free = free
         self._led = Runner(free, None)
         self.scenario: Scenario | None = None
-        """The scenario of the last start, or None for the free start."""
+        """The scenario of the last start, or None if that start had no scenario."""
         self.ends: float | None = None
         """[s] time at which the present scenario ends; None during free motion."""
         self._config = free.config
         self.ghosts: list[Runner] = []
-        """Compared robots: they have the main robot's input and other controllers."""
+        """Compared robots: each has the main robot's input and its own controller."""
         self.comparison = Compare()
         """The last requested comparison."""
         self._holds: dict[int, Hold] = {}
         self._pulled: list[PullEvent] | None = None
-        """Recorded pulls during free motion."""
+        """The pulls in the present open scenario (`Scenario.open`), recorded; otherwise None."""
         self._case: tuple[float, RunCase] | None = None
         """The time [s] of the newest case, and the case."""
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
@@ -93,10 +93,11 @@ class Ensemble:
 
         Args:
             q_m: (n_m,) [rad or m] joint positions of the arm; empty means the free start.
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
+            base_pose: (3,) x, y [m] and heading [rad] of the base; ignored if `q_m` is empty.
 
         Raises:
-            TargetError: The arm has another number of joints; then nothing has changed.
+            TargetError: `q_m` has a wrong number of entries, or a joint is beyond its limits; then
+                the present run continues.
         """
         begun = self._start
         if len(q_m) not in (0, len(begun.q_m)):
@@ -107,7 +108,7 @@ class Ensemble:
         self._begun = begun
 
     def restart(self) -> None:
-        """Start the last scenario again, or the free motion from its last start.
+        """Start the present scenario again; without one, repeat the start of the last `reset`.
 
         Raises:
             DbbError: The scenario cannot start with the present configuration.
@@ -126,7 +127,10 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on; the scenario may adapt the parameters."""
+        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
+
+        A change ends the recording of pulls in an open scenario.
+        """
         if self._pulled is not None and config != self._config:
             self._let_go()  # all pulls of a recording have the same configuration
         self._config = config
@@ -134,13 +138,16 @@ class Ensemble:
             runner.session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
-        """Use another controller, by its name, from the next step on."""
+        """Use the controller with this name from the next step on.
+
+        A change ends the recording of pulls in an open scenario.
+        """
         if self._pulled is not None and controller != self.main.controller.name:
             self._let_go()
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
-        """Start a comparison with the named controllers, or end the comparison if there are none.
+        """Start a comparison with the named controllers, or end the comparison if none is named.
 
         While a scenario moves the robot, or if the end-effector holds a door, the comparison starts
         at the scenario's start; otherwise at the present posture, at rest.
@@ -163,7 +170,10 @@ class Ensemble:
             raise
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
+        """Let a person hold the robot.
+
+        A person at the end-effector ends the scenario's motion; an open scenario continues and
+        records the pull.
 
         Raises:
             TargetError: The largest number of people already holds the robot.
@@ -239,7 +249,7 @@ class Ensemble:
         return self._config if scenario is None else scenario.adapted(self._config)
 
     def _setting_of(self, scenario: Scenario) -> Setting:
-        """The start of a scenario, cached until another scenario starts."""
+        """The start of a scenario, cached until the scenario or the configuration changes."""
         if self._found is None or self._found[:2] != (scenario, self._config):
             free = self._free
             setting = scenario.setting(free.model, free.data, self._config, free.seed)
@@ -280,7 +290,7 @@ class Ensemble:
             runner.scored = bool(ghosts)
 
     def _other_sessions(self, setting: Setting) -> list[Session]:
-        """A session for each ghost; existing sessions are used again if possible."""
+        """A session for each ghost; without a door, the present ghosts' sessions are used again."""
         usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
         sessions: list[Session] = []
         for name in self.comparison.controllers:
@@ -329,7 +339,8 @@ class Runner:
 
         Args:
             holds: People who hold the robot.
-            forces: Forces on another robot that replace these people's forces, or None.
+            forces: The people's forces on the main robot, which then also act on this robot; None
+                means the forces of the people's springs on this robot.
         """
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
@@ -340,7 +351,7 @@ class Runner:
         return step
 
     def reading(self) -> GhostReading:
-        """The robot's state after the last step, in separate, read-only memory."""
+        """The robot's state at the last step, in separate, read-only memory."""
         self._look()
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
@@ -358,7 +369,10 @@ class Runner:
         return self._score._replace(controller=self.session.controller.name)
 
     def _look(self) -> None:
-        """Evaluate the rows since the last call; changes start at the last row of that call."""
+        """Evaluate the rows since the last call.
+
+        Differences between rows include the one to the last row of the previous call.
+        """
         if not len(self._recorder):
             return
         block = self._recorder.taken()

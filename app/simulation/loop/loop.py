@@ -37,14 +37,15 @@ class LoopHandle(Protocol):
     def silence(self) -> float:
         """[s] time since the last heartbeat; a paused loop sends heartbeats, a hung loop does not.
 
-        The time is 0 during an announced long operation.
+        A long operation that a snapshot announces (`Snapshot.busy`) does not count as silence.
         """
         ...
 
     def send(self, command: commands.Command) -> None:
         """Send a command, which the loop executes before one of the next control steps.
 
-        If a new command replaces a waiting one, as with two pulls, only the new one is executed.
+        If a new command replaces a waiting one, such as an older pull of the same person, only the
+        new one is executed; `Mailbox` has the rules.
 
         Raises:
             UnknownNameError: A pull's link is not in `links`.
@@ -57,7 +58,10 @@ class LoopHandle(Protocol):
         ...
 
     def history(self, after: float) -> list[Snapshot]:
-        """Snapshots of the last 60 s with t > `after` [s], oldest first."""
+        """Snapshots of the present run with t > `after` [s], oldest first.
+
+        Snapshots that are older than 60 s are no longer stored.
+        """
         ...
 
 
@@ -111,8 +115,9 @@ class SimulationLoop(LiveLoop):
 
         Args:
             make_session: Called once, in the loop's own thread, which then owns the session.
-            q_start: (n_m,) arm configuration at the start and after each reset.
-            kept: Number of snapshots in `history`.
+            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: the first
+                start, and a `Reset` without a posture.
+            kept: Largest number of snapshots in `history`.
         """
         super().__init__(kept)
         self._make_session, self._q_start = make_session, np.array(q_start)

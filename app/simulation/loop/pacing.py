@@ -85,7 +85,7 @@ class Pacer:
 
     @property
     def step_time_us(self) -> float:
-        """[µs] mean duration of a control step in the last second."""
+        """[µs] mean real time of the controller in the steps of the last simulated second."""
         return 1e6 * sum(self._works) / len(self._works) if self._works else 0.0
 
 

@@ -28,7 +28,7 @@ _PATIENCE = 5.0  # [s] timeout for the end of a thread or of the process
 _SEND_EVERY = 0.002  # [s] time between two transmissions of commands
 _POST_EVERY = 0.01  # [s] time between two checks for a snapshot; the loop makes one every 0.02 s
 _BEAT_EVERY = 0.25  # [s] time between two heartbeats without a snapshot
-_HUNG = 0.5  # [s] time without a heartbeat of the loop's thread after which the thread hangs
+_HUNG = 0.5  # [s] time without a heartbeat after which the loop's thread counts as hung
 _SWITCH = 2e-4  # [s] time after which the posting thread yields to the loop's thread
 _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 
@@ -36,8 +36,8 @@ _NICENESS = -10  # [-] desired niceness; browsers use -8 for drawing
 def loop_child() -> Child:
     """Start a process that waits for a session to simulate.
 
-    The imports of the process take one or two seconds; it can be started early and passed to a
-    `ProcessLoop` later. The process first receives a function that makes the session, together
+    The imports of the process take one or two seconds; the process can be started early and passed
+    to a `ProcessLoop` later. The process first receives a function that makes the session, together
     with the arm's start posture, and then receives commands. It sends the outcome of the start (the
     names of the frames at which people can hold the arm), then snapshots, with None as a heartbeat
     in between, and finally the outcome of the end.
@@ -56,7 +56,8 @@ class ProcessLoop(LiveLoop):
         Args:
             make_session: Called once in the child; must be picklable, such as
                 `functools.partial(Session, model, data, config)`.
-            q_start: (n_m,) arm configuration at the start and after each reset.
+            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: the first
+                start, and a `Reset` without a posture.
             child: A process of `loop_child`; default: a new process.
         """
         super().__init__()
@@ -170,7 +171,7 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
             snapshots.send(None)
             beat = monotonic()
         if commands.poll(_POST_EVERY):
-            with suppress(LoopError):  # too many commands wait here and in the parent
+            with suppress(LoopError):  # too many commands wait; this command is lost
                 loop.send(commands.recv())
     trace = "".join(traceback.format_exception(loop.error))
     snapshots.send(Outcome((), portable(loop.error), trace))

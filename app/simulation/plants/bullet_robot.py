@@ -223,11 +223,12 @@ def _plant_urdf(description: RobotDescription) -> str:
 
 
 def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
-    """Merge links that are fixed to one another and may touch the same parts.
+    """Merge links that are fixed to one another and have contacts with the same parts.
 
-    Two links may touch the same parts if the same body covers both, and both are nested with the
-    same links. pybullet treats each link as a joint, simulates all joints, and is limited to 128.
-    The end-effector's link is not merged, because pulls are expressed in its frame.
+    Two links have contacts with the same parts if the same body covers both, and both are nested
+    with the same links. A link without a collision shape is merged too. pybullet treats each link
+    as a joint, simulates all joints, and is limited to 128. The end-effector's link is not merged
+    into its parent, because pulls are expressed in the frame of this link.
     """
     nested = description.nested
     touched = {

@@ -98,7 +98,7 @@ class BulletWorld:
             AssetError: pybullet cannot load the URDF.
         """
         self.client, self._open = Client(), True
-        # pybullet caches a file by its number, which the system may give to another file later.
+        # pybullet caches a file by its descriptor, which the system can give to a later file.
         self.client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
             self.robot = self.load(urdf, self_collision=True)
@@ -135,7 +135,7 @@ class BulletWorld:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
         # The system removes a file without a name at the end of this process.
-        with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # without warnings
+        with tempfile.TemporaryFile() as file, silence(1), decimal_points():  # hides warnings
             file.write(urdf.encode())
             file.seek(0)
             body = self.client.loadURDF(
@@ -181,7 +181,7 @@ class BulletWorld:
         return np.linalg.norm(ends - begins, axis=1) * shares
 
     def rewind(self) -> None:
-        """Restore the state at the first call, including contacts and the solver's state.
+        """Save the state at the first call; restore it, with contacts and solver, at later calls.
 
         Otherwise old contacts in the engine's memory would make equal runs differ in the last bits.
         """

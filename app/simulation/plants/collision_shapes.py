@@ -1,4 +1,4 @@
-"""The parts of a robot that may touch: their pairs and their shapes.
+"""The pairs of parts between which a plant computes contacts, and the shapes of the parts.
 
 The shapes are the links' collision shapes, or the description's bodies if a mesh is not installed.
 """
@@ -45,21 +45,21 @@ class CollisionShape(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """All shapes of a robot, and the pairs that may touch."""
+    """All shapes of a robot, and the pairs of parts between which contacts are computed."""
 
     shapes: tuple[CollisionShape, ...]
     """The shapes."""
     pairs: ContactPairs
-    """The pairs of parts that may touch."""
+    """The pairs of parts between which contacts are computed."""
     mobile: tuple[str, ...]
     """Names of the parts of l_m."""
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies that may touch.
+    """Pairs of bodies between which contacts are computed.
 
-    Bodies with a reachability map may touch l_m and the floor. Bodies of the arm that are not
-    neighbours in the chain may touch each other.
+    A body with a reachability map has a pair with l_m and a pair with the floor. Two bodies of the
+    arm are a pair if they are not neighbours in the chain and the pair is not in `unwatched`.
     """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
@@ -73,7 +73,10 @@ def body_contact_pairs(description: RobotDescription) -> ContactPairs:
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of links that may touch: the links of `body_contact_pairs`, except nested links."""
+    """Pairs of links between which contacts are computed.
+
+    These are the links of the bodies in `body_contact_pairs`, except nested links.
+    """
     covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
     nested = description.nested
     return {
@@ -90,6 +93,9 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
     A warning in the log reports the use of the bodies, which are larger than the links. The shapes
     are cached, because the meshes take half of the time that a plant needs to start.
+
+    Raises:
+        RobotFileError: Reading the meshes of a user's own robot exceeds the budget.
     """
     description = model.description
     try:
@@ -125,7 +131,7 @@ def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
 
 
 def vertices(geometry: coal.CollisionGeometry) -> Array | None:
-    """(n, 3) [m] vertices of a mesh or a hull; None for another shape."""
+    """(n, 3) [m] vertices of a mesh or a hull; None for a shape without vertices."""
     if isinstance(geometry, coal.BVHModelBase):
         return np.array(geometry.vertices())
     if isinstance(geometry, coal.ConvexBase):

@@ -102,7 +102,7 @@ class Door:
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the corners of the board; T is the door's frame."""
+        """The hyper-ellipsoid through the board's corners, if the door's frame has the pose T."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
@@ -180,8 +180,8 @@ def with_door(
     """The robot that holds a door: the door is the arm's last body, and ⟨l_m, door⟩ is in L_m.
 
     The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
-    grasp is rigid. The door has the reachability map of the end-effector. It has no sampled border,
-    so the acting point is found on the exact offset of l_m.
+    grasp is rigid. The door has the reachability map of the end-effector, and no sampled border;
+    its acting point is found on the exact offset surface of l_m.
 
     Args:
         model: The robot without the door.

@@ -13,8 +13,8 @@ from app.simulation.plants.planar import planar_plant
 from app.strict import Array
 
 SAME_DEPTH = 0.005
-"""[m] depth up to which a contact may exist in only one engine: pybullet rounds its hulls, and
-computes the depth of two hulls approximately."""
+"""[m] largest tolerated depth of a contact that exists in only one engine: pybullet rounds its
+hulls, and computes the depth of two hulls approximately."""
 SAME_PICTURE = 0.002  # [-] share of differing rays below which pictures count as equal
 _SAME_PLACE = 0.01  # [m] tolerance of a ray's hit: pybullet adds 1 mm to hulls, more at a slant
 _EDGE = 0.003  # [m] tolerance at edges
@@ -32,7 +32,7 @@ class Difference(NamedTuple):
     depth: float
     """[m] depth of the deepest contact that exists in only one engine."""
     contacts: int
-    """Number of contacts that exist in both engines."""
+    """Number of contacts in both engines; those of the same kind in a pose count once."""
     poses: int
     """Number of compared poses."""
 

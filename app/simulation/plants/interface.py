@@ -16,7 +16,7 @@ class Contacts(NamedTuple):
     arm_base: bool = False
     """Whether arm and base touch."""
     arm_arm: bool = False
-    """Whether two parts of the arm touch that are not neighbours."""
+    """Whether two parts of the arm that are not neighbours touch."""
     arm_floor: bool = False
     """Whether arm and floor touch."""
     door_base: bool = False
@@ -63,8 +63,9 @@ class HeldDoor(ABC):
 class Physics(ABC):
     """A plant with a velocity-controlled base and a torque-controlled arm.
 
-    The world's floor is z = 0. Implementations: `planar` in pybullet (default) or in MuJoCo,
-    `mujoco_wheels`, and `kinematic` (a simple plant for tests).
+    The world's floor is z = 0. Implementations: the module `planar` with pybullet (the default if
+    pybullet is installed) or with MuJoCo, `mujoco_wheels`, and `kinematic` (a simple plant for
+    tests).
     """
 
     dt: float
@@ -74,7 +75,7 @@ class Physics(ABC):
 
     @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """Put the robot at rest.
+        """Put the robot at rest; the end-effector grasps the door, if there is one.
 
         Args:
             base_pose: (3,) x, y [m] and heading [rad] of the base.
@@ -95,7 +96,7 @@ class Physics(ABC):
             u_a: (n_m,) [N m or N] torques of the arm, constant during the step.
             base_velocity: (n_b,) [m/s or rad/s] command along the base's axes; the drive follows
                 with the description's time constant and limits.
-            hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
+            hand_force: (3,) [N] force of people on the end-effector's origin, in the world.
             pushes: Forces on other points of the arm.
         """
 

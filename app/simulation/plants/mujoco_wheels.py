@@ -1,4 +1,4 @@
-"""The high-fidelity plant: MuJoCo with a free base on wheels, which can roll and slip, and can tip.
+"""The high-fidelity plant: MuJoCo with wheels that roll and slip, and a free base that can tip.
 
 A skid-steer base stands on all its wheels; all wheels are driven and have the same friction along
 and across. The effective track depends on the load of each wheel. Therefore a turn on the spot at
@@ -32,8 +32,8 @@ from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the floor in one point
 _LOAD_RESERVE = 2.0
-"""[-] Increase of the friction of two wheels, because casters carry a part of the weight. With more
-wheels, increase of the motors' torque above an equal share of the traction limit."""
+"""[-] factor of the friction of two wheels, because casters carry a part of the weight. With more
+wheels, ratio of each motor's torque limit to an equal share of the traction limit's torque."""
 _SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and skidding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
 """A tyre that deforms by a millimetre and whose drag builds up within 0.1 s. With stiffer contacts

@@ -29,7 +29,7 @@ _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld(PlanarWorld):
-    """A compiled specification; the robot's root may be free."""
+    """A compiled specification; the robot's root is on planar joints or free."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all motors, with a door if there is one."""

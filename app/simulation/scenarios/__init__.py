@@ -43,9 +43,10 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios with a path towards the base's sides; a robot may need its own line for each."""
+"""Scenarios with a path towards a side of the base; each needs the robot's own line or a start
+from the user."""
 _SAME_LINE = {"tracking": "guiding-lateral"}
-"""Scenarios that use the robot's line for another scenario if the robot has no line for them."""
+"""A scenario for which a robot has no line, and the scenario whose line is used instead."""
 
 
 def scenario_by_name(name: str) -> Scenario:
@@ -68,7 +69,9 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 
     Raises:
         UnknownNameError: The scenario does not exist.
-        UnreachableError: The robot has no line for the scenario, and `changes` has no start.
+        UnreachableError: The scenario needs a line of the robot, the robot has none, and `changes`
+            has no start.
+        ConfigError: An option does not exist, or its value is invalid.
     """
     scenario, own = scenario_by_name(name), _own_line(description, name)
     if name in _OWN and not own and changes.get("start") is None:

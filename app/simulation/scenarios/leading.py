@@ -32,9 +32,9 @@ class StepInput(NamedTuple):
     reference: Reference | None = None
     """The end-effector's reference, or None while a person guides the arm."""
     pull: Array | None = None
-    """(3,) [m] target of the person's hand, or None."""
+    """(3,) [m] target of the person's hand, in the world, or None."""
     door: DoorReading | None = None
-    """State of the opening door, or None without one."""
+    """State of the door while the scenario opens it, otherwise None."""
     holds: tuple[Hold, ...] = ()
     """Other people who hold the robot, at the end-effector or another point."""
 
@@ -74,12 +74,12 @@ class Scenario(ABC):
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Names of the fields that the user may set."""
+        """Names of the fields that the user can set."""
         return tuple(field.name for field in fields(self) if field.name not in ("name", "about"))
 
     @property
     def open(self) -> bool:
-        """Whether people pull the robot freely during the scenario, which records their pulls."""
+        """Whether people pull the robot freely; the live loop then records their pulls."""
         return False
 
     @abstractmethod

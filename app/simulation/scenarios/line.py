@@ -34,9 +34,11 @@ class LineScenario(Scenario):
     mode: Literal["guiding", "tracking"]
     """"guiding": a person pulls the end-effector; "tracking": the end-effector tracks the line."""
     start: Point
-    """[m] start of the end-effector, in the world; default: the robot's own start."""
+    """[m] start of the end-effector, in the world; a start in the robot's description replaces the
+    default."""
     move: Point
-    """[m] displacement of the end-effector, in the world; default: the robot's own displacement."""
+    """[m] displacement of the end-effector, in the world; a displacement in the robot's description
+    replaces the default."""
     moving: float
     """[-] ratio of the motion's duration to the run's duration. The target rests after the motion.
     A ratio above 1 requires a release: then the run ends before the motion."""
@@ -44,11 +46,12 @@ class LineScenario(Scenario):
     """[s] time at which the person releases the end-effector. The option `duration` then changes
     only the end of the run, not the speed of the motion."""
     regrasp_at: float | None = field(default=None, kw_only=True)
-    """[s] time at which the person grasps the end-effector again and continues the motion."""
+    """[s] time at which the person grasps the end-effector again and pulls it to the target, which
+    has moved on."""
 
     @property
     def options(self) -> tuple[str, ...]:
-        """Names of the options; only guiding has those of a release."""
+        """Names of the options; only guiding has the options of release and new grasp."""
         released = ("release_at", "regrasp_at") if self.mode == "guiding" else ()
         return ("start", "move", "duration", *released)
 

@@ -62,7 +62,7 @@ class PostureSearch:
         self._shoulder, self._length = _arm_length(model)
 
     def stand(self, base_pose: Array) -> None:
-        """Put the base at a pose (3,): x, y [m] and heading [rad]; it starts at the origin."""
+        """Put the base at a pose (3,): x, y [m] and heading [rad]; the initial pose is zero."""
         self._base_pose, self._placed = base_pose, None
 
     def place(self, q_m: Array) -> None:
@@ -152,7 +152,7 @@ class PostureSearch:
     def beyond(self, p: Array) -> float:
         """[m] lower bound of the distance of a point p (3,) [m] from the arm's workspace.
 
-        A negative value says that the point may be inside.
+        A negative value means that the point is possibly inside.
         """
         x, y, heading = self._base_pose
         at = pin.utils.rotate("z", heading) @ self._shoulder + [x, y, 0.0]
@@ -176,7 +176,7 @@ def _arm_length(model: RobotModel) -> tuple[Array, float]:
     """Position (3,) [m] of the arm's first joint for a base at the origin, and the arm's reach [m].
 
     The reach is an upper bound of the end-effector's distance from the first joint: the sum of all
-    offsets between joints and of the travels of prismatic joints.
+    offsets between joints and of the largest displacements of prismatic joints from zero.
     """
     arm, hand = model.pin, model.pin.frames[model.ee_frame]
     chain = [j for j in arm.supports[hand.parentJoint] if j > 1]
@@ -228,7 +228,7 @@ def best_posture(
     return least_squares(
         residual,
         inside,
-        jacobian,  # pyright: ignore[reportArgumentType] - it may be a function
+        jacobian,  # pyright: ignore[reportArgumentType] - a function is valid
         bounds=bounds,
         max_nfev=_MAX_EVALUATIONS,
     ).x

@@ -107,6 +107,9 @@ def free_start(
         start: (3,) [m] position of the end-effector; None means the start of `guiding-front`, or
             the ready position if the robot has no line for that scenario.
         seed: Seed of the search.
+
+    Raises:
+        UnreachableError: The search has found no configuration.
     """
     # Imported here: scipy would delay the start of every command.
     from app.simulation.scenarios.start import find_start

@@ -74,7 +74,8 @@ class StartSolver:
 
         With further positions in `along`, the search prefers a configuration from which the arm,
         with the base at rest, also reaches these positions in its starting orientation, away from
-        its joint limits. It may find none, because the base can also move during a run.
+        its joint limits. If there is none, the result is another valid configuration, because the
+        base can also move during a run.
 
         Args:
             p_ee: (3,) [m] position of the end-effector.
@@ -126,13 +127,13 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """Find the posture (n_m,) near another posture for a new position of the end-effector.
+        """Find the posture (n_m,) near a known posture for a new position of the end-effector.
 
         The direction of the end-effector and the branch of the inverse kinematics do not change.
 
         Args:
             p_ee: (3,) [m] new position of the end-effector.
-            q_m: (n_m,) [rad or m] the other posture.
+            q_m: (n_m,) [rad or m] the known posture.
 
         Raises:
             UnreachableError: The new posture is invalid; the message names the reason.
@@ -190,7 +191,10 @@ class StartSolver:
         return self._room(q, along) + min(clearance, 0.1)
 
     def _room(self, q_m: Array, along: Sequence[Array]) -> float:
-        """[-] quality of a posture: smallest joint margin and manipulability, also on the path."""
+        """[-] quality of a posture: smallest joint margin and manipulability, also on the path.
+
+        It is 0 if the arm cannot follow the path with the base at rest.
+        """
         search = self._search
         R = search.state.T_world_ee.rotation.copy()
         joints, mobility = search.joint_room(q_m), manipulability(search.J_hand)
@@ -219,7 +223,7 @@ def find_start(
 ) -> Array:
     """Find an arm configuration (n_m,), read-only and cached, by `StartSolver.solve`.
 
-    Thus a run that starts again, for example with another controller, does not repeat the search.
+    Thus a run that starts again, for example with a different controller, needs no new search.
 
     Args:
         model: The robot.
@@ -327,7 +331,7 @@ class GraspSolver:
         )
 
     def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
-        """(n_m,) the posture after one step towards the target, in its null space to `q_start`."""
+        """(n_m,) the posture after one step to the target and, in the null space, to `q_start`."""
         error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)

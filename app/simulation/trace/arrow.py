@@ -72,7 +72,7 @@ def _read_csv(path: Path) -> tuple[str, pa.Table]:
     names, _, rows = rest.partition("\n")
     comma = ";" in names  # many countries' spreadsheets write decimal commas
     point = "," if comma and re.search(r"\d,\d", rows[:10_000]) else "."
-    # This distinguishes only numbers and texts; the caller knows the exact types.
+    # pyarrow then distinguishes only numbers and texts; the caller knows the exact types.
     options = pyarrow.csv.ConvertOptions(
         null_values=[""], strings_can_be_null=False, decimal_point=point
     )

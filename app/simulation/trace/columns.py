@@ -42,7 +42,7 @@ class TraceMeta(Strict):
     joint_units: tuple[Literal["rad", "m"], ...]
     """Unit of the position of each joint."""
     joint_speeds: tuple[Positive, ...] = ()
-    """(n_m,) [rad/s or m/s] largest joint speeds; empty if unknown."""
+    """(n_m,) [rad/s or m/s] speed limits of the joints; empty if unknown."""
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
     """Names of the base's velocities in the columns, in the order of the base's axes."""
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
@@ -62,16 +62,19 @@ class TraceMeta(Strict):
     config: Config
     """Parameters at the first row; a column has the later changes."""
     stuck: dict[str, Any] | None = None
-    """Place and reasons of a tracking end-effector that stopped short at the end (`Stuck`)."""
+    """Position of the end-effector and reasons (`Stuck`), if it is more than 1 mm away from a
+    resting reference at the end; otherwise None."""
     left_way: dict[str, Any] | None = None
-    """The same at its largest distance from the target, if that exceeded 1 mm."""
+    """The same at the largest distance of the end-effector from its reference, if this distance
+    exceeds 1 mm; otherwise None."""
     faults: dict[str, float] = Field(default_factory=dict)
-    """[s] when the controller first reported each fault of the readings, by its name."""
+    """[s] time of the controller's first report of each fault of the readings, by the fault's
+    name."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         if len(self.joint_units) != len(self.joints):
-            raise ValueError("joint_units: not one for each of the joints")
+            raise ValueError("joint_units: there must be one for each joint")
         if self.joint_speeds and len(self.joint_speeds) != len(self.joints):
             raise ValueError("joint_speeds: there must be one for each joint")
         if not set(self.mobile_pairs) <= set(self.pairs):
@@ -151,7 +154,7 @@ class Column(NamedTuple):
     kind: Kind = "float"
     """Type of the cells."""
     optional: bool = False
-    """Whether a cell may be empty; in memory, an empty cell is not-a-number."""
+    """Whether a cell can be empty; in memory, an empty cell is not-a-number."""
     often: bool = False
     """Whether the column has a number at each control step, not only at snapshots."""
 
@@ -183,14 +186,14 @@ def number(
     often: bool = True,
     optional: bool = False,
 ) -> Quantity:
-    """A quantity of one number, recorded at each control step.
+    """A quantity of one number or text.
 
     Args:
         name: Name of the column.
         kind: Type of the cells.
-        take: Computation of the value.
-        often: False for a number or a text that is recorded at snapshots only.
-        optional: Whether the value may be None.
+        take: Computation of the value, as in `Quantity`.
+        often: Whether the value is recorded at each control step; if not, at snapshots only.
+        optional: Whether the value can be None.
     """
     column = Column(name, kind, optional, often)
 
@@ -205,7 +208,7 @@ def number(
 
 
 def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
-    """A quantity of an array (k,), recorded at each control step.
+    """A quantity of an array (k,), by default recorded at each control step.
 
     `template` is that of `column_names`; the other arguments are those of `number`.
     """
@@ -240,7 +243,7 @@ def config_changes(take: Take) -> Quantity:
 
 
 def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
-    """A quantity for a tuple of named tuples, as JSON; empty cells represent an empty tuple."""
+    """A quantity for a tuple of named tuples, as JSON; an empty cell represents an empty tuple."""
     hints = get_type_hints(kind)
 
     def inner(name: str, data: Any) -> Any:

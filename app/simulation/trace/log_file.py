@@ -56,7 +56,7 @@ def write_trace(path: Path, trace: Trace) -> None:
     """Write a trace as CSV or Parquet, by the ending of the file's name, completely or not at all.
 
     Raises:
-        LogError: The file's name has another ending.
+        LogError: The file's name has a different ending.
         OutputError: The file cannot be written.
     """
     _check_suffix(path)
@@ -83,7 +83,7 @@ def read_trace(path: Path) -> Trace:
     text, table = read_arrow(path)
     try:
         return _trace(text, table, Budget.of(path.stat().st_size))
-    except (LogError, UnicodeDecodeError) as error:  # the second one: the name of a column
+    except (LogError, UnicodeDecodeError) as error:  # UnicodeDecodeError: the name of a column
         raise LogError(f"{path}: {error}") from None
 
 
@@ -123,7 +123,7 @@ def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
 
 
 def _quantities(found: Sequence[str], meta: TraceMeta) -> list[str]:
-    """The quantities of a file: an older one may lack columns of a field with a default value."""
+    """The quantities of a file; an older file can lack columns of a field with a default value."""
     optional = {each.name for each in fields(Snapshot) if each.default is not MISSING}
     present = frozenset(found)
     return [
@@ -172,14 +172,17 @@ def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArr
     Args:
         column: The column.
         values: The cells.
-        filled: Number of cells that must not be empty, if the column is required.
+        filled: Required number of cells with a value, unless the column is optional or a text.
 
     Raises:
-        LogError: The cells have another type, or a required cell is empty.
+        LogError: The cells have a different type, or fewer or more than `filled` of them have a
+            value.
     """
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:
-        raise LogError(f"column {column.name}: {abs(empty)} cells are empty")
+        raise LogError(
+            f"column {column.name}: {filled - empty} cells have a value, but {filled} must have one"
+        )
     try:
         return values.cast(_TYPES[column.kind])
     except pa.ArrowException as error:

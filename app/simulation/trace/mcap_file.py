@@ -221,7 +221,7 @@ def _fields(names: Iterable[str]) -> list[str]:
 
 
 def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
-    """A visual of a link; None if the mesh is too large or has an unknown format."""
+    """A visual of a link; None without a shape, or if a mesh is too large or of unknown format."""
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
         return None

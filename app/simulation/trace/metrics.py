@@ -1,4 +1,4 @@
-"""Figures of merit of a run, for `dbb run`, sweeps, studies, claims, ghosts and reports."""
+"""Figures of merit of a run: the results of `dbb run`, sweeps, studies, claims and reports."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -32,9 +32,10 @@ class Figure(NamedTuple):
 
 
 def metrics(run: Trace) -> dict[str, Any]:
-    """Compute all figures of a run; keys end in the unit.
+    """Compute all figures of a run; the key of a figure with a unit ends in the unit.
 
-    Figures of changes between control steps are None if the run does not have each step.
+    The figures of `DOOR` are included only if the run has the opening of a door. Figures of changes
+    between control steps are None if the trace does not have a row for each control step.
     """
     figures = {key: figure.of(run) for key, figure in FIGURES.items()}
     if not run.each_step:
@@ -62,8 +63,9 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
             pairs; if empty, the pairs' own names are used.
     """
     touched = touches(figures)
-    text = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
     least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
+    result = outcome(least[1] if least else math.inf, touched=bool(touched))
+    text = f"The arm touched {' and '.join(touched)}" if touched else result.capitalize()
     larger = ""
     if least is not None:
         pair, distance = spoken(least[0], chain) if chain else least[0], 1000 * least[1]
@@ -71,7 +73,7 @@ def verdict(figures: dict[str, Any], chain: Sequence[str] = ()) -> str:
         if distance < 0:
             near = f"bodies overlapped by {-distance:.1f}"
         text += f"; {near} mm ({pair})"
-        if outcome(least[1], touched=bool(touched)) == "overlap":
+        if result == "overlap":
             larger = (
                 " Distances are between convex bodies that enclose the links: they can overlap"
                 " without contact."
@@ -116,7 +118,10 @@ def torque_jump(run: Trace, at_least: float = 0.0) -> float:
 
 
 def sign_changes(values: Array, band: float) -> int:
-    """Largest number of sign changes in a column of values (N, k), outside of a dead band."""
+    """Largest number of sign changes in a column of values (N, k).
+
+    Values within ±`band` are left out.
+    """
     signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
     return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
 
@@ -212,16 +217,21 @@ FIGURES: dict[str, Figure] = {
     ),
     "base_path_m": Figure("Length of the path of the base's centre.", path),
     "base_path_after_release_m": Figure(
-        "Length of the base's path since the last release; null if a person holds the robot at the "
-        "end.",
+        "Length of the base's path since the last release; null without a release, or if a person "
+        "holds the robot at the end.",
         _path_after_release,
     ),
     "base_speed_final_mps": Figure(
         "Final speed of the base's centre.",
         lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
     ),
-    "base_yaw_rad": Figure("Rotation of the base.", lambda r: float(_moves(r)[-1, 2])),
-    "activation_max": Figure("Largest β.", lambda r: largest(r.of("activation"))),
+    "base_yaw_rad": Figure(
+        "Rotation of the base from start to end.", lambda r: float(_moves(r)[-1, 2])
+    ),
+    "activation_max": Figure(
+        "Largest activation of the controller's avoidance rows; 0 without such rows.",
+        lambda r: largest(r.of("activation")),
+    ),
     "base_acceleration_jump_max": Figure(
         "Largest change of the commanded base acceleration in one step.",
         lambda r: jumps(r, "base_acceleration"),
@@ -246,14 +256,15 @@ FIGURES: dict[str, Figure] = {
         lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
     ),
     "hand_force_max_n": Figure(
-        "Largest force of the person on the end-effector, or on a door that it holds.",
+        "Largest force of people on the end-effector, or of the end-effector on a held door.",
         lambda r: largest(_force(r)),
     ),
     "hand_force_clear_max_n": Figure(
-        "Largest force before two bodies first came nearer than 10 mm.", _clear_force
+        "`hand_force_max_n` until two bodies first come nearer than 10 mm.", _clear_force
     ),
     "force_bound_min_n": Figure(
-        "Smallest bound, computed at 50 Hz, up to which the arm resists a person's force; or null.",
+        "Smallest upper bound of a person's force that the arm resists, computed at 50 Hz; null if "
+        "no bound was computed.",
         lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     ),
     "hand_speed_max_mps": Figure(
@@ -283,11 +294,12 @@ FIGURES: dict[str, Figure] = {
         "Steps in which the base's QP had no solution.", lambda r: int(_last(r, "given_up"))
     ),
     "stuck": Figure(
-        "Position and reasons if the end-effector stops before a resting target, or null.",
+        "Position and reasons if the end-effector is not at a resting reference at the end, or "
+        "null.",
         lambda r: r.meta.stuck,
     ),
     "left_way": Figure(
-        "Position and reasons at the largest tracking error; null up to 1 mm.",
+        "Position and reasons at the largest tracking error; null if this error is at most 1 mm.",
         lambda r: r.meta.left_way,
     ),
     "fault_s": Figure(
@@ -307,7 +319,7 @@ def _first(run: Trace, holds: Array) -> float | None:
 
 
 def _door_distance(run: Trace) -> Array:
-    """(N,) [m] between the mobile robot and the door."""
+    """(N,) [m] distance between the mobile robot and the door."""
     return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
 
 
@@ -328,14 +340,14 @@ DOOR: dict[str, Figure] = {
         "Smallest distance between base and door.", lambda r: float(_door_distance(r).min())
     ),
     "door_contacts": Figure(
-        "Steps in which the robot touched the door.", lambda r: int(r["door_contact"].sum())
+        "Steps in which the base touched the door.", lambda r: int(r["door_contact"].sum())
     ),
     "first_door_contact_s": Figure(
-        "Time of the first contact with the door; null if never.",
+        "Time of the first contact of the base with the door; null if never.",
         lambda r: _first(r, r["door_contact"] > 0),
     ),
     "door_met_base_s": Figure(
-        "Time of the first contact or overlap of the door with the robot; null if never.",
+        "Time of the first contact or overlap of the base with the door; null if never.",
         lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
     ),
     "radial_error_at_5s_rad": Figure(

@@ -53,7 +53,10 @@ class Frames:
         return None
 
     def at(self, s: Snapshot) -> list[tuple[str, str, pin.SE3]]:
-        """Name of the parent, name of the link and T_parent_link, for each link at a snapshot."""
+        """Name of the parent, name of the link and T_parent_link, for each link at a snapshot.
+
+        The end-effector's frame is the last one.
+        """
         whole, turned = self._whole, np.zeros(self._whole.nv)
         for joint in joints_of(s, self._model):
             turned[whole.joints[whole.getJointId(joint.name)].idx_v] = joint.position

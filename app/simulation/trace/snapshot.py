@@ -73,11 +73,11 @@ class ActingReading(NamedTuple):
     name: str
     """Name of the pair, such as `lm-lEE`."""
     p_n: Array
-    """(3,) [m] nearest point of the border at the end-effector's height."""
+    """(3,) [m] point of the border nearest to p_b, at the height of p_b."""
     p_t: Array
     """(3,) [m] p_n moved along the tangent, (12)."""
     p_act: Array
-    """(3,) [m] acting point."""
+    """(3,) [m] acting point: the point of the border nearest to p_t."""
     f: Array
     """(3,) [N] force f_m,i of (14)."""
 
@@ -124,9 +124,9 @@ class Score(NamedTuple):
     clearance: float
     """[m] smallest distance of any pair of L_m."""
     error: float
-    """[m] present distance of the end-effector from its reference or the person's target."""
+    """[m] present distance of the end-effector from its target, as `Snapshot.ee_error`."""
     error_max: float
-    """[m] largest distance of the end-effector from its reference or the person's target."""
+    """[m] largest distance of the end-effector from its target."""
     base_path: float
     """[m] length of the path of the base's centre."""
     acceleration_jump: float
@@ -140,7 +140,7 @@ class Score(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """The failure of a command, which has changed nothing."""
+    """The failure of a command; the run continues."""
 
     number: int
     """Number of the refusal since the start of the loop, from 1 on."""
@@ -234,7 +234,7 @@ def _buffer() -> Quantity:
 
 
 def _door() -> Quantity:
-    """The quantity of the door's geometry, as JSON or empty, and of the opening's state."""
+    """The quantity of the door's geometry, as JSON or empty, and of the door's state."""
     names = [f"door_force_{axis}_n" for axis in "xyz"]
     names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
@@ -287,11 +287,12 @@ def _force_bound() -> Quantity:
 
 
 def _smallest_force_bound(session: Session, step: Step) -> float:
-    """[N] smallest bound of a person's force, among the bounds of pairs and of the pull.
+    """[N] smallest upper bound of a person's force that the arm resists (`force_bound`).
 
-    Each pair in its buffer has a bound. Below the bound of the pull each joint can hold its speed
-    against the force, so that none exceeds its limit. The result is not-a-number without a person,
-    and for the fallback command, which does not respect limits.
+    Each pair in its buffer has a bound. The force on the end-effector has a further bound: up to
+    this bound, each joint can hold its speed against the force, so that no joint exceeds its speed
+    limit. The result is not-a-number if there is no bound, if no person holds the robot, and for
+    the fallback command, which does not respect limits.
     """
     w, tau_max = step.control, session.model.tau_max
     if not (step.pulls and w.solved):
@@ -327,7 +328,7 @@ class Snapshot:
     base_velocity_command: Annotated[
         Array, numbers("command_{velocity}", lambda s, o: o.base_command)
     ]
-    """(n_b,) [m/s or rad/s] velocity command, renewed at 10 Hz."""
+    """(n_b,) [m/s or rad/s] velocity command, renewed every `admittance.period`."""
     base_acceleration: Annotated[
         Array, numbers("base_{acceleration}", lambda s, o: o.control.a_base_cmd)
     ]
@@ -335,8 +336,8 @@ class Snapshot:
     avoidance_acceleration: Annotated[
         Array, numbers("avoidance_{acceleration}", lambda s, o: o.control.base_avoidance)
     ]
-    """(n_b,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does
-    not use them."""
+    """(n_b,) [m/s² or rad/s²] β_m ẍ_m with ẍ_m of (16), as in Figure 15; 0 if the controller does
+    not move the base out of the way."""
     wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] angles of the base's wheels, for drawing."""
     q_m: Annotated[Array, numbers("q_{joint}_{position}", lambda s, o: o.truth.q_m)]
@@ -357,12 +358,13 @@ class Snapshot:
         Array | None,
         drawn_numbers("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
     ]
-    """(3,) [m] target of the (first) person at the end-effector, or None."""
+    """(3,) [m] target of the (first) person at the end-effector, in the world, or None."""
     hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", lambda s, o: o.hand_force)]
-    """(3,) [N] force of all people on the end-effector, or of the end-effector on a held door."""
+    """(3,) [N] force of all people on the end-effector, in the world; while a scenario opens a
+    door, the force of the end-effector on the door."""
     ee_error: Annotated[float, number("ee_error_m", "float", lambda s, o: o.ee_error)]
-    """[m] distance of the end-effector from its reference or the person's target; 0 if there is
-    neither."""
+    """[m] true distance of the end-effector from the person's target; without a person, from its
+    reference; 0 if there is neither."""
     in_contact: Annotated[bool, number("contact", "bool", lambda s, o: o.contacts.arm_base)]
     """Whether arm and base touch."""
     arm_in_contact: Annotated[bool, number("arm_contact", "bool", lambda s, o: o.contacts.arm_arm)]
@@ -370,9 +372,9 @@ class Snapshot:
     solver_failures: Annotated[
         int, number("solver_failures", "int", lambda s, o: int(o.control.failures))
     ]
-    """Number of QPs without a solution since the last reset."""
+    """Number of steps with the fallback command since the last reset."""
     step_time_us: Annotated[float, drawn("step_time_us", "float")]
-    """[µs] mean duration of a control step in the last second."""
+    """[µs] mean real time of the controller in the steps of the last simulated second."""
     realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
     """[-] ratio of simulated to real time in the last second."""
     overruns: Annotated[int, drawn("overruns", "int")]
@@ -387,7 +389,7 @@ class Snapshot:
     controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
     """Name of the controller."""
     config: Annotated[Config, config_changes(lambda s, o: s.config)]
-    """The configured parameters; a scenario may raise some stiffnesses."""
+    """The parameters in use, which include the changes of `Scenario.adapted`."""
     d_b: Annotated[float, drawn("d_b_m", "float", lambda s, o: s.controller.d_b)]
     """[m] present buffer distance, which slowly approaches `config.border.d_b`."""
     buffer: Annotated[BufferReading, _buffer()]
@@ -398,12 +400,12 @@ class Snapshot:
     ] = ()
     """All people who hold the robot; a scenario's person has the number -1."""
     ghosts: Annotated[tuple[GhostReading, ...], records("ghosts_json", GhostReading)] = ()
-    """Compared robots, with the same input and other controllers, after the step at `t`."""
+    """Compared robots at `t`, each with the same input and its own controller."""
     scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
     """Scores of this robot and the ghosts since the start of the comparison; empty without
     ghosts."""
     same: Annotated[str, drawn("ghosts_have_the_same", "text")] = ""
-    """The common input of the ghosts, "path" or "force", or empty without ghosts."""
+    """The common input of this robot and the ghosts, "path" or "force"; empty without ghosts."""
     scenario: Annotated[str, drawn("scenario", "text")] = ""
     """Name of the scenario that moves the end-effector; empty during free motion."""
     scenario_ends: Annotated[float | None, drawn("scenario_ends_s", "float", optional=True)] = None
@@ -437,7 +439,8 @@ class Snapshot:
     )
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
-    """[N] upper bound, from the arm's torques, of a person's force while a person pulls."""
+    """[N] smallest upper bound of a person's force that the arm resists; not-a-number without a
+    person."""
     run: int = 0
     """Number of the run since the start of the loop."""
     busy: str = ""
@@ -457,9 +460,10 @@ class Snapshot:
 
     @property
     def border(self) -> BorderConfig:
-        """The border at the present buffer distance, rounded to 5 mm while d_b changes.
+        """The border's parameters with the present buffer distance, rounded to 5 mm while it
+        changes.
 
-        The acting points already belong to the configured d_b.
+        The controller's acting points already are on the border at the configured d_b.
         """
         commanded = self.config.border
         if abs(self.d_b - commanded.d_b) < _D_B_STEP:

@@ -37,10 +37,10 @@ SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] error above which the end-effector counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] largest velocity and acceleration of a resting reference
 _MOVING = 1e-3  # [m/s] speed towards the target above which the end-effector counts as moving
-_AT_LIMIT = 0.005  # [-] distance from a limit, relative to a joint's range, that counts as at it
-_AT_SPEED = 0.99  # [-] share of a joint's largest speed that counts as at the limit
+_AT_LIMIT = 0.005  # [-] largest distance of a joint at a limit, relative to the joint's range
+_AT_SPEED = 0.99  # [-] smallest ratio of speed to speed limit of a joint at its speed limit
 _STRETCHED = 0.05  # [-] smallest singular value of the Jacobian below which the arm is stretched
-_PUSHED = 0.01  # [m/s²] acceleration of the hand, away from the target, by the border's push
+_PUSHED = 0.01  # [m/s²] smallest acceleration away from the target that counts as a push
 
 
 class Layout(NamedTuple):
@@ -75,8 +75,8 @@ class Trace:
     def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
         """Combine a table (N, C), which has the columns of the layout, with snapshots."""
         self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
-        """The table (N, C) has a row for each recorded step, in order of time. Some or all rows
-        have a snapshot."""
+        """The table (N, C) has a row for each recorded step, in order of time. Each snapshot
+        belongs to one of the rows."""
         self._layout = layout
 
     @classmethod
@@ -138,7 +138,7 @@ class Trace:
 
     @property
     def groups(self) -> dict[str, list[str]]:
-        """Names of the columns of each quantity with several columns."""
+        """Names of the columns of each quantity in the table, except for the time."""
         every = np.array([column.name for column in self.columns])
         found = {name: every[at] for name, at in self._layout.slices.items() if name != "t"}
         return {name: np.atleast_1d(names).tolist() for name, names in found.items() if names.size}
@@ -208,7 +208,7 @@ class Recorder:
             scenario: The scenario that moves the end-effector during the whole run, or None.
             quantities: Names of the recorded quantities, which are fields of `Snapshot`.
             drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
-            also: Numbers of further control steps with a snapshot.
+            also: Numbers of further control steps with a snapshot, if `drawn`.
         """
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._names = list(quantities)
@@ -238,7 +238,7 @@ class Recorder:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """The recorded trace. Its table shares the recorder's memory, so no step may follow."""
+        """The recorded trace. Its table shares the recorder's memory: `add` must not follow."""
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
@@ -252,7 +252,7 @@ class Recorder:
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
     def taken(self) -> Trace:
-        """The rows since the last call, after the last row of the previous call."""
+        """The last row of the previous call, if there was one, and all rows since."""
         assert self._layout is not None, "no step was recorded"
         wide = len(self._layout.columns)
         table = np.array(self._cells).reshape(-1, wide)
@@ -281,14 +281,15 @@ class Recorder:
         k = round(step.t / DT)
         if k % EVERY and k not in self._also:
             return
-        fields: dict[str, Any] = {"explained": not self._rows}  # only pictures need explanations
+        # Only pictures need explanations; a recorder for pictures records no rows.
+        fields: dict[str, Any] = {"explained": not self._rows}
         if self._scenario is not None:
             fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
         self.snapshots.append(make_snapshot(session, step, None, paused=False, **fields))
 
 
 class History:
-    """The newest snapshots in order of time; a restart removes the snapshots before it."""
+    """The newest snapshots in order of time; the start of a run removes all older snapshots."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
         """Start empty; `kept` is the largest number of stored snapshots."""
@@ -364,11 +365,11 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Position of the end-effector in a step, and the reasons of its error.
 
-    The reasons refer to the true robot and the controller's base motion. Joints can be at their
-    position or velocity limits. Links of the arm can be within their buffer; their rows have a
-    higher priority than the end-effector's task. The border can push the base so that the
-    end-effector moves away from its target. A stretched arm has a small singular value of the
-    end-effector's Jacobian.
+    The reasons refer to the true robot and the controller's base motion. The end-effector can
+    still be moving towards its target. Joints can be at their position or velocity limits. Links
+    of the arm can be within their buffer; their rows have a higher priority than the end-effector's
+    task. The border can push the base so that the end-effector moves away from its target. A
+    stretched arm has a small singular value of the end-effector's Jacobian.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)

@@ -75,7 +75,10 @@ def kept(least: float, *, touched: bool) -> str:
 
 
 def number_text(value: Any, none: str = "–") -> str:
-    """A figure as text: three digits, and 0 for rounding errors; `none` represents None."""
+    """A figure as text; `none` represents None.
+
+    A number has three significant digits, or is an integer from 100 on. Rounding errors are 0.
+    """
     if isinstance(value, dict):
         return ", ".join(f"{name} {number_text(each)}" for name, each in value.items())
     if isinstance(value, (list, tuple)):

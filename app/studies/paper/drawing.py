@@ -166,7 +166,7 @@ class Strip:
     """(N, 3) [m] a line on the floor, such as a door's arc, or None."""
 
     def paths(self, *columns: str, every: int = 10) -> Table:
-        """A table of the poses of base and end-effector and of further columns.
+        """A table of time, pose of the base, position of the end-effector, and further columns.
 
         It has each `every`-th row of the log.
         """

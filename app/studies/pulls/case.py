@@ -55,7 +55,7 @@ _KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *T
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     """The run of a case, from the random quantities in its row.
 
-    The run raises a `CaseError` for a robot with another arm.
+    The run raises a `CaseError` if the arm has another number of joints.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}

@@ -29,14 +29,15 @@ _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name !
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """A case is inside if its force is at most F* and each other quantity is within its interval.
+    """A case is inside if its force is at most `force` and each other quantity in its interval.
 
     The intervals have the names of the quantities in `StudyRange`. The force of a case is the
-    largest force on the end-effector before two bodies were near, not the spring's limit.
+    largest force on the end-effector until two bodies come nearer than `RESERVE`; it is smaller
+    than the limit of the person's spring.
     """
 
     force: NonNegative
-    """[N] F*; 0 means that no case is inside."""
+    """[N] largest force F* of a case; 0 means that no case is inside."""
     speed: Interval
     """[m/s] largest speed of the person's hand."""
 
