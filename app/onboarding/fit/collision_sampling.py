@@ -190,8 +190,8 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units that touch in `_RARE` poses or more, but overlap by `_GRAZE` at
-    most.
+    """Pairs of the arm's units that touch in `_RARE` poses or more, and never overlap by more than
+    `_GRAZE`.
     """
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
