@@ -277,8 +277,9 @@ def performance_table(found: Figures) -> str:
         ):
             if key in step:
                 rows.append([what, number(step[key])])
-        for key, time in step.get("stages_p50_us", {}).items():
-            rows.append([f"part of a step: {STAGES[key]}, median", number(time, "µs")])
+        stages = step.get("stages_p50_us", {})
+        for key in filter(stages.__contains__, STAGES):
+            rows.append([f"part of a step: {STAGES[key]}, median", number(stages[key], "µs")])
         rows.append(["peak memory of that process", number(step["peak_memory_mb"], "MB")])
     for name in ("alone", "websocket", "browser"):
         if loop := found.get(name):
