@@ -110,11 +110,12 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
 
 
 def robot_content(description: RobotDescription) -> dict[str, object]:
-    """All data of a robot that determine the positions of its bodies.
+    """All data of a robot that determine its pairs and clouds.
 
-    These are the bodies' shapes, the arm's joints and limits, and the base's link of the
-    description; the joints of the URDF; and the bytes of the meshes. Sources, colours, masses,
-    gains and the paths of installed packages are not included.
+    These are the bodies' shapes, the pairs that are not monitored, the arm's mount, joints and
+    position limits, and the base's link of the description; the joints of the URDF; and the bytes
+    of the meshes. Sources, colours, masses, gains and the paths of installed packages are not
+    included.
 
     Raises:
         AssetError: The URDF or a mesh is missing.

@@ -197,7 +197,8 @@ def sample_reach_map(
 
     Raises:
         ConfigError: Fewer than three joints move the body.
-        DescriptionError: No sampled joint position is free of self-collision.
+        DescriptionError: No sampled joint position is free of self-collision, or as for
+            `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
     free, clearance = free_joints(chain), _SelfClearance(model, chain)

@@ -207,10 +207,10 @@ class RobotDescription(Strict):
 
 
 def register_base_kind(kind: type[BaseKind]) -> None:
-    """Register another kind of base for descriptions: a record whose `kind` is a `Literal`.
+    """Register a kind of base for descriptions: a record whose `kind` is a `Literal`.
 
     Raises:
-        DescriptionError: The `Literal` has not exactly one name, or another kind has this name.
+        DescriptionError: The `Literal` has not exactly one name, or a different kind has this name.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
