@@ -89,7 +89,7 @@ class BarrierConfig(Strict):
     """Minimum distance of each pair, as a barrier; also the compared method `barrier`."""
 
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
-    """[m] minimum distance between arm and base; the torque limits have priority."""
+    """[m] minimum distance of each link pair; the torque limits have priority."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] approach rate: largest approach speed divided by the remaining distance."""
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
@@ -270,7 +270,7 @@ class DisturbanceConfig(Strict):
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
-    """[kg] weight at the end-effector that the controller does not include."""
+    """[kg] mass at the end-effector that the controller does not include."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller assumes; the true period is 0.001 s."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
@@ -373,7 +373,9 @@ def slowed(config: Config) -> Config:
 
 
 def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
-    """A checked configuration from nested dictionaries; missing parameters come from `usual`.
+    """A checked configuration from nested dictionaries.
+
+    Missing parameters come from `usual`, or are the defaults without `usual`.
 
     Raises:
         ConfigError: A parameter is unknown or out of its range; the message names all such

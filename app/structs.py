@@ -2,7 +2,7 @@
 
 A compiled function takes a struct as one pointer, in 0.2 µs for any number of fields; a tuple of
 arrays costs 0.1 µs for each array. Both sides share the memory: Python reads the values that
-compiled code writes into an array without a copy. Its numbers, and the arrays that its
+compiled code writes into an array without a copy. The numbers of a struct, and the arrays that its
 fields refer to, are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tuple
 from which it is created.
 """
@@ -45,7 +45,7 @@ class _Handle(structref.StructRefProxy):
     """A struct on the Python side."""
 
     values: Any
-    """The owner of the memory of its arrays."""
+    """The named tuple, which owns the memory of the struct's arrays."""
 
 
 structref.define_boxing(_Struct, _Handle)
@@ -55,7 +55,7 @@ class StructType(NamedTuple):
     """A kind of struct."""
 
     type: types.StructRef
-    """Its name in the signature of a compiled function."""
+    """numba's type of the struct, for the signature of a compiled function."""
     fields: dict[str, types.Type]
     """numba's types: arrays, f8, i8 and b1."""
 

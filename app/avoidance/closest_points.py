@@ -85,7 +85,7 @@ class DistanceMonitor:
 
 
 class SmoothPoints:
-    """Closest points from a mean over the nodes of a link's core, in which nearer nodes weigh more.
+    """Closest points from a mean over the nodes of a link's core; nearer nodes weigh more.
 
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
     one end to the other as the capsule turns. With the weights exp((min d - d_k)/τ) of the nodes,

@@ -211,7 +211,7 @@ def _levels(bottom: float, top: float, d_b: float) -> Array:
 
     They start at the floor, and are 10 mm apart up to the shape's top, and 10 mm of arc apart above
     the top. For a shape whose bottom is high above the floor, they start on such an arc below the
-    bottom, if this arc is above the floor.
+    bottom, or at the floor if the arc reaches the floor.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

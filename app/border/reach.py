@@ -129,7 +129,7 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
     Outer joints are preferred. The result is empty for a chain without redundancy.
 
     Raises:
-        DescriptionError: Whichever joints are fixed, the Jacobian of the others is singular.
+        DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.
     """
     k, rng = len(chain.joints), np.random.default_rng(0)
     tried = [chain.pose_and_jacobian(chain.random(rng))[1] for _ in range(_FREE_TRIALS)]

@@ -57,8 +57,7 @@ class ScoreField:
         return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7); for a base of a different kind, the measure's absolute value.
-        """
+        """(…) det(J_c J_cᵀ) of (7); for other kinds of base, the absolute value of the measure."""
         return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
@@ -113,8 +112,7 @@ Measure = tuple[float, float, float]
 def _score_and_gradient(
     p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, float, float, float, float]:
-    """R, S and ∇S at a point; at the mount, where the gradient of R is undefined, it counts as 0.
-    """
+    """R, S and ∇S at a point; the gradient of R counts as 0 at the mount, where it is undefined."""
     x, y, z = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
     rho, R_1 = math.sqrt(x * x + y * y + z * z), FLOOR * C
     R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)

@@ -138,7 +138,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """The error for a reference without a rotation, or with an entry that is not finite."""
+    """The error for a reference with an invalid rotation matrix, or a number that is not finite."""
     pose, v, a = reference
     if np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference.pose: its rotation is no rotation matrix")

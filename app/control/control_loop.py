@@ -113,7 +113,11 @@ class ControlLoop:
         self.reported.clear()
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on."""
+        """Use other parameters from the next step on.
+
+        Raises:
+            ConfigError: The control period is too long for a gain.
+        """
         self.controller.configure(config)
 
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:

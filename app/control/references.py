@@ -81,8 +81,8 @@ def _leaps(way: Array, v: Array, dt: float) -> bool:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample, at the relative pose `way` (6,) to the last
-    sample.
+    """Start a polynomial to the newest sample; `way` (6,) is the pose difference from the last
+    reference to this sample.
     """
     between = w.since_sample[()]
     w.since_sample[()] = 0.0

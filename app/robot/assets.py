@@ -215,7 +215,8 @@ def resolved_urdf(description: HasUrdf) -> str:
     A link without an inertia gets zero, because pybullet would assume 1 kg.
 
     Raises:
-        AssetError: The URDF or one of its meshes is missing, or a mesh is outside of its folder.
+        AssetError: The URDF or one of its meshes is missing, or a mesh with a relative path is
+            outside of the URDF's folder.
         DescriptionError: As for `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
@@ -325,8 +326,7 @@ def xml_text(path: Path) -> str:
     """The text of a valid XML file in its declared encoding; without a declaration, in UTF-8.
 
     Raises:
-        RobotFileError: The file is a placeholder, its bytes are invalid in this encoding, or as for
-            `refuse_entities`.
+        RobotFileError: The file is a placeholder, cannot be decoded, or as for `refuse_entities`.
         OSError: The file cannot be read.
         ValueError: The file is larger than any valid one.
     """

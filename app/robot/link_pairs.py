@@ -44,7 +44,7 @@ class ClosestPoints(NamedTuple):
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
     """(3,) [m] point of the core of `b` that belongs to p_b: from p_b, by the radius of `b` along
-    n; p_b itself where `b` is not round."""
+    n; p_b itself where `b` is not round, and in the results of `PairDistances`."""
     parts: tuple[ClosestPoints, ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 

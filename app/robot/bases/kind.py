@@ -180,7 +180,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Divisor of the score in (13), in the unit of `measure`; 1 for the paper's robot."""
+        """Divisor of the score in (13), whose gain S_0 is for the paper's measure; 1 for that."""
         return 1.0
 
     @property
@@ -228,7 +228,7 @@ class BaseKind(Sourced, ABC):
 
         Args:
             wanted: (n_b,) desired velocity, within the limits of each axis.
-            before: (n_b,) present velocity command.
+            before: (n_b,) previous velocity command.
         """
         del before
         return wanted
