@@ -63,7 +63,7 @@ class ForceConfig(Strict):
 
 
 class ActivationConfig(Strict):
-    """§3.4: β rises from 0 at the buffer distance to 1 by the cubic of Figure 10."""
+    """§3.4: β rises from 0 at the buffer distance to 1 at d_full by the cubic of Figure 10."""
 
     d_full: Annotated[float, Shown("Full activation at d_full")] = Field(
         default=0.05, ge=0.0, le=0.05
@@ -270,7 +270,7 @@ class DisturbanceConfig(Strict):
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
-    """[kg] mass at the end-effector that the controller does not include."""
+    """[kg] mass of a load whose weight acts on the end-effector, unknown to the controller."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller assumes; the true period is 0.001 s."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)

@@ -1,7 +1,8 @@
 """The border for the search of the acting point: as a surface, or as points as in the paper.
 
 The surface is the exact offset of l_m; the points are its samples. The nearest point of the
-surface moves continuously with the query point, and its cost does not depend on a number of points.
+surface moves continuously with the query point, and the time to find it does not depend on a number
+of points.
 The surface is closed, so it also covers regions that the arm never reaches. The arm is never there,
 and near such regions the reachability in the score leads away from them.
 """

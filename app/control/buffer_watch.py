@@ -40,11 +40,11 @@ class BufferWatch:
     """Evaluates the pairs of L_m step by step, and computes the required d_b.
 
     The speed is that of the arm's closest point relative to the floor along -n. With the base at
-    rest this is the arm's own speed; a retreat of the base does not reduce this speed. An approach
-    counts while the arm's motion reduces the distance, if this distance is below the present d_b or
-    below the d_b that the approach requires: an end-effector that is farther away can still slow
-    down. From above the arm resists by itself, and no d_b helps the base: such approaches do not
-    count.
+    rest this is the arm's own speed; while the base retreats, it is still the speed of the
+    end-effector in the world. An approach counts while the arm's motion reduces the distance, if
+    the distance is below the present d_b or below the d_b that the approach requires: an
+    end-effector that is farther away can still slow down. From above the arm resists by itself, and
+    no d_b helps the base: such approaches do not count.
     """
 
     def __init__(self, config: Config) -> None:

@@ -104,7 +104,7 @@ class ControlLoop:
         return JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
-        """Start again: the next reading is the robot's present state, at rest.
+        """Start again: the next reading is the initial state, and the base's command starts at 0.
 
         Call it after a protective stop, or after a person has moved the arm. It clears commands,
         posture and estimate.

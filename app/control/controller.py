@@ -157,10 +157,10 @@ class Controller:
         return self._dt
 
     def reset(self) -> None:
-        """Start again: the next reading is the robot's present state, at rest.
+        """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        It forgets posture, torques, estimate, commands and the counts of failures. A measured
-        period stays in use.
+        The controller forgets posture, torques, estimate, commands and the counts of failures. A
+        measured period stays in use.
         """
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0

@@ -108,8 +108,7 @@ def cascade(levels: list[Task]) -> Array:
 
 
 def least_slack(level: Task, above: Array, qdd: Array) -> Array:
-    """The q̈ (n,) with the smallest ‖J q̈ − b‖ among those that have the product `above` q̈ (k,) of
-    the given q̈.
+    """q̈ (n,) that minimises ‖J q̈ − b‖ and has the same product `above` q̈ (k,) as the given q̈.
 
     Raises:
         NoSolutionError: ProxQP finds no solution.

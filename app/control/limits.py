@@ -105,8 +105,8 @@ def torque_reachable_bounds(
     middle of their ranges. If one joint demanded more, the other torques would switch between their
     limits, and an arm that needs more than its torque limits would become unstable. The
     acceleration towards a velocity limit is bounded too: if a joint's torque changes at the rate r,
-    its acceleration q̈_i changes at the rate (M⁻¹)_ii r. If its speed is lower than the velocity
-    limit by v, the joint can therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
+    its acceleration q̈_i changes at the rate (M⁻¹)_ii r. A joint whose speed is lower than the
+    velocity limit by v can therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
 
     Args:
         M: (n, n) inertia matrix.

@@ -99,7 +99,7 @@ def _same(a: Array, b: Array) -> bool:
 
 @compiled()
 def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether the robot moves by its readings; returns `unknown` if all velocities are 0."""
+    """Whether a reading shows that the robot moves; `unknown` if all velocities are 0."""
     for v in base_velocity:
         if v != 0.0:
             return True

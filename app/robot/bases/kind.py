@@ -180,7 +180,9 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Divisor of the score in (13), whose gain S_0 is for the paper's measure; 1 for that."""
+        """Divisor of the score in (13); it adapts S_0, a gain for the paper's measure, to this
+        measure.
+        """
         return 1.0
 
     @property
