@@ -228,9 +228,9 @@ class AdmittanceConfig(Strict):
     angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
     """[N m s] D_a, damping of the base's rotation."""
     v_max: Annotated[float, Shown("Top speed v_max")] = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed; the base's own speed limit may be lower."""
+    """[m/s] largest commanded speed; the base's own speed limit can be lower."""
     omega_max: Annotated[float, Shown("Top turn rate ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
-    """[rad/s] largest commanded turn rate; the base's own limit may be lower."""
+    """[rad/s] largest commanded turn rate; the base's own limit can be lower."""
     period: Annotated[float, Shown("Command period")] = Field(default=0.1, ge=0.001, le=0.5)
     """[s] time between two velocity commands."""
 

@@ -238,7 +238,7 @@ def text_of(content: bytes) -> str:
     The result has no byte order mark, and only line feeds as line ends.
 
     Raises:
-        ValueError: The file has another encoding; the message names the line.
+        ValueError: The file has a different encoding; the message names the line.
     """
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:

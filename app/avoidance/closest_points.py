@@ -57,7 +57,7 @@ class DistanceMonitor:
         self._distances = PairDistances(state.model, pairs)
         self._smooth = SmoothPoints(state, pairs)
         self.rows = self._smooth.rows
-        """For each pair, its own row, and those of its parts if `a` has several."""
+        """For each pair: its own row, then the rows of the parts of `a` if there are several."""
 
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
@@ -121,7 +121,7 @@ class SmoothPoints:
         self._sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
         ends = np.cumsum([len(pairs), *map(len, parts)]).tolist()
         self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
-        """For each pair: its own row, and those of its parts if `a` has several."""
+        """For each pair: its own row, then the rows of the parts of `a` if there are several."""
         joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
         self.joints = np.array(joints, dtype=int).reshape(-1, 2)
         """(k, 2) joints that move `a` and `b` of each row."""

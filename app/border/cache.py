@@ -208,8 +208,8 @@ def kept_border_data(
 ) -> BorderData | None:
     """Load the pairs and clouds of a robot, or return None if they are not stored.
 
-    The user's cache has precedence over the project's files. A damaged file, or a file of another
-    robot, is ignored with a warning.
+    The user's cache has precedence over the project's files. A damaged file, or a file with a key
+    other than that in its name, is ignored with a warning.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -256,7 +256,7 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     """The data of a file's arrays, the inverse of `pack`.
 
     Raises:
-        DamagedFileError: The file has another key or format, or an invalid array.
+        DamagedFileError: The file has a different key or format, or an invalid array.
     """
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):

@@ -228,7 +228,7 @@ class ReachFit(NamedTuple):
     """Number of fitted positions."""
 
     def at(self, rho: Array) -> Array:
-        """(9) as printed, at distances rho [m]; the value may be negative."""
+        """(9) as printed, at distances rho [m]; the value can be negative."""
         return self.C - self.A_per_m2 * (np.asarray(rho) - self.B_m) ** 2
 
 

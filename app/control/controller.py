@@ -112,7 +112,7 @@ class Controller:
         self.reset()
 
     def use(self, name: str) -> None:
-        """Use another controller from the next step on.
+        """Use a different controller from the next step on.
 
         Raises:
             UnknownNameError: The controller does not exist.

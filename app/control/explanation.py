@@ -92,7 +92,7 @@ class Explanation(NamedTuple):
 
     controller: str
     mode: Controlled
-    """Whether a person guides the arm or it follows a reference."""
+    """Whether a person guides the arm, or the arm tracks a reference."""
     solved: bool
     """False for the fallback command: the readings were not valid, or the arm's QP had no
     solution."""

@@ -36,8 +36,8 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
     """λ² (q_limit − q) − 2 λ q̇, the bound on a joint's acceleration from a position limit.
 
-    A joint at the distance e from its limit may accelerate towards it by at most λ² e − 2 λ q̇, and
-    thus reaches the limit without overshoot.
+    At the distance e from the limit, the acceleration towards the limit is at most λ² e − 2 λ q̇.
+    Thus the joint reaches the limit without overshoot.
     """
     return rate**2 * (limit - q) - 2 * rate * qd
 

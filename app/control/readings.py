@@ -10,7 +10,7 @@ readings themselves:
   the measured positions.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If the readings arrive at regular intervals, and three successive measurements of
-  this ratio agree on another value, the loop does not run at the stated period.
+  this ratio agree on a different value, the loop does not run at the stated period.
 - **The velocities** are not used if no plausible period explains their ratio to the positions.
 """
 

@@ -116,8 +116,8 @@ def resolve_package_uri(uri: str) -> Path:
     That is a Python package, or one that a wheel installed below `share`, like ROS packages.
 
     Raises:
-        AssetError: The address has another form, the package is not installed, it lacks the file,
-            or the path leads out of the package.
+        AssetError: The address has a different form, the package is not installed or lacks the
+            file, or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -154,7 +154,7 @@ def share_folders() -> list[Path]:
 
 
 class HasUrdf(Protocol):
-    """The part of a robot's description that has the place of its URDF."""
+    """The part of a robot's description that states the place of the URDF."""
 
     @property
     def name(self) -> str:
@@ -307,7 +307,7 @@ _PLACEHOLDERS = (
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse placeholders that a download or a repository may leave instead of a file.
+    """Refuse placeholders that a download or a repository can leave instead of a file.
 
     Args:
         content: The first bytes of the file, or all of them.
@@ -373,8 +373,8 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
         if depth > _DEEPEST or count > _MAX_ELEMENTS or len(attributes) > _MAX_ATTRIBUTES:
             raise RobotFileError(
                 f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, more than {_DEEPEST} "
-                f"in one another, or more than {_MAX_ATTRIBUTES} attributes of one, which no robot "
-                "has"
+                f"nested levels, or more than {_MAX_ATTRIBUTES} attributes of an element, which no "
+                "robot has"
             )
 
     def end(*_: object) -> None:

@@ -95,7 +95,7 @@ class BodyDescription(Strict):
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
     """URDF links that this body encloses: the distances and contacts of the body represent these
-    links. A part of a link that cannot meet another body may extend beyond the body."""
+    links. Only a part of a link that cannot meet another body can be outside of this body."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """For links in `covers`, the links of other bodies that are nested with them. If nested links
     touch, this is no contact."""
@@ -231,7 +231,7 @@ def differential(description: RobotDescription) -> DifferentialBase:
     """The base of a robot with a differential base.
 
     Raises:
-        DescriptionError: The base has another kind.
+        DescriptionError: The base is of a different kind.
     """
     if not isinstance(description.base, DifferentialBase):
         raise DescriptionError(

@@ -204,9 +204,9 @@ class CarLikeBase(BaseKind):
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] for a command.
 
-        While the wheels steer, the motion is along the present arc. Its speed is the nearest to the
-        command in the metric of kinetic energy. It never opposes the command, and is reduced if the
-        present arc and that of the command bend to opposite sides.
+        While the wheels steer, the motion is along the present arc. The speed on this arc is the
+        nearest to the command in the metric of kinetic energy. This speed never opposes the
+        command, and is reduced if the present arc and that of the command bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)
