@@ -78,7 +78,7 @@ def response(base: BaseKind, config: AdmittanceConfig) -> tuple[Array, Array]:
     The response has this form while the law's limits are not active.
 
     Returns:
-        (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the previous velocity command.
+        (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the velocity at the period's start.
     """
     drag = virtual_damping(base, config) / virtual_mass(base, config)
     return np.array([_gain(each * config.period) for each in drag]), drag

@@ -57,7 +57,7 @@ class NearPair(NamedTuple):
     mobile: bool
     """Whether it belongs to L_m."""
     d: float
-    """[m] signed distance of the controller."""
+    """[m] signed distance in the control step."""
     beta: float
     """[-] activation parameter."""
     n: tuple[float, float, float]

@@ -49,7 +49,7 @@ _ROBOT: dict[str, Any] = {
     "sought": _TABLE,  # (n_r, 4) of `mean_nearest`
     "body_joints": _INTS,  # (bodies,) pinocchio's joint of each body
     "pair_joints": _TABLE,  # (n_r, 2) joints that carry l_a and l_b
-    "convex": _INTS,  # (n_c,) rows of distances between convex bodies
+    "convex": _INTS,  # (n_c,) rows of the distances to a single convex part of l_a
     "n_convex_mob": types.i8,  # number of these rows of L_m, which are the first ones
     "score_coefficients": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
 }

@@ -59,7 +59,7 @@ DIMENSIONS = {
     "n_v": "entries of pinocchio's velocity, 3 + n_m",
     "n_p": "link pairs, those of L_m first",
     "n_mob": "link pairs of L_m",
-    "n_r": "distances: one for each pair, then one for each convex part of a base of several parts",
+    "n_r": "distances: one for each pair, then one for each convex part of an l_a of several parts",
     "n_s": "rows of T_sca: n_b of the base, n_p − n_mob between links, then 3 n_mob of T_rep",
     "n_l": "limits: n_m torques, n_m joints, then distances, then n_b accelerations of the base",
 }
@@ -145,10 +145,10 @@ beta | β | n_p | 1 | | Fig. 10 | activation of each pair
 beta_m | β_m | | 1 | | (28) |
     largest activation of L_m; `B` has the activation that the base's rows use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
-p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score
-p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point
-tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n
-alpha | α | n_mob | m | | (13) | step size
+p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score; NaN while β = 0
+p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point; NaN while β = 0
+tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n; NaN while β = 0
+alpha | α | n_mob | m | | (13) | step size; NaN while β = 0
 f | f_m,i | n_mob 3 | N | base | (14) | force on the base, 0 while β = 0
 xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) |
     desired base acceleration by the force, without the factor β_m

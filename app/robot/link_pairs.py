@@ -55,7 +55,7 @@ def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
 
 
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
-    """Closest points between convex bodies, whose normals are continuous.
+    """Closest points to single convex parts of the bodies `a`, with continuous normals.
 
     These are the closest points of each part of `a` if there are several, otherwise those of the
     pair. In a concave corner of `a`, the pair's normal is between the normals of two near faces.

@@ -240,7 +240,7 @@ class BaseKind(Sourced, ABC):
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:
-        """Response of the drive to a command, clamped to the limits, for one period dt [s]."""
+        """Function of the drive's response to a command, within the limits, in a period dt [s]."""
         # Exact for a constant command during the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
         limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
