@@ -31,8 +31,8 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str | Signature) -> Callable[[Function], Function]:
     """Compile a function for the given types when its module is first imported.
 
-    Thus a control loop never waits for a compiler, and a call with an array of a different dtype
-    fails. If no folder is writable, each process compiles the kernels that it imports.
+    Thus a control loop never waits for a compiler, and a call with an array of a different
+    dtype fails. If no folder is writable, each process compiles the kernels that it imports.
 
     Args:
         signatures: Types in numba's notation, such as ``f8[:](f8[:,:], i8)``, or numba's own
@@ -122,7 +122,7 @@ class _Lowering(NativeLowering):
 
 
 def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
-    """Make numba's pass builder without vector instructions and unrolled loops."""
+    """Make numba's pass builder with the options that `_Lowering` needs."""
     options = llvm.create_pipeline_tuning_options()
     options.speed_level = config.OPT if opt is None else opt
     options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
@@ -130,7 +130,7 @@ def _pass_builder(codegen: Any, opt: Any = None, **_: Any) -> Any:
 
 
 class _Compiler(CompilerBase):
-    """numba's pipeline with `lowering` as the last pass."""
+    """numba's pipeline with a different lowering pass."""
 
     lowering: type[NativeLowering] = _Lowering
 

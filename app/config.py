@@ -39,8 +39,8 @@ class BorderConfig(Strict):
     eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] ε of (3): tolerance of the distance of border points from d_b."""
     kind: Annotated[Literal["surface", "points"], Shown("Acting point on")] = "surface"
-    """[-] the acting point is on the continuous surface, or on the paper's points, between which it
-    jumps."""
+    """[-] the acting point is on the border's continuous surface, or on the paper's sampled points
+    and then jumps between these points."""
 
 
 class ForceConfig(Strict):
@@ -89,7 +89,7 @@ class BarrierConfig(Strict):
     """Minimum distance of each pair, as a barrier; also the compared method `barrier`."""
 
     d_min: Annotated[float, Shown("Minimum distance d_min")] = Field(default=0.031, ge=0.0, le=0.30)
-    """[m] minimum distance of each link pair; the torque limits have priority."""
+    """[m] minimum distance of each pair; the torque limits have priority."""
     rate: Annotated[float, Shown("Approach rate")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] approach rate: largest approach speed divided by the remaining distance."""
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
@@ -141,7 +141,8 @@ class TaskConfig(Strict):
     base_time_scale: Annotated[float, Shown("Base time scale", advanced=True)] = Field(
         default=5.0, ge=1.0, le=100.0
     )
-    """[-] ratio of the base's time constants to the arm's, because the base runs at 10 Hz."""
+    """[-] ratio of the base's time constants to the arm's, because the base's velocity command has
+    a low rate."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] cost of the base's acceleration relative to that of the arm's, in the posture task."""
     ee_weight: Annotated[float, Shown("End-effector weight", advanced=True)] = Field(
@@ -160,11 +161,13 @@ class LimitConfig(Strict):
     position_rate: Annotated[float, Shown("Position-limit rate", advanced=True)] = Field(
         default=30.0, ge=1.0, le=100.0
     )
-    """[1/s] approach rate of position limits: joint speed divided by the remaining distance."""
+    """[1/s] approach rate of position limits: largest joint speed divided by the remaining
+    distance."""
     velocity_rate: Annotated[float, Shown("Velocity-limit rate", advanced=True)] = Field(
         default=70.0, ge=1.0, le=200.0
     )
-    """[1/s] approach rate of velocity limits: joint acceleration divided by the remaining speed."""
+    """[1/s] approach rate of velocity limits: largest joint acceleration divided by the remaining
+    speed."""
     torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
         default=1000.0, ge=50.0, le=1e6
     )
@@ -198,7 +201,7 @@ class EstimateConfig(Strict):
 
 
 class PayloadConfig(Strict):
-    """Load in the gripper that the controller includes: mass and centre, without its shape."""
+    """Known load in the gripper: the controller includes its mass and centre, but not its shape."""
 
     mass: Annotated[float, Shown("Payload mass")] = Field(default=0.0, ge=0.0, le=20.0)
     """[kg] mass of the load."""
@@ -228,9 +231,9 @@ class AdmittanceConfig(Strict):
     angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
     """[N m s] D_a, damping of the base's rotation."""
     v_max: Annotated[float, Shown("Top speed v_max")] = Field(default=0.5, ge=0.05, le=2.0)
-    """[m/s] largest commanded speed; the base's own speed limit can be lower."""
+    """[m/s] largest commanded speed; a lower speed limit of the base has priority."""
     omega_max: Annotated[float, Shown("Top turn rate ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
-    """[rad/s] largest commanded turn rate; the base's own limit can be lower."""
+    """[rad/s] largest commanded turn rate; a lower limit of the base has priority."""
     period: Annotated[float, Shown("Command period")] = Field(default=0.1, ge=0.001, le=0.5)
     """[s] time between two velocity commands."""
 
@@ -255,7 +258,7 @@ class DisturbanceConfig(Strict):
     """Disturbances between controller and robot; none by default."""
 
     encoder_noise: float = Field(default=0.0, ge=0.0, le=0.005)
-    """[rad] standard deviation of the noise of each joint's measured position."""
+    """[rad] standard deviation of the noise of each joint's measured position; m for a slide."""
     base_delay: float = Field(default=0.0, ge=0.0, le=0.5)
     """[s] additional delay from a velocity command to the base's drive."""
     mass_error: float = Field(default=0.0, ge=-0.3, le=0.3)
@@ -270,7 +273,7 @@ class DisturbanceConfig(Strict):
     dropped: Annotated[float, Shown("Dropped readings")] = Field(default=0.0, ge=0.0, le=0.9)
     """[-] share of lost readings; the last reading is repeated instead."""
     unknown_load: float = Field(default=0.0, ge=0.0, le=10.0)
-    """[kg] mass of a load whose weight acts on the end-effector, unknown to the controller."""
+    """[kg] mass of a load at the end-effector that the controller does not include."""
     stated_period: float = Field(default=0.001, ge=0.0005, le=0.008)
     """[s] control period that the controller assumes; the true period is 0.001 s."""
     begins: float = Field(default=0.0, ge=0.0, le=60.0)
@@ -319,7 +322,7 @@ class Config(Strict):
             values: The new values by the parameters' paths, such as `border.d_b`.
 
         Raises:
-            ConfigError: A parameter does not exist, or a value is out of its range.
+            ConfigError: A parameter does not exist, or a value is invalid.
         """
         data = self.model_dump()
         for path, value in values.items():
@@ -378,8 +381,8 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
     Missing parameters come from `usual`, or are the defaults without `usual`.
 
     Raises:
-        ConfigError: A parameter is unknown or out of its range; the message names all such
-            parameters and the ranges.
+        ConfigError: A parameter is unknown or invalid; the message names such parameters, and the
+            valid values.
     """
     try:
         # Strict: `true` and "0.2" are not numbers.
@@ -470,7 +473,7 @@ def parameter(path: str) -> Parameter:
 
 
 def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """The valid values at a place of a configuration, for `explain`."""
+    """The valid values at a place of a configuration, for `explain`; None for an unknown place."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

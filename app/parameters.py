@@ -15,7 +15,7 @@ class Shown(NamedTuple):
     label: str = ""
     """Label that replaces the name."""
     advanced: bool = False
-    """Hidden until the user displays all parameters."""
+    """Whether the parameter is hidden until the user displays all parameters."""
 
 
 class _Tuned(Strict):

@@ -37,7 +37,7 @@ MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
 _MAX_PARTS = 500  # [-] dots and brackets in the longest TOML line that this process reads
 LARGEST_TEXT = 10_000_000  # [bytes] size of the largest XML file or CSV log
-LARGEST_DATA = 10**6  # [characters] of the longest TOML or JSON; a value's check takes 400 bytes
+LARGEST_DATA = 10**6  # [characters] of the longest TOML or JSON; each value needs 400 bytes
 _MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
 _MAX_LISTED = 1000  # [-] largest number of problems that are listed, which takes 1 kB for each
 

@@ -1,9 +1,9 @@
 """Structs of arrays and numbers that Python and compiled code share.
 
 A compiled function takes a struct as one pointer, in 0.2 µs for any number of fields; a tuple of
-arrays costs 0.1 µs for each array. Both sides share the memory: Python reads the values that
-compiled code writes into an array without a copy. The numbers of a struct, and the arrays that its
-fields refer to, are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tuple
+arrays costs 0.1 µs for each array. Both sides share the memory of the arrays: Python reads, without
+a copy, the values that compiled code writes. The numbers of a struct, and the arrays to which its
+fields refer, are fixed at its creation. With ``NUMBA_DISABLE_JIT=1`` a struct is the named tuple
 from which it is created.
 """
 
@@ -45,7 +45,7 @@ class _Handle(structref.StructRefProxy):
     """A struct on the Python side."""
 
     values: Any
-    """The named tuple, which owns the memory of the struct's arrays."""
+    """The named tuple that owns the memory of the struct's arrays."""
 
 
 structref.define_boxing(_Struct, _Handle)
@@ -55,7 +55,7 @@ class StructType(NamedTuple):
     """A kind of struct."""
 
     type: types.StructRef
-    """numba's type of the struct, for the signature of a compiled function."""
+    """numba's type of the struct, for the signatures of compiled functions."""
     fields: dict[str, types.Type]
     """numba's types: arrays, f8, i8 and b1."""
 
@@ -74,7 +74,10 @@ class StructType(NamedTuple):
         return handle
 
     def _packed(self, values: Any) -> bytes:
-        """Each array as: owner, parent, size, bytes of an entry, address, shape, strides."""
+        """The bytes of the struct: each number unchanged, each array in numba's form.
+
+        This form is: owner, parent, size, bytes of an entry, address, shape, strides.
+        """
         layout, content = "", list[Any]()
         for value, kind in zip(values, self.fields.values(), strict=True):
             if isinstance(kind, types.Array):

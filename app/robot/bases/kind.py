@@ -180,9 +180,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Divisor of the score in (13); it adapts S_0, a gain for the paper's measure, to this
-        measure.
-        """
+        """Divisor of the score in (13), because S_0 is a gain for the paper's measure."""
         return 1.0
 
     @property
