@@ -455,7 +455,7 @@ class RobotState:
             self.pin.inertias[self.pin.njoints - 1] += self._load
 
     def update(self, measurement: Measurement) -> None:
-        """Recompute all attributes from a measurement: Algorithm 2, line 2 (UpdateKinematics)."""
+        """Recompute all arrays from a measurement: Algorithm 2, line 2 (UpdateKinematics)."""
         q, v = self._take(measurement)
         compute_dynamics(self.pin, self.data, q, v)
         M, h, g = reduced_dynamics(*self._dynamics, self._B)
@@ -463,8 +463,7 @@ class RobotState:
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
-        """Recompute all attributes except M, h and g, which keep the values of the last `update`.
-        """
+        """Recompute all arrays except M, h and g, which keep the values of the last `update`."""
         q, v = self._take(measurement)
         pin.computeJointJacobians(self.pin, self.data, q)
         self._update_motion(v)
