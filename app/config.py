@@ -63,7 +63,7 @@ class ForceConfig(Strict):
 
 
 class ActivationConfig(Strict):
-    """§3.4: β rises from 0 at the buffer distance to 1 by the cubic of Figure 10."""
+    """§3.4: β rises from 0 at the buffer distance to 1 at d_full by the cubic of Figure 10."""
 
     d_full: Annotated[float, Shown("Full activation at d_full")] = Field(
         default=0.05, ge=0.0, le=0.05

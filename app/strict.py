@@ -83,7 +83,7 @@ def explain(
     model: type[BaseModel],
     valid_text: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
 ) -> str:
-    """A validation error as one line, with `field: valid value` for each problem.
+    """A validation error as one line, with `field: valid value` for each of the first problems.
 
     Args:
         error: The error.

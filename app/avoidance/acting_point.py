@@ -29,7 +29,7 @@ def step_size(d: float, score: float, gain: float, alpha_min: float, alpha_max: 
 
     Args:
         d: [m] distance of the pair.
-        score: S(p_n), in units of the paper's robot.
+        score: S(p_n), divided by `BaseKind.score_unit`.
         gain: [-] S_0.
         alpha_min: [m]
         alpha_max: [m]
@@ -136,8 +136,8 @@ def resultant_force(f: Array, p_act: Array) -> Array:
     Paper: Eq. (15).
 
     Args:
-        f: (k, 3) [N] forces; one of 0 has no acting point.
-        p_act: (k, 3) [m] acting points.
+        f: (k, 3) [N] forces.
+        p_act: (k, 3) [m] acting points; they count only for forces other than 0.
     """
     total = np.zeros(3)
     for i in range(len(f)):
@@ -150,8 +150,7 @@ def resultant_force(f: Array, p_act: Array) -> Array:
 
 @compiled()
 def generate_mob_acc(A_b: Array, f_m: Array) -> Array:
-    """ẍ_m = A_b f_m (n_b,): acceleration of the base by the resultant force, within its kind's
-    motions.
+    """ẍ_m = A_b f_m (n_b,): acceleration by the resultant force, along the base's axes.
 
     Paper: Eq. (16).
 

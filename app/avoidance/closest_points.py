@@ -36,7 +36,7 @@ class Nearest(NamedTuple):
     joints: Array
     """(k, 2) joints that move `a` and `b`."""
     rows: Sequence[Sequence[int]]
-    """For each pair: its own row, and those of its parts if there are several."""
+    """For each pair: its own row, then the rows of the parts of `a` if there are several."""
     d: Array
     """(k,) [m] signed distances."""
     points: Array
@@ -57,7 +57,7 @@ class DistanceMonitor:
         self._distances = PairDistances(state.model, pairs)
         self._smooth = SmoothPoints(state, pairs)
         self.rows = self._smooth.rows
-        """For each pair, its own row, and those of its parts if `a` has several."""
+        """For each pair: its own row, then the rows of the parts of `a` if there are several."""
 
     def find_closest_points(self) -> list[ClosestPoints]:
         """The closest points of every pair, from the collision library.
@@ -69,7 +69,9 @@ class DistanceMonitor:
         return [self._distances.closest(i) for i in range(len(self._distances.pairs))]
 
     def find_nearest(self, blend: float) -> Nearest:
-        """Continuously moving closest points, at the library's distances; τ [m] is `blend`."""
+        """Closest points of `SmoothPoints`, which move continuously, with the distances of the
+        collision library. `blend` [m] is τ.
+        """
         self._distances.update_from(self._state.data)
         points = self._smooth.find(blend)
         d = np.empty(len(points))
@@ -83,16 +85,18 @@ class DistanceMonitor:
 
 
 class SmoothPoints:
-    """The mean over a link's core, weighted by the additional distance of each point.
+    """Closest points from a mean over the nodes of a link's core; nearer nodes weigh more.
 
     If a capsule is parallel to a face, the library's closest point is one of many, and jumps from
-    one end to the other as the capsule turns. Weights exp((min d - d_k)/τ) over nodes of the core
-    make it move instead, because every d_k is continuous. If one point is clearly nearest, it is
-    the result. If `a` has several convex parts, the normal is the mean of theirs at that point,
-    with the same weights: the gradient of a smooth distance, which is shorter than 1 in a corner
-    between two parts.
+    one end to the other as the capsule turns. With the weights exp((min d - d_k)/τ) of the nodes,
+    the mean moves continuously instead, because every distance d_k is continuous. If one node is
+    clearly nearest, it is the result. If `a` has several convex parts, the normal is the mean of
+    the parts' normals at the resulting point, with weights of the same form for the distances of
+    the parts. It is the gradient of a smooth distance, and shorter than 1 in a corner between two
+    parts.
 
-    A flat face may be nearest anywhere, so its points nearest to the corners of `a` are nodes too.
+    Any point of a flat face can be the nearest. Therefore the points of a flat face of `b` that are
+    nearest to the corners of `a` are nodes too.
     """
 
     def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
@@ -117,7 +121,7 @@ class SmoothPoints:
         self._sought = np.array([*whole, *chain(*parts)], dtype=int).reshape(-1, 4)
         ends = np.cumsum([len(pairs), *map(len, parts)]).tolist()
         self.rows = [[k, *range(*of_parts)] for k, of_parts in enumerate(pairwise(ends))]
-        """For each pair: its own row, and those of its parts if `a` has several."""
+        """For each pair: its own row, then the rows of the parts of `a` if there are several."""
         joints = [[model.body_joints[names[body]] for body in ab] for ab in self._sought[:, :2]]
         self.joints = np.array(joints, dtype=int).reshape(-1, 2)
         """(k, 2) joints that move `a` and `b` of each row."""
@@ -161,7 +165,9 @@ class _Body(NamedTuple):
 
 @compiled()
 def _seen_by(T_a: Array, T_b: Array) -> tuple[Array, Array]:
-    """Rotation (3, 3) and origin (3,) [m] of b in the frame of a; both are (4, 3) in the world."""
+    """Rotation (3, 3) and origin (3,) [m] of b in the frame of a, from their poses (4, 3) in the
+    world.
+    """
     R, p = np.empty((3, 3)), np.zeros(3)
     for i in range(3):
         for j in range(3):
@@ -183,7 +189,11 @@ def _mean_nearest(
     work: Array,
     found: Array,
 ) -> None:
-    """Write (4, 3) of one pair: from some shapes of a body to a whole body, both with nodes."""
+    """Write p_a, p_b, n and core of one row of `Nearest` into `found` (4, 3).
+
+    `a` has the relevant shapes of the first body, and `corners` its nodes; `b` has all shapes of
+    the second body, and `nodes` its nodes.
+    """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)
     count = len(nodes)
@@ -271,10 +281,11 @@ def mean_nearest(
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
-    """Points of a shape's core; its nearest point to a flat object is one of them or between them.
+    """Points of a shape's core; the core's point nearest to a flat object is one of them, or
+    between them.
 
     Returns:
-        (K, 3) [m] points of its core, in the frame of its joint; and [m] the radius
+        (K, 3) [m] these points, in the frame of the joint that moves the shape; and [m] the radius
         of the shape around its core.
     """
     radius = 0.0

@@ -110,11 +110,12 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
 
 
 def robot_content(description: RobotDescription) -> dict[str, object]:
-    """All data of a robot that determine the positions of its bodies.
+    """All data of a robot that determine its pairs and clouds.
 
-    These are the bodies' shapes, the arm's joints and limits, and the base's link of the
-    description; the joints of the URDF; and the bytes of the meshes. Sources, colours, masses,
-    gains and the paths of installed packages are not included.
+    These are the bodies' shapes, the pairs that are not monitored, the arm's mount, joints and
+    position limits, and the base's link of the description; the joints of the URDF; and the bytes
+    of the meshes. Sources, colours, masses, gains and the paths of installed packages are not
+    included.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -207,8 +208,8 @@ def kept_border_data(
 ) -> BorderData | None:
     """Load the pairs and clouds of a robot, or return None if they are not stored.
 
-    The user's cache has precedence over the project's files. A damaged file, or a file of another
-    robot, is ignored with a warning.
+    The user's cache has precedence over the project's files. A damaged file, or a file with a key
+    other than that in its name, is ignored with a warning.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
@@ -255,7 +256,7 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     """The data of a file's arrays, the inverse of `pack`.
 
     Raises:
-        DamagedFileError: The file has another key or format, or an invalid array.
+        DamagedFileError: The file has a different key or format, or an invalid array.
     """
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):

@@ -40,4 +40,4 @@ QUICK = SamplingConfig(
     retries=2,
     sectors=8,
 )
-"""A coarse sampling, which takes seconds on one core: a tenth of the samples, voxels of 3 cm."""
+"""A coarse sampling, which takes seconds on one core: fewer samples, and voxels of 3 cm."""

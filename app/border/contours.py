@@ -250,7 +250,7 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
 def _shown_part(start: float, end: float) -> tuple[float, float]:
     """The interval of fractions along an edge, within [0, 1], with a nonnegative linear value.
 
-    `start` and `end` are the values at the ends of the edge; the interval may be empty.
+    `start` and `end` are the values at the ends of the edge; the interval can be empty.
     """
     if start < 0.0 and end < 0.0:
         return 1.0, 0.0

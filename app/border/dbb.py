@@ -54,7 +54,7 @@ def quantise_points(points: Array) -> Array:
 
 
 def quantise_distances(distances: Array) -> Array:
-    """Convert distances (N,) [m] ≥ 0 to uint16 in units of 10 µm."""
+    """Convert distances (N,) [m], clipped to 0 to 0.65 m, to uint16 in units of 10 µm."""
     return np.rint(np.clip(distances, 0.0, 0.65) / DISTANCE_UNIT).astype(np.uint16)
 
 

@@ -243,7 +243,7 @@ class Voxels:
         self._sectors = sectors
 
     def cells(self, points: Array) -> Array:
-        """Cell indices (N, 3) along x, y and z, which may be outside the grid.
+        """Cell indices (N, 3) along x, y and z; a cell can be outside of the grid.
 
         Args:
             points: (N, 3) int16, in units of `POINT_UNIT`.

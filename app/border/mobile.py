@@ -208,9 +208,10 @@ def _hull_distance(
 ) -> tuple[float, float, float, float]:
     """Signed distance [m] of a point to a hull, and the gradient of the distance.
 
-    Inside the hull, this is the distance to the nearest plane. Outside, some point of the hull is
-    already known. A nearer triangle must intersect the half-space beyond the plane through this
-    point that is perpendicular to the line to the query point; only few triangles do.
+    Inside the hull, this is the distance to the nearest plane. Outside, the search starts with a
+    point of the hull. All nearer points are beyond the plane through this point that is
+    perpendicular to the line to the query point. Thus a nearer triangle has a corner beyond this
+    plane; only few triangles do.
     """
     deepest, face = -np.inf, 0
     for k in range(len(triangles)):

@@ -1,7 +1,8 @@
 """The border for the search of the acting point: as a surface, or as points as in the paper.
 
 The surface is the exact offset of l_m; the points are its samples. The nearest point of the
-surface moves continuously with the query point, and its cost does not depend on a number of points.
+surface moves continuously with the query point, and the time to find it does not depend on a number
+of points.
 The surface is closed, so it also covers regions that the arm never reaches. The arm is never there,
 and near such regions the reachability in the score leads away from them.
 """
@@ -60,7 +61,8 @@ def nearest_sample(
 
     Returns:
         The nearest point (3,) [m], moved to the height of p; the tangent (3,), NaN if the line has
-        no direction; and whether there are points at this height.
+        no direction; and whether there are points at this height. Without points, the first two are
+        invalid.
     """
     low, high = p[2] - SAME_HEIGHT, p[2] + SAME_HEIGHT
     heights = points[first:end, 2]
@@ -82,8 +84,9 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
 
     It is one of the pair's sampled points if the border consists of points and has some at this
     height. Otherwise it belongs to the surface, the exact offset of l_m, which is the same for all
-    pairs. The tangent at a sampled point is perpendicular to the line from p; the surface has that
-    of its contour. NaN if l_m has no border at all.
+    pairs. The tangent at a sampled point is perpendicular to the line from p; if p is within ε of
+    the point, it is the surface's tangent there. The tangent at a point of the surface is that of
+    the contour. Point and tangent are NaN if l_m has no border at all.
     """
     if border.as_points:
         first, end = border.sampled[pair], border.sampled[pair + 1]
@@ -129,7 +132,7 @@ class BorderSearch:
         eps = borders[0].eps if borders else 0.0
         values = _Values(*table, bool(borders), points, sampled, eps)
         self.struct = BORDER.made_of(values)
-        """`BORDER` of it."""
+        """The border as a struct `BORDER`."""
 
     def nearest(self, p: Array) -> Foot | None:
         """The nearest border point of the first pair at the height of p (3,) [m], or None."""

@@ -1,7 +1,7 @@
 """The exact offset of the mobile robot, {p : distance to l_m = d_b}, as horizontal contours.
 
 The offset is the border as a continuous surface. It also replaces sampled points at heights without
-points, so that no slice is empty and no force is zero.
+points, so that an acting point exists at every height.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from app.strict import Array
 
 RAYS = 360  # number of rays from the centre of a slice
 _STEP = 0.01  # [m] distance between heights, and along the arc above the top
-_HIGH_BOTTOM = 0.8  # [-] ratio of a shape's bottom to d_b above which the arc below is traced too
+_HIGH_BOTTOM = 0.8  # [-] height of a shape's bottom / d_b above which the arc below is traced too
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
 _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
@@ -135,7 +135,9 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: Array) -> list[_Level] | None:
-        """Trace all heights from the shape's centre; None if it is outside of a slice."""
+        """Trace all heights from the shape's centre; None if the centre is outside of a slice, or
+        all slices are empty.
+        """
         found: list[_Level] = []
         ends: Array | None = None
         for z in heights:
@@ -207,8 +209,9 @@ def _vertex_tangents(edges: Array) -> Array:
 def _levels(bottom: float, top: float, d_b: float) -> Array:
     """(H,) [m] the heights at which a shape's offset is traced.
 
-    They start at the floor. They are 10 mm apart up to the shape's top, and 10 mm of arc apart
-    above the top. A shape high above the floor has such an arc below its bottom too.
+    They start at the floor, and are 10 mm apart up to the shape's top, and 10 mm of arc apart above
+    the top. For a shape whose bottom is high above the floor, they start on such an arc below the
+    bottom, or at the floor if the arc reaches the floor.
     """
     low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]

@@ -39,7 +39,8 @@ class Chain:
     another body consists of the centre of the body's first shape and the direction of that shape's
     z axis. With six or more joints the pose has six coordinates; with five joints it has five, all
     but the rotation about the direction; with three or four joints it has the three coordinates of
-    the position. It has fewer coordinates if no joint moves it in some direction.
+    the position. The pose has five or three coordinates instead if the joints cannot change all of
+    them independently.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -137,7 +138,10 @@ def free_joints(chain: Chain) -> tuple[int, ...]:
         square = np.delete(np.array(tried)[:, : chain.coordinates], free, axis=2)
         if np.abs(np.linalg.det(square)).max() > _LOST:
             return free
-    raise DescriptionError(f"arm.joints: no pose determines the {k} joints that move {chain.body}")
+    raise DescriptionError(
+        f"arm.joints: a pose of {chain.body} does not determine the {k} joints that move this "
+        f"body, for any choice of {chain.free} fixed joints"
+    )
 
 
 PEAK = 100.0  # [-] largest mean reachability in a shell around the mount: the paper's C
@@ -197,7 +201,8 @@ def sample_reach_map(
 
     Raises:
         ConfigError: Fewer than three joints move the body.
-        DescriptionError: No sampled joint position is free of self-collision.
+        DescriptionError: No sampled joint position is free of self-collision, or as for
+            `free_joints`.
     """
     chain, p_base = Chain(model, body), model.p_base()
     free, clearance = free_joints(chain), _SelfClearance(model, chain)

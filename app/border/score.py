@@ -57,7 +57,7 @@ class ScoreField:
         return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7), or the absolute measure of another kind of base."""
+        """(…) det(J_c J_cᵀ) of (7); for other kinds of base, the absolute value of the measure."""
         return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
@@ -86,7 +86,7 @@ class ScoreField:
         return self._fields(p)[..., 2:]
 
     def coefficients(self) -> Array:
-        """(9,) the argument of `score_at`: the base's measure and unit, p_base, A, B and C."""
+        """(9,) the argument of `score_at`: the base's measure, its score unit, p_base, A, B, C."""
         constant, per_square_metre = self.base.measure
         unit = self.base.score_unit
         return np.array(
@@ -112,7 +112,7 @@ Measure = tuple[float, float, float]
 def _score_and_gradient(
     p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, float, float, float, float]:
-    """R, S and ∇S at a point; the gradient of R, which is undefined at the mount, counts as 0."""
+    """R, S and ∇S at a point; the gradient of R counts as 0 at the mount, where it is undefined."""
     x, y, z = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
     rho, R_1 = math.sqrt(x * x + y * y + z * z), FLOOR * C
     R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)
@@ -228,7 +228,7 @@ class ReachFit(NamedTuple):
     """Number of fitted positions."""
 
     def at(self, rho: Array) -> Array:
-        """(9) as printed, at distances rho [m]; the value may be negative."""
+        """(9) as printed, at distances rho [m]; the value can be negative."""
         return self.C - self.A_per_m2 * (np.asarray(rho) - self.B_m) ** 2
 
 

@@ -98,7 +98,7 @@ def _joint_kind(
 
 def _base_bounds(model: RobotModel, w: ControlStep) -> list[Bound]:
     asked, most = w.a_base_cmd, model.base_acceleration_max
-    missing = w.a_base_des - asked  # the hold of the end-effector may cause it too
+    missing = w.a_base_des - asked  # `limit_ee_drag` and `set_up_room` can cause it too
     at_limit = np.sign(missing) * asked > most - TOLERANCE
     return [
         Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))

@@ -26,14 +26,15 @@ def next_command(
 ) -> Array:
     """The velocity command after one period of M_a v̇ + D_a v = F with F = M_a a, solved exactly.
 
-    The input a is the mean of `a_base_cmd` in the command period, so that no command of the 1 kHz
-    controller is lost between two velocity commands. The base's part of u is not zero while the
-    base is at rest, and would let it drift.
+    The change and the result are limited by `a_max` and `v_max`. The input a is the mean of
+    `a_base_cmd` in the command period, so that no command of the 1 kHz controller is lost between
+    two velocity commands. F is not the base's part of u: that part is not zero while the base is at
+    rest, and the base would drift.
 
     Args:
-        acceleration: (n_b,) [m/s² or rad/s²] mean of the commanded acceleration.
+        acceleration: (n_b,) [m/s² or rad/s²] a, mean of the commanded acceleration.
         command: (n_b,) [m/s or rad/s] the previous command.
-        period: [s]
+        period: [s] command period.
         mass: (n_b,) [kg or kg m²] diagonal of M_a.
         damping: (n_b,) [N s/m or N m s] diagonal of D_a.
         a_max: (n_b,) largest accelerations of the base.
@@ -50,10 +51,11 @@ def next_command(
 
 
 def admissible_command(base: BaseKind, command: Array, before: Array, v_max: Array) -> Array:
-    """The feasible command nearest to (n_b,), with the same direction.
+    """The feasible command (n_b,) nearest to `command`, within the largest commands `v_max`.
 
-    If the axes of a base depend on each other, one of them may exceed its limit: then all are
-    scaled.
+    If the axes of a base depend on each other, the nearest feasible command can exceed the largest
+    command of an axis. Then all axes are scaled down alike, so that the direction stays the same.
+    `before` (n_b,) is the previous command.
     """
     found = base.admissible(command, before)
     over = float(np.max(np.abs(found) / v_max))
@@ -71,10 +73,12 @@ def virtual_damping(base: BaseKind, config: AdmittanceConfig) -> Array:
 
 
 def response(base: BaseKind, config: AdmittanceConfig) -> tuple[Array, Array]:
-    """The law's mean response to an acceleration a within its limits: gain (a − drag ν).
+    """The law's mean response over a command period to an acceleration a: gain (a − drag ν).
+
+    The response has this form while the law's limits are not active.
 
     Returns:
-        (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the velocity.
+        (n_b,) the gain [-], and (n_b,) the drag [1/s]; ν is the velocity at the period's start.
     """
     drag = virtual_damping(base, config) / virtual_mass(base, config)
     return np.array([_gain(each * config.period) for each in drag]), drag

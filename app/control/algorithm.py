@@ -4,9 +4,9 @@ Comments name the line of the paper's Algorithm 2; a number in brackets is an eq
 table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
 only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-There are no levels. Each problem is one strictly convex QP: tasks have weights, and a row of T_sca
-is a spring with a stiffness that follows its activation β. A row with β = 0 has no effect, so lines
-12 and 16 to 18, which leave out inactive rows, need no branch.
+There are no strict levels. Each problem is one strictly convex QP: tasks have weights, and a row of
+T_sca is a spring with a stiffness that follows its activation β. A row with β = 0 has no effect, so
+lines 12 and 16 to 18, which leave out inactive rows, need no branch.
 
 From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
 v_cmd by the admittance law (§4.1, `update_command`).
@@ -18,16 +18,17 @@ Two problems are solved, one after the other, because the base follows its comma
 1. `set_up_free_base`: a_free minimises over q̈ of base and arm the posture and T_ee, with the rows
    between links as springs, subject to the limits of joints, torques and base accelerations. A
    guided base comes to rest instead, a_free = −k ν, without a QP.
-2. `blend_base`: its rows of T_sca blend with that, a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
+2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
+   a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
 3. `undragged`: the acceleration nearest to a_des, in the metric of the base's inertia, that does
    not drag the end-effector along where the arm cannot compensate.
-4. `set_up_room`, only while tracking: the smallest change of it with which the arm fulfils T_ee
-   within its limits: joints and torques, and for the method `dbb` the distances of L_m and the
-   buffers of the arm's links.
+4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
+   fulfils T_ee within its limits: joints and torques, and for the method `dbb` the distances of L_m
+   and the buffers of the arm's links.
 
 **The arm** (`accelerate_arm`) minimises the tasks with the rows of T_sca as springs against them,
-(29), subject to its limits, for the acceleration that the base has meanwhile (`assume_base`). The
-torques follow from q̈, (26).
+(29), subject to its limits, for the present acceleration of the base (`assume_base`). The torques
+follow from q̈, (26).
 
 The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
 `app.control.hqp` solves.
@@ -193,8 +194,8 @@ def algorithm_2(
 def activate_pairs(gains: Any, w: Any) -> None:
     """The activation of each pair, a function of its distance alone, not of time (Fig. 10).
 
-    `w.d_b` is the buffer distance in force, which approaches a new one at `BUFFER_RATE`; the border
-    is that of the new one at once.
+    `w.d_b` is the buffer distance in force, which approaches a new d_b at `BUFFER_RATE`; the border
+    is that of the new d_b at once.
     """
     for i in range(len(w.beta)):
         w.beta[i] = activation(w.d[i], w.d_b[()], gains.d_full)
@@ -490,7 +491,7 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
 
 @compiled()
 def assume_base(robot: Any, w: Any, base_source: int) -> None:
-    """Write the base acceleration that the arm's QP assumes; that of the caller is there."""
+    """Write the base acceleration that the arm's QP assumes; the caller writes a measured one."""
     if base_source == DRIVE_MODEL:
         for i in range(robot.n_b):
             v = min(max(w.v_cmd[i], -robot.v_max[i]), robot.v_max[i])

@@ -3,17 +3,17 @@
 An end-effector approaches the base along -n at a constant speed v, independent of the base. The
 bound of its distance depends on three properties:
 
-- Dead time t_0 = period + delay + τ. The controller's commands are averaged over a command's period
-  and reach the drive later by the delay; the first-order lag of the drive delays by another τ.
+- Dead time t_0 = period + delay + τ. The controller's commands are averaged over a command period
+  and reach the drive later by the delay; the first-order lag of the drive adds the delay τ.
 - The law commands more with a deeper end-effector. At the distance d it accelerates the base along
   -n, in each of its channels k (v and ω of a differential one). This acceleration is
   a_k = β(d) f_max (1 - d/d_b) ‖n_xy‖ J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
-  end-effector's place (x, y) and m_k = m or I for a linear or an angular channel. The force starts
-  at the acting point, which is offset sideways by α_min while the end-effector is d_b - d inside
-  the border: u is between the normal and the tangent with tan = α_min / (d_b - d), on the worse
-  side.
-- The admittance law turns it into a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
-  a_k within the base's acceleration limit and w_k within its largest speed.
+  end-effector's place (x, y) and m_k = m or I for a linear or an angular channel. The force points
+  from the acting point to the end-effector. The acting point is offset sideways by α_min while the
+  end-effector is d_b - d inside the border: u is the horizontal normal, turned by the angle
+  arctan(α_min / (d_b - d)) to the worse side.
+- The admittance law turns a_k into a speed: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with
+  a_k within the base's acceleration limit and w_k within the base's largest speed.
 
 Once the end-effector is at some d_*, the law commands at least a_k(d_*) while it is nearer. Thus
 after t_0 each channel reaches its share v_k of v in t_k = -T_k ln(1 - v_k/(a_k T_k)), and until
@@ -21,13 +21,14 @@ then the end-effector has approached the base by no more than
 
     x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
 
-(without damping v_k²/(2 a_k)). The smallest distance is therefore at least the largest
-d_* - x(d_*). That grows with d_b, and the required d_b is the smallest one at which it is the
-reserve. If the sum of the speeds a_k T_k stays below v at every d_*, no d_b suffices.
+(without damping, the bracket is v_k²/(2 a_k)). The smallest distance is therefore at least the
+largest d_* - x(d_*). This bound grows with d_b, and the required d_b is the smallest d_b at which
+the bound is the reserve. If the sum of the speeds a_k T_k stays below v at every d_*, no d_b
+suffices.
 
-The bound has two simplifications. The place does not move along the base, and the lever
+The bound has two simplifications. The end-effector does not move along the base, and the lever
 of ω at the side is at least 0.25 m: near the wheel axis the tangential part of the force first
-drives the base along its own side, until it has a lever.
+drives the base along its own side, until the force has a lever.
 """
 
 import math
@@ -51,7 +52,9 @@ _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] sampled d_b
 
 @compiled()
 def _gain(v: float, a: float, T: float) -> float:
-    """[m] by which a point of speed v gains on one that starts with a and reaches a T."""
+    """[m] approach of a point of speed v to one that starts at rest with the acceleration a and
+    the final speed a T, until both have the same speed.
+    """
     final = max(a * T, 1e-12)
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
@@ -129,12 +132,12 @@ class Approach(NamedTuple):
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the arm stays away from the base by the reserve.
 
-    The module lists the assumptions. The delay and the slip are those of the configuration; its
-    own d_b has no influence.
+    The module lists the assumptions. The delay and the slip are those of the configuration; the
+    configured d_b has no influence.
 
     Returns:
-        At least d_full, so that β can rise; infinite if the base cannot retreat as
-        fast, or only with a d_b above 2 m.
+        At least the reserve and d_full, so that β can rise; infinite if the base cannot retreat as
+        fast as the arm approaches, or only with a d_b above 2 m.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:
@@ -152,7 +155,7 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """(k,) [m] lower bound of the arm's distance, for d_b (k,) [m] above d_full.
 
-    It is minus infinity if the base does not reach the speed at all.
+    It is minus infinity if the base does not reach the approach speed at all.
     """
     lead, force = dead_time(base, config), config.force
     ways = [

@@ -33,23 +33,23 @@ class BufferReading(NamedTuple):
     too_small: bool
     """Whether `needed` exceeds the present d_b, for a controller whose base avoids."""
     too_small_ever: bool
-    """Whether `needed_max` exceeds it, for such a controller."""
+    """Whether `needed_max` exceeds the present d_b, for a controller whose base avoids."""
 
 
 class BufferWatch:
     """Evaluates the pairs of L_m step by step, and computes the required d_b.
 
     The speed is that of the arm's closest point relative to the floor along -n. With the base at
-    rest this is the arm's own speed; with a retreating base it is still the speed of the
-    end-effector. An approach counts while the distance shrinks, once the arm is within the border
-    that it requires, or inside of the present one: an end-effector that is still farther away may
-    slow down. From above the arm resists by itself, and no d_b helps the base: such approaches do
-    not count.
+    rest this is the arm's own speed; while the base retreats, it is still the speed of the
+    end-effector in the world. An approach counts while the arm's motion reduces the distance, if
+    the distance is below the present d_b or below the d_b that the approach requires: an
+    end-effector that is farther away can still slow down. From above the arm resists by itself, and
+    no d_b helps the base: such approaches do not count.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        """The parameters; may be replaced at any time."""
+        """The parameters; this record can be replaced at any time."""
         self.reset()
 
     def reset(self) -> None:
@@ -88,7 +88,7 @@ class BufferWatch:
         return self._reading
 
     def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
-        """Record the speed of a pair; if due, evaluate the mean: a tremor is no approach."""
+        """Record the speed of a pair; with `look`, evaluate the mean: a tremor is no approach."""
         speeds = self._speeds.setdefault(pair.pair.name, deque(maxlen=_EVERY // _SAMPLE))
         if pair.d > _FARTHEST or float(pair.n[2]) ** 2 > 0.5:
             speeds.clear()

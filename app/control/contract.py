@@ -44,9 +44,9 @@ def check_gains(config: Config, dt: float) -> None:
             rate = value ** (1.0 / power)
             if each.path != "estimate.velocity_noise" and rate * dt > _FASTEST:
                 raise ConfigError(
-                    f"{each.path} = {value:g} {each.unit} is too much for a control period of "
-                    f"{dt * 1000:g} ms: at most {(_FASTEST / dt) ** power:.3g}, or a period of "
-                    f"{_FASTEST / rate * 1000:.2g} ms"
+                    f"{each.path} = {value:g} {each.unit} is too large for a control period of "
+                    f"{dt * 1000:g} ms: the gain must be at most {(_FASTEST / dt) ** power:.3g}, "
+                    f"or the period at most {_FASTEST / rate * 1000:.2g} ms"
                 )
 
 
@@ -64,7 +64,7 @@ def implausible(model: RobotModel, q_m: Array) -> MeasurementError:
 class JointOrder:
     """Positions and velocities of the arm from joint states in a driver's own order.
 
-    The joint states may have any order of joints, further joints, and no velocities, as in
+    The joint states can have any order of joints, further joints, and no velocities, as in
     `sensor_msgs/JointState`. The names are resolved once; a step only selects the entries::
 
         order = loop.joint_order(message.name)
@@ -121,7 +121,7 @@ def checked_reference(reference: Reference) -> Reference:
     if not isinstance(pose, pin.SE3):
         raise MeasurementError(
             f"reference.pose must be a pinocchio.SE3, was {type(pose).__name__}; "
-            "SE3(T) makes one of a 4x4 matrix"
+            "pinocchio.SE3(T) converts a 4x4 matrix T"
         )
     if type(v) is type(a) is Array and v.dtype == a.dtype == _FLOAT and v.shape == a.shape == (6,):
         return reference
@@ -138,7 +138,7 @@ def checked_reference(reference: Reference) -> Reference:
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """The error for a reference without a rotation, or with an entry that is not finite."""
+    """The error for a reference with an invalid rotation matrix, or a number that is not finite."""
     pose, v, a = reference
     if np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
         return MeasurementError("reference.pose: its rotation is no rotation matrix")

@@ -104,7 +104,7 @@ class ControlLoop:
         return JointOrder(self.controller.state.model, names)
 
     def reset(self) -> None:
-        """Start again: the next reading is the robot's present state, at rest.
+        """Start again: the next reading is the initial state, and the base's command starts at 0.
 
         Call it after a protective stop, or after a person has moved the arm. It clears commands,
         posture and estimate.
@@ -113,7 +113,11 @@ class ControlLoop:
         self.reported.clear()
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on."""
+        """Use other parameters from the next step on.
+
+        Raises:
+            ConfigError: The control period is too long for a gain.
+        """
         self.controller.configure(config)
 
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:

@@ -112,7 +112,7 @@ class Controller:
         self.reset()
 
     def use(self, name: str) -> None:
-        """Use another controller from the next step on.
+        """Use a different controller from the next step on.
 
         Raises:
             UnknownNameError: The controller does not exist.
@@ -124,9 +124,9 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on.
 
-        A new d_b or ε selects another border from the same samples. The buffer distance in use
-        approaches the new d_b at `algorithm.BUFFER_RATE`, because a jump would accelerate an arm
-        inside the buffer abruptly.
+        A new d_b or ε selects a different border from the same samples at once. The buffer distance
+        in use approaches the new d_b at `algorithm.BUFFER_RATE`, because a jump would accelerate an
+        arm inside the buffer abruptly.
 
         Raises:
             ConfigError: The control period is too long for a gain.
@@ -157,10 +157,10 @@ class Controller:
         return self._dt
 
     def reset(self) -> None:
-        """Start again: the next reading is the robot's present state, at rest.
+        """Start again: the next reading is the initial state, and the base's command starts at 0.
 
-        It forgets posture, torques, estimate, commands and the counts of failures. A measured
-        period stays in use.
+        The controller forgets posture, torques, estimate, commands and the counts of failures. A
+        measured period stays in use.
         """
         for name in _MEMORY:
             getattr(self.last, name)[...] = np.nan if name in _UNKNOWN else 0.0
@@ -183,13 +183,14 @@ class Controller:
         Args:
             measurement: The sensors' readings.
             reference: Desired motion of the end-effector, or None while a person guides it.
-            base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base.
+            base_acceleration: (n_b,) [m/s² or rad/s²] measured acceleration of the base; default:
+                the commanded acceleration of this step.
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
-            command. If the readings are not valid or the arm's QP has no solution, it is the
-            fallback command: gravity compensation and damping at the last valid state (before the
-            first one, at the ready pose), and a base that brakes.
+            command. If the readings are not valid or the arm's QP has no solution, this command is
+            the fallback command: gravity compensation and damping at the last valid state (before
+            the first valid state, at the ready pose), and a base that brakes.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the

@@ -13,10 +13,10 @@ from app.strict import Array
 
 
 class Drive:
-    """The drive of a base; its kind defines the response to commands.
+    """The drive of a base; the kind of base defines the response to commands.
 
-    A differential one has a first-order response to the commanded (v, ω), with limits of velocity
-    and acceleration.
+    The drive of a differential base has a first-order response to the commanded (v, ω), with limits
+    of velocity and acceleration.
     """
 
     def __init__(self, base: BaseKind, dt: float) -> None:
@@ -44,8 +44,8 @@ class Drive:
         """(n_b,) [m/s² or rad/s²] present response of the drive to a command at a measured
         velocity.
 
-        Both are (n_b,). Without a measured state (n_d,), or with an empty one, the drive counts as
-        at rest.
+        `v_cmd` and `v` are (n_b,). Without a measured `state` (n_d,), or with an empty one, the
+        further states count as those at rest.
         """
         known = self._at_rest if state is None or not len(state) else state
         return self._base.drive_acceleration(v, known, v_cmd)

@@ -2,15 +2,16 @@
 
 A Kalman filter of each joint estimates its position, its velocity and its external acceleration.
 Torques and the base's motion predict a joint's acceleration; the rest is a random walk. The noise
-of the readings is estimated from them: the third differences of the unpredicted motion are noise of
-the positions, with 20 times its variance. The weight of a velocity depends on its agreement with
-the difference of the last two positions. Its noise is never assumed to be below theirs, because
-drives compute it from the same positions. Thus the filter follows readings without noise at once,
-noisy ones do not shake the arm, and velocities that are late, wrongly scaled or missing have no
+of the readings is estimated from the readings themselves: the third differences of the unpredicted
+motion are due to the noise of the positions, and have 20 times the variance of this noise. The
+weight of a velocity depends on its agreement with the difference of the last two positions. The
+noise of velocities has a lower bound in proportion to the noise of positions, because drives
+compute velocities from the same positions. Thus the filter follows readings without noise at once,
+noisy readings do not shake the arm, and velocities that are late, wrongly scaled or missing have no
 effect.
 
-The estimate belongs to the newest reading, which may be several periods old; `advance` predicts
-the present state from it, by the accelerations of torques and base since then.
+The estimate belongs to the newest reading, which can be several periods old; `advance` predicts
+the present state from this estimate, by the accelerations of torques and base since then.
 
 Tasks do not use the external acceleration: a guided end-effector stays free. Limits do, so that
 joint speeds and distances respect their limits while a person pulls.
@@ -31,7 +32,7 @@ _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
 @compiled()
 def _jumped(x: Array, q: Array, qd_max: Array, steps: int, dt: float) -> bool:
-    """Whether the motion from x (3, n_m) to q (n_m,) is impossible within the periods dt [s]."""
+    """Whether the motion from x (3, n_m) to q (n_m,) is impossible in `steps` periods dt [s]."""
     for i in range(len(q)):
         way = abs(q[i] - x[0, i] - steps * dt * x[1, i])
         if way > (_FARTHEST + steps - 1) * dt * qd_max[i]:
@@ -63,7 +64,9 @@ def estimate_arm(
 ) -> bool:
     """Update the estimate (x, P) by one reading of positions and velocities.
 
-    After a gap, or if the arm cannot have moved to the reading, the filter restarts there.
+    After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading.
+    Until the noise has enough samples, the position and velocity are those of the reading, and the
+    external acceleration does not change.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
@@ -123,8 +126,9 @@ def _learn(
     """Include one more reading in the noise estimate.
 
     The mean velocity since the last reading and the known accelerations imply the velocities at
-    both readings. The two that neighbouring intervals imply for one reading differ by the
-    unexplained second difference of the positions.
+    both readings. For the reading between two intervals, each interval implies a velocity; the
+    difference of the two, times the duration, is the unexplained second difference of the
+    positions.
 
     Args:
         variances: (2, n_m) noise of positions and velocities; updated.
@@ -157,10 +161,12 @@ def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
     """(2, n_m) variances of positions and velocities, with lower bounds.
 
     Args:
-        variances: (2, n_m) estimated ones.
+        variances: (2, n_m) estimated variances.
         least: Lower bound of the positions' standard deviation.
-        ratio: [1/s] lower bound of the velocities' relative to it: drives use the same positions.
-        dt: [s]
+        ratio: [1/s] lower bound of the velocities' standard deviation, divided by that of the
+            positions: drives compute velocities from the same positions.
+        dt: [s] time since the last reading; `least` / dt is a lower bound of the velocities'
+            standard deviation too.
     """
     found = np.empty_like(variances)
     for i in range(variances.shape[1]):
@@ -198,7 +204,7 @@ def _follow(
 ) -> None:
     """Predict each joint since the last reading, and correct it by its position and its velocity.
 
-    The velocity is the mean since the last position, as in drives and simulators.
+    A velocity is the mean over the last period, as in drives and simulators.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration; updated.

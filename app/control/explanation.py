@@ -29,21 +29,22 @@ class ForceSplit(NamedTuple):
     f: Planar
     """[N] f_m,i of (14), the sum of the next two."""
     away: Planar
-    """[N] its component along -n, which moves the base away from the arm."""
+    """[N] component of f along -n, which moves the base away from the arm."""
     turn: Planar
-    """[N] its component across, from the step (12), (13) towards a better score."""
+    """[N] component of f across n, from the step (12), (13) towards a better score."""
     away_acceleration: ByAxis
     """[m/s² or rad/s²] acceleration (16) by `away` alone, times β_m."""
     turn_acceleration: ByAxis
     """[m/s² or rad/s²] acceleration (16) by `turn` alone, times β_m."""
     determinant: float
-    """[m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act."""
+    """Absolute measure of the base at p_act; for a differential base det(J_c J_cᵀ) of (7)
+    [m⁴/rad⁴]."""
     reachability: float
     """[-] R of (9) at p_act."""
     score: float
-    """[m⁴/rad⁴] S of (10) at p_act."""
+    """[unit of the measure] S of (10) at p_act."""
     score_near: float
-    """[m⁴/rad⁴] S at p_n, the place of the force without the step."""
+    """[unit of the measure] S at p_n, where the force would act without the step."""
 
 
 class NearPair(NamedTuple):
@@ -56,7 +57,7 @@ class NearPair(NamedTuple):
     mobile: bool
     """Whether it belongs to L_m."""
     d: float
-    """[m] signed distance of the controller."""
+    """[m] signed distance in the control step."""
     beta: float
     """[-] activation parameter."""
     n: tuple[float, float, float]
@@ -80,9 +81,10 @@ class Level(NamedTuple):
     between links; "hand": the end-effector's task; "posture": the lowest task, or "free" during
     guiding: the motion without avoidance."""
     linear: float | None
-    """[m/s²] norm of the slack, or its linear part; None if there is none. For "base" v̇."""
+    """[m/s²] norm of the linear part of the slack; None for "posture" and "free"."""
     angular: float | None
-    """[rad/s²] norm of the angular part, or that of the joints; None if there is none."""
+    """[rad/s²] norm of the angular part of the slack, or of the joints' slack; None for "arm" and
+    "links"."""
 
 
 class Explanation(NamedTuple):
@@ -90,15 +92,16 @@ class Explanation(NamedTuple):
 
     controller: str
     mode: Controlled
-    """Whether a person guides the arm or it follows a reference."""
+    """Whether a person guides the arm, or the arm tracks a reference."""
     solved: bool
-    """False for the fallback command, because a QP had no solution."""
+    """False for the fallback command: the readings were not valid, or the arm's QP had no
+    solution."""
     chain: tuple[str, ...]
     """Names of all bodies, the mobile robot first, then outwards."""
     near: tuple[NearPair, ...]
     """Pairs inside a buffer, the most active first."""
     nearest: tuple[str, str, float]
-    """Body names and distance [m] of the nearest pair of L_m, near or not."""
+    """Body names and distance [m] of the nearest pair of L_m, inside a buffer or not."""
     axes: tuple[Axis, ...]
     """The base's axes, which define the components of its accelerations."""
     base_avoidance: ByAxis
@@ -106,7 +109,8 @@ class Explanation(NamedTuple):
     base_asked: ByAxis
     """(n_b,) commanded base acceleration."""
     base_given: ByAxis
-    """(n_b,) base acceleration that the arm's QP assumes: `a_base_meas`."""
+    """(n_b,) base acceleration that the arm's QP assumes: `a_base_meas`; with the fallback command,
+    the commanded acceleration."""
     levels: tuple[Level, ...]
     """Slack of each task, highest priority first."""
     bounds: tuple[Bound, ...]
@@ -195,7 +199,7 @@ def row_slacks(w: ControlStep) -> Array:
 
 
 def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
-    """Norms of a vector (n_b,) along the base's linear and its angular axes."""
+    """Norms of the linear and of the angular part of a vector (n_b,) along the base's axes."""
     angular = np.array([axis.angular for axis in base.axes])
     return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
 

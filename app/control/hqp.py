@@ -7,7 +7,7 @@ without which it does not work:
 - (26) leaves q̈ open if T_2 has fewer rows than the robot has axes. A lowest level completes it:
   posture and damping, with a large weight on the wheels. A guided arm has no T_2 (§4.2.2): its
   lowest levels are a base at rest, then gravity compensation with joint damping.
-- A level has a row for each pair within its buffer; rows with β = 0 are left out.
+- The level T_sca has only the rows with β > 0, so that a pair has a row only within its buffer.
 
 u is not an unknown here: (26) defines it as M q̈ + C q̇ + g, without a constraint on q̈.
 """
@@ -108,7 +108,7 @@ def cascade(levels: list[Task]) -> Array:
 
 
 def least_slack(level: Task, above: Array, qdd: Array) -> Array:
-    """Min ‖J q̈ − b‖ with the same `above` q̈ (k,) as for the given q̈.
+    """q̈ (n,) that minimises ‖J q̈ − b‖ and has the same product `above` q̈ (k,) as the given q̈.
 
     Raises:
         NoSolutionError: ProxQP finds no solution.

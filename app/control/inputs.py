@@ -41,16 +41,16 @@ _ROBOT: dict[str, Any] = {
     "tau_limits": _MATRIX,  # (2, n_m)
     "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
     "R_tip": _MATRIX,  # (3, 3) rotation of the end-effector in the frame of the last joint
-    "p_tip": _VECTOR,  # (3,) [m] its origin there
+    "p_tip": _VECTOR,  # (3,) [m] origin of the end-effector in the frame of the last joint
     "shapes": _MATRIX,  # (P, 16) of `Shapes`
-    "triangles": types.Array(types.f8, 3, "C"),  # (T, 4, 3) of them
+    "triangles": types.Array(types.f8, 3, "C"),  # (T, 4, 3) of `Shapes`
     "nodes": _MATRIX,  # (K, 4) of `mean_nearest`
     "firsts": _TABLE,  # (bodies + 1, 2) of `mean_nearest`
     "sought": _TABLE,  # (n_r, 4) of `mean_nearest`
     "body_joints": _INTS,  # (bodies,) pinocchio's joint of each body
     "pair_joints": _TABLE,  # (n_r, 2) joints that carry l_a and l_b
-    "convex": _INTS,  # (n_c,) rows of distances to a convex body each
-    "n_convex_mob": types.i8,  # the first ones of them, of L_m
+    "convex": _INTS,  # (n_c,) rows of the distances to a single convex part of l_a
+    "n_convex_mob": types.i8,  # number of these rows of L_m, which are the first ones
     "score_coefficients": _MATRIX,  # (n_mob, 9) `ScoreField.coefficients`
 }
 _Robot: Any = NamedTuple("_Robot", [(each, Any) for each in _ROBOT])  # type: ignore[misc]

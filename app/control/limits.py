@@ -36,8 +36,8 @@ def torque_range(u_last: Array, tau_max: Array, change: float) -> tuple[Array, A
 def position_bound(q: float, qd: float, limit: float, rate: float) -> float:
     """λ² (q_limit − q) − 2 λ q̇, the bound on a joint's acceleration from a position limit.
 
-    A joint at the distance e from its limit may accelerate towards it by at most λ² e − 2 λ q̇, and
-    thus reaches the limit without overshoot.
+    At the distance e from the limit, the acceleration towards the limit is at most λ² e − 2 λ q̇.
+    Thus the joint reaches the limit without overshoot.
     """
     return rate**2 * (limit - q) - 2 * rate * qd
 
@@ -60,7 +60,7 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
     Args:
         Jdqd: [m/s²] acceleration of the distance at q̈ = 0.
         d_dot: [m/s] speed of the distance.
-        h: [m]
+        h: [m] d − d_min.
         rate: [1/s] λ.
         max_speed: [m/s] largest speed of separation.
     """
@@ -102,11 +102,11 @@ def torque_reachable_bounds(
     """Bounds (2, n_m) on q̈_m, relaxed to the range of each joint's own torque.
 
     No joint demands more than its own torque achieves in this step with the other torques in the
-    middle of their ranges. If one joint demanded more, the other torques would saturate in
-    alternation and destabilise an arm whose torque limits are exceeded. The acceleration towards a
-    velocity limit is bounded too: if a joint's torque changes at the rate r, its acceleration q̈_i
-    changes at the rate (M⁻¹)_ii r. With the distance v to the velocity limit, the joint can
-    therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
+    middle of their ranges. If one joint demanded more, the other torques would switch between their
+    limits, and an arm that needs more than its torque limits would become unstable. The
+    acceleration towards a velocity limit is bounded too: if a joint's torque changes at the rate r,
+    its acceleration q̈_i changes at the rate (M⁻¹)_ii r. A joint whose speed is lower than the
+    velocity limit by v can therefore brake in time from the acceleration √(2 (M⁻¹)_ii r v).
 
     Args:
         M: (n, n) inertia matrix.
@@ -116,7 +116,7 @@ def torque_reachable_bounds(
         u_max: (n_m,) largest torques.
         torque_rate: [N m/s] r.
         bounds: (2, n_m) bounds on q̈_m.
-        room: (2, n_m) distance of q̇_m to its lower and upper limit.
+        room: (2, n_m) lower and upper velocity limit minus q̇_m.
         qdd_b: (n_b,) acceleration of the base's coordinates.
         qdd_ext: (n_m,) external acceleration of the joints.
     """
@@ -153,7 +153,8 @@ def torque_rows(
 def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u: Array) -> None:
     """Write the bounds (2, n_m) on q̈_m into rows of C (n_m, n), in units (n_m,) of each joint.
 
-    The unit is the largest joint speed, so that a violation costs the same for every joint.
+    The unit is the largest joint speed, so that a violation costs the same for every joint. The
+    bounds apply to the sum of q̈_m and the external acceleration `qdd_ext` (n_m,).
     """
     n_m = len(unit)
     n_b = C.shape[1] - n_m
@@ -168,7 +169,10 @@ def joint_rows(bounds: Array, qdd_ext: Array, unit: Array, C: Array, l: Array, u
 def distance_rows(
     J: Array, least: Array, rows: Array, qdd_ext: Array, C: Array, l: Array, u: Array
 ) -> None:
-    """Write J q̈ ≥ least for some rows (k,) of J into rows of C (k, n), l and u (k,)."""
+    """Write J q̈ ≥ least for some rows (k,) of J into rows of C (k, n), l and u (k,).
+
+    This bound applies to the sum of q̈ and the external acceleration `qdd_ext` (n_m,) of the arm.
+    """
     n_m = len(qdd_ext)
     n_b = C.shape[1] - n_m
     for i in range(len(rows)):
@@ -189,14 +193,15 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
 
         F = min_i (τ_i − t_i sgn J_i) / |J_i|,
 
-    minus v²/(2 d) / (J M⁻¹ Jᵀ) for a pair that approaches at the speed v, which is required to stop
-    within d. Beyond it the arm resists for a moment by its inertia, and joints may exceed their
-    speed limits. It is 0 at contact, and if the arm cannot stop in time even without a push.
+    minus the force v²/(2 d) / (J M⁻¹ Jᵀ) that stops a pair within d if it approaches at the speed
+    v. Against a larger push the arm resists for a moment by its inertia, and joints can exceed
+    their speed limits. The bound is 0 at contact, and if the arm cannot stop in time even without a
+    push.
 
     Args:
         d: [m] distance of the pair.
-        J: (n,) its Jacobian.
-        d_dot: [m/s] its speed.
+        J: (n,) Jacobian of the distance.
+        d_dot: [m/s] speed of the distance, negative during an approach.
         M: (n, n) inertia matrix.
         load: (n,) t: gravity at rest, or `steady_torques`.
         tau_max: (n_m,) torque limits.
@@ -214,9 +219,9 @@ def force_bound(d: float, J: Array, d_dot: float, M: Array, load: Array, tau_max
 
 
 def steady_torques(M: Array, h: Array, qdd: Array) -> Array:
-    """(n,) torque with which each joint alone holds its speed, without external forces.
+    """(n,) torque of each joint that keeps this joint's speed constant, without external forces.
 
-    The others have their present accelerations q̈ (n,): a wrist at its speed limit needs more
+    The other joints have their present accelerations q̈ (n,): a wrist at its speed limit needs more
     torque while an elbow brakes. M (n, n) is the inertia matrix, h (n,) the Coriolis and gravity
     terms.
     """

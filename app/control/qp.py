@@ -118,7 +118,8 @@ def _activate_row(
     """Bring row p to its bound, by changing y and the set of active rows.
 
     Returns:
-        Number of active rows, and success; otherwise the hard rows are infeasible.
+        Number of active rows, and whether row p is at its bound; if not, the hard rows are
+        infeasible.
     """
     m = len(y)
     while True:
@@ -150,14 +151,15 @@ def _activate_row(
 
 @compiled()
 def compliances(slack_weight: Array, length: Array) -> Array:
-    """(m,) compliances of rows of unit length; all soft rows have that of the stiffest.
+    """(m,) compliances of the rows, which are scaled to unit length.
 
-    Thus a slack s costs s² times the same factor for all of them. If the cost depended on the row,
-    a light wrist would accelerate strongly to brake a heavy shoulder.
+    Before this scaling, soft rows of the same slack weight have the same compliance, that of the
+    shortest soft row. Thus a slack s costs s² times the same factor in each of them. If the cost
+    depended on the row, a light wrist would accelerate strongly to brake a heavy shoulder.
 
     Args:
-        slack_weight: (m,) [-] of each row; 0 is hard, and a larger one is softer.
-        length: (m,) √(C_i H⁻¹ C_iᵀ).
+        slack_weight: (m,) [-] softness of each row; a row with 0 is hard.
+        length: (m,) √(C_i H⁻¹ C_iᵀ), length of each row before the scaling.
     """
     least = np.inf
     for i in range(len(slack_weight)):
@@ -172,9 +174,9 @@ def compliances(slack_weight: Array, length: Array) -> Array:
 
 @compiled()
 def _most_violated(s: Array, below: Array, above: Array, active: Array) -> tuple[int, float]:
-    """The row whose value s is farthest outside its bounds, and the difference; 0 if it is active.
+    """The row whose value s is farthest outside of its bounds, and how far.
 
-    A row with NaN counts as the most violated one.
+    An active row counts as at its bound, a row with NaN as the most violated one.
     """
     miss = np.empty(len(s))
     for i in range(len(s)):
@@ -195,19 +197,19 @@ def _nearest_within(
 ) -> tuple[Array, bool]:
     """The constrained optimum, by the dual active-set method of Goldfarb and Idnani (1983).
 
-    It is x itself if that satisfies the limits. With a_i = L⁻¹ C_iᵀ of length one, and
-    z = Lᵀ (q̈ - x), the solution is z = Σ y_i a_i. Its multipliers y solve l ≤ K y ≤ u with
-    K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one and 0 between. The most
-    violated row is brought to its bound while the active rows stay there, until one of their
-    multipliers is 0 and this row becomes inactive; then the next row follows.
+    The optimum is x itself if x satisfies the limits. With a_i = L⁻¹ C_iᵀ, scaled to length one,
+    and z = Lᵀ (q̈ - x), the solution is z = Σ y_i a_i. The multipliers y solve l ≤ K y ≤ u with
+    K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound, ≤ 0 at an upper bound and 0 between. The
+    most violated row is brought to its bound while the active rows stay at theirs; an active row
+    whose multiplier becomes 0 on the way becomes inactive. Then the next row follows.
 
     Args:
         x: (n,) the free optimum.
-        L: (n, n) of the objective.
+        L: (n, n) Cholesky factor of the objective's Hessian.
         C: (m, n) rows of the limits.
         l: (m,)
         u: (m,)
-        slack_weight: (m,) [-] of `compliances`.
+        slack_weight: (m,) [-] as in `compliances`.
 
     Returns:
         (n,) the optimum, and whether it exists.
@@ -241,7 +243,8 @@ def _nearest_within(
         if not reached_it:
             break
     z = times(a.T, y)
-    # A soft row's multiplier, of order 1/ε, hides a hard row's in rounding, but not z.
+    # The multipliers of soft rows, of order 1 / slack_weight, cause rounding errors in those of
+    # hard rows. Therefore correct z until the active hard rows are exactly at their bounds.
     hard = kept[:size][slack_weight[kept[:size]] == 0.0]
     missed = np.empty(len(hard))
     for k in range(len(hard)):
@@ -268,10 +271,10 @@ def solve_qp(
     """Min ½ xᵀ H x + cᵀ x subject to l ≤ C x ≤ u, with the first entries of x fixed.
 
     If no limit is active, the solution is a closed form. Otherwise, with H = L Lᵀ and
-    z = Lᵀ (x − x*) from the free optimum x*, it is the feasible z nearest to 0. A soft
-    limit has a slack that costs 1/(ε c), with c the smallest C_j H⁻¹ C_jᵀ of the soft ones. The
-    slack is at most ε times the violation of the unconstrained solution. Soft limits, even
-    conflicting ones, never make the problem infeasible.
+    z = Lᵀ (x − x*) from the free optimum x*, the solution is the feasible z nearest to 0. A slack s
+    of a soft limit costs ½ s² / (ε k), where ε is the limit's slack weight and k is the smallest
+    C_j H⁻¹ C_jᵀ of the soft limits. The slack is at most ε times the violation of the unconstrained
+    solution. Soft limits, even conflicting ones, never make the problem infeasible.
 
     Args:
         H: (n, n) symmetric positive definite.
@@ -279,7 +282,7 @@ def solve_qp(
         C: (m, n)
         l: (m,)
         u: (m,)
-        slack_weight: (m,) [-] of each row; 0 is hard, and a larger one is softer.
+        slack_weight: (m,) [-] softness of each row; a row with 0 is hard.
         fixed: (k,) the first entries of x.
 
     Returns:
@@ -298,7 +301,8 @@ def solve_qp_step(
 ) -> tuple[Array, bool]:
     """The feasible x nearest to x_0, the optimum with the fixed entries and without limits.
 
-    The distance is that of the metric H, and all entries of x may differ from x_0.
+    The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
+    too.
 
     Returns:
         (n,) the solution, and whether the active sets found it.

@@ -47,7 +47,7 @@ class Quantity(NamedTuple):
     source: str
     """Equation, algorithm or section of the paper, or the function that computes it."""
     meaning: str
-    """One line."""
+    """Meaning in one line; quantities that the next step reads begin with "memory"."""
 
 
 DIMENSIONS = {
@@ -59,7 +59,7 @@ DIMENSIONS = {
     "n_v": "entries of pinocchio's velocity, 3 + n_m",
     "n_p": "link pairs, those of L_m first",
     "n_mob": "link pairs of L_m",
-    "n_r": "distances: one for each pair, then one for each convex part of a base of several parts",
+    "n_r": "distances: one for each pair, then one for each convex part of an l_a of several parts",
     "n_s": "rows of T_sca: n_b of the base, n_p − n_mob between links, then 3 n_mob of T_rep",
     "n_l": "limits: n_m torques, n_m joints, then distances, then n_b accelerations of the base",
 }
@@ -85,8 +85,9 @@ p_ee | | 3 | m | world | | position of the end-effector
 J_ee | J_2 | 6 n | m/rad, 1 | world | (26) | end-effector Jacobian
 v_ee | ẋ | 6 | m/s, rad/s | world | (26) | end-effector velocity
 Jdqd_ee | J̇_2 q̇ | 6 | m/s², rad/s² | world | (26) | end-effector acceleration at q̈ = 0
-twists | | n_j 6 | m/s, rad/s | world | | velocity of the body on each joint: linear, then angular
-biases | | n_j 6 | m/s², rad/s² | world | | acceleration of these bodies at q̈ = 0
+twists | | n_j 6 | m/s, rad/s | world | |
+    velocity of the body on each joint, at the origin of the world: linear, then angular
+biases | | n_j 6 | m/s², rad/s² | world | | derivative of `twists` at q̈ = 0
 # The estimate of the arm
 valid | | | 1 | | readings | 1 if the readings are usable, else 0
 faults | | 10 | 1 | | readings |
@@ -103,15 +104,15 @@ pose_last | | 3 | m, m, rad | world | readings | memory: newest pose of the base
 v_read | ν | n_b | m/s, rad/s | axes | readings | memory: newest velocity of the base
 history | | 128 n_m | rad/s² | joints | readings |
     memory: predicted joint accelerations of the last periods, as a ring buffer
-periods | | | 1 | | readings | memory: newest row of that buffer
-known | | | 1 | | readings | memory: number of its rows since the last gap
+periods | | | 1 | | readings | memory: index of the newest row of `history`
+known | | | 1 | | readings | memory: number of rows of `history` since the last gap
 read_before | | 3 n_m | rad | joints | readings | memory: positions of the last three readings
-read_ages | | 3 | 1 | | readings | memory: age of these readings in periods
+read_ages | | 3 | 1 | | readings | memory: age of the last three readings in periods
 evidence | | 26 | 1 | | readings |
     memory: evidence for each lag from 0 to 24 periods, and for a longer one
 travel | | 2 n_m | rad | joints | readings |
     memory: start positions for the measurement of the period, and the integral of the velocities
-since | | | 1 | | readings | memory: number of readings in that integral
+since | | | 1 | | readings | memory: number of readings in the integral of `travel`
 load | m | | kg | | readings |
     memory: mass at the end-effector whose weight best explains the external torques
 load_first | | | kg | | readings |
@@ -121,7 +122,7 @@ loaded | | | s | | readings |
 x_est | x̂ | 3 n_m | rad, rad/s, rad/s² | joints | estimate |
     memory: present position, velocity and external acceleration q̈_ext
 x_read | | 3 n_m | rad, rad/s, rad/s² | joints | readings |
-    memory: Kalman state: these quantities at the newest reading
+    memory: Kalman state: the quantities of `x_est` at the newest reading
 P_est | P | n_m 3 3 | | joints | estimate | memory: covariance of the Kalman state
 noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
     memory: estimated noise variance of positions and velocities
@@ -144,13 +145,13 @@ beta | β | n_p | 1 | | Fig. 10 | activation of each pair
 beta_m | β_m | | 1 | | (28) |
     largest activation of L_m; `B` has the activation that the base's rows use
 p_n | p_n | n_mob 3 | m | base | Algorithm 3 | border point nearest to p_b; NaN while β = 0
-p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score
-p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point
-tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n
-alpha | α | n_mob | m | | (13) | step size
+p_t | p_t | n_mob 3 | m | base | (12) | p_n moved towards a better score; NaN while β = 0
+p_act | p_act | n_mob 3 | m | base | Algorithm 3 | acting point; NaN while β = 0
+tangent | t | n_mob 3 | 1 | base | (12) | tangent of the border at p_n; NaN while β = 0
+alpha | α | n_mob | m | | (13) | step size; NaN while β = 0
 f | f_m,i | n_mob 3 | N | base | (14) | force on the base, 0 while β = 0
 xdd_m | ẍ_m | n_b | m/s², rad/s² | axes | (16) |
-    desired base acceleration of the force, without the factor β_m
+    desired base acceleration by the force, without the factor β_m
 # Tasks
 J_sca | J_sca | n_s n | | | (25) | Jacobian of T_sca
 b_sca | ẍ_sca − J̇_sca q̇ | n_s | m/s², rad/s² | | (24) | right-hand side of T_sca
@@ -217,7 +218,7 @@ qp_tried | | 4 | 1 | | | 1 for each QP that Python has tried to solve
 qp_H | | n n | | reduced | | Hessian of the open QP
 qp_c | | n | | reduced | | linear term of the open QP
 qp_fixed | | n_b | | reduced | | fixed first entries of the solution
-qp_rows | | | 1 | | | number of its rows in C, l, u and slack_weight
+qp_rows | | | 1 | | | number of rows of the open QP in C, l, u and slack_weight
 """
 """A line for each quantity: name | symbol | shape | unit | frame | source | meaning."""
 

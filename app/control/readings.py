@@ -6,11 +6,11 @@ of the reading, with the known torques and the motion of the base. Thus repeated
 readings, and readings with a known delay are the same case. Three properties are estimated from the
 readings themselves:
 
-- **The lag** is the delay with which accelerations by the torques and by the base appear in the
-  measured positions.
+- **The lag** is the number of periods until accelerations by the torques and by the base appear in
+  the measured positions.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If the readings arrive at regular intervals, and three successive measurements of
-  this ratio agree on another value, the loop does not run at the stated period.
+  this ratio agree on a different value, the loop does not run at the stated period.
 - **The velocities** are not used if no plausible period explains their ratio to the positions.
 """
 
@@ -54,11 +54,11 @@ _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the 
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
-_CLEARLY = 10.0  # [-] required ratio of squared errors: other predictions to the right lag
-_CONVINCING = 10.0  # number of readings that must support another lag
+_CLEARLY = 10.0  # [-] factor by which a lag's squared error must be smaller than the others
+_CONVINCING = 10.0  # evidence, in readings, for a change of the lag
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _LOAD_BEGINS = 0.03  # [s] time within which a load reaches its mass
-_LOAD_TIME = 0.15  # [s] time from its beginning during which its mass must be constant
+_LOAD_TIME = 0.15  # [s] time from the beginning of a load after which a constant mass is reported
 _LOAD_CHANGES = 0.05  # [-] largest relative change of a constant mass
 _GRAVITY = 9.81  # [m/s²]
 _LEAST_CURVE = 1e-14  # [rad²] squared deviation from a parabola; smaller ones show no lag
@@ -69,8 +69,9 @@ def unwrap(q: Array, last: Array, limits: Array, first: bool) -> Array:
     """The positions (n_m,) without jumps by full turns, if the limits (2, n_m) of the joint allow
     it.
 
-    A driver may wrap the position of a joint without limits to ±π. The result is the position
-    nearest to the `last` one (n_m,), and at the `first` reading the one within the limits.
+    Some drivers wrap the position of a joint without limits to ±π. The result is the position
+    nearest to the `last` position (n_m,), and for the `first` reading the position within the
+    limits.
     """
     found = q.copy()
     for i in range(len(q)):
@@ -98,7 +99,7 @@ def _same(a: Array, b: Array) -> bool:
 
 @compiled()
 def _moves(base_velocity: Array, qd: Array, unknown: bool) -> bool:
-    """Whether the robot moves according to its readings; `unknown` if all velocities are 0."""
+    """Whether a reading shows that the robot moves; `unknown` if all velocities are 0."""
     for v in base_velocity:
         if v != 0.0:
             return True
@@ -134,10 +135,11 @@ def _is_repeated(
 
 @compiled()
 def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
-    """Number of periods in which a robot at rest began to move while its readings were repeated.
+    """Number of equal readings before a new reading that were only repetitions; otherwise 0.
 
-    Equal readings of a robot at rest do not show whether the driver repeats them. It has repeated
-    them if the next reading is farther away than a joint moves in one period.
+    Equal readings of a robot at rest do not show whether the driver repeats them. The driver has
+    repeated them if the new reading is farther away than a joint moves in two periods at its new
+    velocity.
     """
     if first or (_same(q, w.reading[0]) and _same(qd, w.reading[1])):
         w.rested[()] = 0.0 if first else w.rested[()] + 1.0
@@ -188,9 +190,9 @@ def _remember(robot: Any, gains: Any, w: Any, base_velocity: Array, fresh: bool)
 
 @compiled()
 def _explained(w: Any, dt: float, count: int) -> Array:
-    """(count, n_m) [rad] motion since the oldest period that the stored accelerations predict.
+    """(count, n_m) [rad] motion by the stored accelerations, since the oldest of `count` periods.
 
-    The first row is the newest period.
+    Row k is the motion until k periods ago.
     """
     found = np.zeros((count, w.history.shape[1]))
     for i in range(found.shape[1]):
@@ -285,8 +287,9 @@ def _measure_from(w: Any, q: Array) -> None:
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
-    If the ratio is outside of 0.1 to 10, no plausible period explains it: then `w.no_velocity`
-    becomes 1, and `w.ratio` becomes 1.
+    The joint is the one with the largest displacement. If the ratio is outside of 0.1 to 10, no
+    plausible period explains it: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Three
+    successive ratios that agree and are outside of 0.8 to 1.25 set the fault `period`.
     """
     irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
     if w.known[()] == 0.0 or irregular:  # a gap, or lost readings
@@ -349,8 +352,8 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 def _estimate_load(gains: Any, w: Any) -> None:
     """Estimate the mass at the end-effector whose weight best explains the external torques.
 
-    The fault `load` reports a mass that appears within 0.03 s and then stays constant. A person's
-    force, in contrast, grows slowly and changes while the hand moves.
+    The fault `load` reports a mass that appears within 0.03 s and then stays constant until 0.15 s.
+    A person's force, in contrast, grows slowly and changes while the hand moves.
     """
     n_b = len(w.g) - len(w.q_m)
     torque, lift = times(w.M[n_b:, n_b:], w.x_est[2]), w.J_ee[2, n_b:]

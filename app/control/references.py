@@ -3,12 +3,13 @@
 The references of a planner arrive in steps, for example at 10 or 30 Hz with jitter. A reference is
 a sample if its pose jumps, which means that its own velocity does not explain the change of the
 pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
-acceleration of the reference. It ends at the sample after two mean intervals, with the mean
-velocity since the previous sample. Thus a steady motion stays steady, and jitter has no effect.
-Without a further sample the reference comes to rest at the last sample. If a sample is farther away
-than the correction speed allows, as after a stall, the reference approaches it at that speed. The
-first reference and references without jumps are used unchanged: the law itself limits the
-correction speed. A repeated reference is no sample.
+acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
+velocity, or with the mean velocity since the previous sample if the own velocity is 0. Thus a
+steady motion stays steady, and jitter has no effect. Without a further sample the reference comes
+to rest at the last sample. If a sample is farther away than the correction speed allows, as after a
+pause, the reference approaches it at up to that speed and comes to rest there. The first reference
+and references without jumps are used unchanged: the law itself limits the correction speed. A
+repeated reference is no sample.
 """
 
 import math
@@ -81,8 +82,8 @@ def _leaps(way: Array, v: Array, dt: float) -> bool:
 
 @compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
-    """Start a polynomial to the newest sample, at the relative pose `way` (6,) to the last
-    sample.
+    """Start a polynomial to the newest sample; `way` (6,) is the pose difference from the last
+    reference to this sample.
     """
     between = w.since_sample[()]
     w.since_sample[()] = 0.0

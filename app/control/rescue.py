@@ -1,8 +1,8 @@
 """The last resort for a QP whose active-set search ends without a solution: ProxQP.
 
-The search ends so after 10 m passes, with hard rows that seem infeasible, or with data that are not
-finite. It is rare, and takes a millisecond. The compared method `hqp` uses ProxQP in every step
-(`app.control.hqp`).
+The search ends so after ten passes for each row, with hard rows that seem infeasible, or with data
+that are not finite. This is rare, and takes a millisecond. The compared method `hqp` uses ProxQP in
+every step (`app.control.hqp`).
 """
 
 from typing import NamedTuple
@@ -31,7 +31,7 @@ class OpenQP(NamedTuple):
     u: Array
     """(m,)"""
     slack_weight: Array
-    """(m,) [-] ε of each row; rows of 0 are hard."""
+    """(m,) [-] softness of each row, as in `qp.solve_qp`; a row with 0 is hard."""
     fixed: Array
     """(k,) the first entries of x."""
 
@@ -57,8 +57,8 @@ def solved_by_proxqp(qp: OpenQP) -> Array:
 def changed_by_proxqp(qp: OpenQP) -> Array:
     """The feasible x (n,) nearest to x_0, the optimum with the fixed entries and without limits.
 
-    The distance is that of the metric H, and all entries of x may differ from x_0. The result is
-    NaN as in `solved_by_proxqp`.
+    The distance is in the metric H, and all entries of x can differ from x_0, the fixed entries
+    too. The result is NaN in the same cases as in `solved_by_proxqp`.
     """
     free = np.concatenate([qp.fixed, _without_limits(qp)])
     return solved_by_proxqp(qp._replace(c=-qp.H @ free, fixed=qp.fixed[:0]))

@@ -177,11 +177,11 @@ def posture_objective(
     """Move the arm towards a posture and the base to rest, at a far higher cost of the base's
     acceleration.
 
-    Without this task (26) does not determine the motion in the null space of T_2, because there are
-    nine accelerations for six rows. A joint also has a restoring acceleration proportional to s⁵,
-    where s is 0 in the middle of its range and ±1 at a limit. It is small near the middle and large
-    at a limit: a joint does not stay at its limit if the tasks of higher priority have another
-    solution.
+    Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
+    has nine accelerations, and T_2 six rows. A joint also has a restoring acceleration proportional
+    to s⁵, where s is 0 in the middle of its range and ±1 at a limit. This acceleration is small
+    near the middle and large at a limit: a joint does not stay at its limit if the tasks of higher
+    priority have a different solution.
 
     Args:
         qd: (n,) q̇.

@@ -20,13 +20,14 @@ def insert_rows(
     """The tasks below (H, c) with rows of T_sca above them, each in proportion to its activation.
 
     Row i is a spring between J_i q̈ and b_i = ẍ_i − J̇_i q̇, with a compliance of
-    (1 − β_i)/β_i times that of the tasks below, J_i H⁻¹ J_iᵀ. Alone it yields
+    (1 − β_i)/β_i times that of the tasks below, J_i H⁻¹ J_iᵀ. Without other rows, row i yields
 
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
-    the blend of (29). With other rows, it has no effect at β_i = 0, and at
-    β_i = 1 it is satisfied up to `least`. The printed blend of all rows with the one solution
-    without them jumps when a row enters beside another one. The cost is linear in the rows.
+    the blend of (29). With other rows, row i has no effect at β_i = 0, and at β_i = 1 it is
+    satisfied up to `least`. The printed blend, of all rows with the solution without any of them,
+    jumps when a row enters while a different row is active. The computing time is proportional to
+    the number of rows.
 
     Paper: Eq. (29).
 
@@ -120,12 +121,12 @@ def limit_ee_drag(desired: Array, hold: Array, inertia: Array, mass: float, drag
     """The base acceleration nearest to the desired one that does not drag the end-effector along.
 
     The minimum of (a − a_des)ᵀ I (a − a_des) + m ‖D (a − a_hold)‖²: like a mass on the
-    end-effector where the arm does not compensate. Where it does, D = 0 and a = a_des.
+    end-effector where the arm does not compensate. Where the arm compensates, D = 0 and a = a_des.
 
     Args:
         desired: (n_b,) [m/s² or rad/s²] a_des.
-        hold: (n_b,) a_hold: the end-effector then fulfils its own task.
-        inertia: (n_b,) [kg or kg m²] diagonal of I, the base's.
+        hold: (n_b,) a_hold, the base acceleration at which the end-effector fulfils its own task.
+        inertia: (n_b,) [kg or kg m²] diagonal of I, the base's inertia.
         mass: [kg] m.
         drag: (3, n_b) D: `uncompensated_base_jacobian` times the gain of the admittance law.
     """

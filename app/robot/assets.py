@@ -1,7 +1,8 @@
 """Locations: installed packages, robots' folders, their URDFs with meshes, and caches.
 
 A file of an installed package has the address `package://PACKAGE/PATH`.
-pinocchio and, with a planar root, pybullet read the same text of a URDF.
+pinocchio reads a robot's URDF without its shapes (`bare_urdf`), pybullet with its shapes and on a
+planar root (`planar_urdf`).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
 _MAX_ELEMENTS = 100_000  # [-] most elements of an XML file; large URDFs have some thousands
 _MAX_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
-_MAX_ATTRIBUTES = 100  # [-] most of an element; other readers search each among all before it
+_MAX_ATTRIBUTES = 100  # [-] most attributes of an element; some parsers compare each with all
 _DEEPEST = 100  # [-] deepest nesting of elements
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons that "
@@ -46,7 +47,9 @@ _WITH_PYBULLET = (
 
 
 def cache_folder() -> Path:
-    """Folder of new borders: `dbb_cache/` in a checkout, or the user's; the first writable one."""
+    """Folder of new borders: the first writable one of `dbb_cache/` in a checkout and the user's
+    cache folders; if none is writable, the first of these cache folders.
+    """
     if IN_CHECKOUT and is_writable(SHIPPED_CACHE):
         return SHIPPED_CACHE
     found = next(filter(is_writable, cache_folders()), None)
@@ -56,7 +59,7 @@ def cache_folder() -> Path:
 def user_robots() -> list[Path]:
     """Folders of the user's own robots in `$DBB_ROBOTS`; new ones go into the first.
 
-    An empty entry is `robots` in the user's data folder.
+    An empty entry, or an unset `$DBB_ROBOTS`, stands for `robots` in the user's data folder.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
     parts = os.environ.get("DBB_ROBOTS", "").split(os.pathsep)
@@ -96,7 +99,9 @@ def absent_folders() -> str:
 
 
 def robot_folder(name: str) -> Path:
-    """Folder of a robot's description; a delivered robot has precedence."""
+    """Folder of a robot's description; a delivered robot has precedence over a user's robot of the
+    same name. For an unknown name, the folder that a delivered robot of this name would have.
+    """
     folders = [top / name for top in _tops()]
     return next((each for each in folders if (each / "robot.toml").is_file()), folders[0])
 
@@ -111,8 +116,8 @@ def resolve_package_uri(uri: str) -> Path:
     That is a Python package, or one that a wheel installed below `share`, like ROS packages.
 
     Raises:
-        AssetError: The address has another form, the package is not installed, it lacks the file,
-            or the path leads out of the package.
+        AssetError: The address has a different form, the package is not installed or lacks the
+            file, or the path leads out of the package.
     """
     scheme, _, rest = uri.partition("://")
     package, _, inner = rest.partition("/")
@@ -120,8 +125,8 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        # For other names no installation is advised: they come from a file, and anyone may own
-        # them.
+        # For other names no installation is advised: the name comes from a file, and anyone can
+        # register it.
         how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
@@ -142,14 +147,14 @@ def package_roots(package: str) -> list[Path]:
 
 
 def share_folders() -> list[Path]:
-    """Folders in which wheels install packages that are not Python's: `share` of their prefix."""
+    """Folders `share` of all prefixes, where wheels install packages other than Python packages."""
     libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
     prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
     return [share for prefix in prefixes if (share := prefix / "share").is_dir()]
 
 
 class HasUrdf(Protocol):
-    """The part of a robot's description that has the place of its URDF."""
+    """The part of a robot's description that states the place of the URDF."""
 
     @property
     def name(self) -> str:
@@ -158,7 +163,7 @@ class HasUrdf(Protocol):
 
     @property
     def urdf(self) -> str:
-        """A file in that folder, or the address of one in a package."""
+        """Path of the URDF in the robot's folder, or its `package://` address."""
         ...
 
 
@@ -166,7 +171,7 @@ def urdf_path(description: HasUrdf) -> Path:
     """The robot's URDF file.
 
     Raises:
-        AssetError: The file does not exist.
+        AssetError: The file or its package does not exist; see `resolve_package_uri`.
     """
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
@@ -179,7 +184,7 @@ def urdf_path(description: HasUrdf) -> Path:
 PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
 """Joints of the planar root that `planar_urdf` puts under the robot."""
 PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
-"""Its links."""
+"""Links of the planar root."""
 
 _PLANAR_ROOT = """
   <link name="planar_world">{zero}</link>
@@ -210,7 +215,8 @@ def resolved_urdf(description: HasUrdf) -> str:
     A link without an inertia gets zero, because pybullet would assume 1 kg.
 
     Raises:
-        AssetError: The URDF or one of its meshes is missing.
+        AssetError: The URDF or one of its meshes is missing, or a mesh with a relative path is
+            outside of the URDF's folder.
         DescriptionError: As for `read_urdf`.
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
@@ -222,9 +228,9 @@ def resolved_urdf(description: HasUrdf) -> str:
 
 
 def shown_urdf(description: HasUrdf) -> str:
-    """The robot's URDF for other programs: meshes by their addresses on this machine.
+    """The robot's URDF for other programs: each mesh by its `file://` address on this machine.
 
-    A shape whose mesh is not installed is left out.
+    A shape whose mesh is not found is left out.
 
     Raises:
         AssetError: The URDF is missing.
@@ -262,7 +268,7 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
 
     Raises:
         AssetError: The file is missing.
-        DescriptionError: The file cannot be read, or its XML is not a robot's.
+        DescriptionError: The file cannot be read, is no valid XML, or is larger than any robot's.
     """
     path = urdf_path(description)
     try:
@@ -271,7 +277,7 @@ def read_urdf(description: HasUrdf) -> ElementTree.Element:
         why = str(error).removeprefix(f"{path}: ")
         raise DescriptionError(f"{path}: {why}") from None
     moving = sum(joint.get("type") != "fixed" for joint in tree.iterfind("joint"))
-    if moving > _MAX_JOINTS:  # pinocchio's memory grows with their cube
+    if moving > _MAX_JOINTS:  # pinocchio's memory grows with the cube of their number
         raise DescriptionError(f"{path}: {moving} moving joints; at most {_MAX_JOINTS} are taken")
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
@@ -285,7 +291,8 @@ _UTF16 = {
     b"<\0": "utf-16-le",
     b"\0<": "utf-16-be",
 }
-"""First bytes of a file in UTF-16; another file is not UTF-16, even if it declares it."""
+"""First bytes of a file in UTF-16; a file with other first bytes is read as UTF-8 if it declares
+UTF-16."""
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 _PLACEHOLDERS = (
     (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
@@ -300,14 +307,14 @@ _PLACEHOLDERS = (
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
-    """Refuse placeholders that a download or a repository may leave instead of a file.
+    """Refuse placeholders that a download or a repository can leave instead of a file.
 
     Args:
         content: The first bytes of the file, or all of them.
         where: Name for the message.
 
     Raises:
-        RobotFileError: It is such a placeholder; names it.
+        RobotFileError: The content is such a placeholder; the message names its kind.
     """
     begin = content[:1024].removeprefix(codecs.BOM_UTF8)
     for pattern, name in _PLACEHOLDERS:
@@ -316,11 +323,10 @@ def refuse_placeholder(content: bytes, where: object) -> None:
 
 
 def xml_text(path: Path) -> str:
-    """The text of a valid XML file, by its declared encoding, or UTF-8.
+    """The text of a valid XML file in its declared encoding; without a declaration, in UTF-8.
 
     Raises:
-        RobotFileError: It is another kind of file, has another encoding, or as for
-            `refuse_entities`.
+        RobotFileError: The file is a placeholder, cannot be decoded, or as for `refuse_entities`.
         OSError: The file cannot be read.
         ValueError: The file is larger than any valid one.
     """
@@ -344,13 +350,13 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     """Refuse XML that expands, refers to other files or is huge, before parsing a tree.
 
     Args:
-        content: Content of an XML file in its parsed form: the declared encoding of a text
-            does not count.
+        content: Content of an XML file: bytes in their declared encoding, or text, whose declared
+            encoding is ignored.
         path: Name for the message.
 
     Raises:
-        RobotFileError: It declares an entity, as in a "billion laughs" attack, nests deeper or has
-            more elements than any robot, or is not well-formed.
+        RobotFileError: It declares an entity, as in a "billion laughs" attack, nests deeper, has
+            more elements or more attributes of an element than any robot, or is not well-formed.
     """
 
     def refuse(name: str, *_: object) -> NoReturn:
@@ -367,8 +373,8 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
         if depth > _DEEPEST or count > _MAX_ELEMENTS or len(attributes) > _MAX_ATTRIBUTES:
             raise RobotFileError(
                 f"{path.name}: it has more than {_MAX_ELEMENTS:,} elements, more than {_DEEPEST} "
-                f"in one another, or more than {_MAX_ATTRIBUTES} attributes of one, which no robot "
-                "has"
+                f"nested levels, or more than {_MAX_ATTRIBUTES} attributes of an element, which no "
+                "robot has"
             )
 
     def end(*_: object) -> None:
@@ -381,7 +387,7 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter for its encoding
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the last two: its encoding
         raise RobotFileError(f"{path}: not well-formed: {error}") from None
 
 

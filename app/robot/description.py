@@ -95,7 +95,7 @@ class BodyDescription(Strict):
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
     """URDF links that this body encloses: the distances and contacts of the body represent these
-    links. A part of a link that cannot meet another body may extend beyond the body."""
+    links. Only a part of a link that cannot meet another body can be outside of this body."""
     nested: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     """For links in `covers`, the links of other bodies that are nested with them. If nested links
     touch, this is no contact."""
@@ -142,8 +142,8 @@ class RobotDescription(Strict):
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
     """Reachability by the name of the body; every body that can come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
-    """Lines by the name of the scenario. A scenario that leads towards the base needs a line or a
-    specified start."""
+    """Lines by the name of the scenario. A scenario that leads towards the base's sides needs a
+    line or a specified start."""
     without_line: dict[str, str] = Field(default_factory=dict)
     """Reasons for missing lines, by the name of the scenario."""
     unwatched: dict[str, str] = Field(default_factory=dict)
@@ -207,10 +207,10 @@ class RobotDescription(Strict):
 
 
 def register_base_kind(kind: type[BaseKind]) -> None:
-    """Register another kind of base for descriptions: a record whose `kind` is a `Literal`.
+    """Register a kind of base for descriptions: a record whose `kind` is a `Literal`.
 
     Raises:
-        DescriptionError: The `Literal` has not exactly one name, or another kind has this name.
+        DescriptionError: The `Literal` has not exactly one name, or a different kind has this name.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:
@@ -231,7 +231,7 @@ def differential(description: RobotDescription) -> DifferentialBase:
     """The base of a robot with a differential base.
 
     Raises:
-        DescriptionError: The base has another kind.
+        DescriptionError: The base is of a different kind.
     """
     if not isinstance(description.base, DifferentialBase):
         raise DescriptionError(

@@ -43,7 +43,8 @@ class ClosestPoints(NamedTuple):
     """(3,) normal from `a` to `b`: moving `b` along it increases d, also in penetration. A unit
     vector, or shorter if it is a mean between two convex parts of `a`."""
     core: Array
-    """(3,) [m] point of the core of `b` behind p_b: its radius farther along n; or p_b."""
+    """(3,) [m] point of the core of `b` that belongs to p_b: from p_b, by the radius of `b` along
+    n; p_b itself where `b` is not round, and in the results of `PairDistances`."""
     parts: tuple[ClosestPoints, ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 
@@ -54,9 +55,10 @@ def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
 
 
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
-    """Closest points of single convex bodies, with continuous normals: of `a` itself or its parts.
+    """Closest points to single convex parts of the bodies `a`, with continuous normals.
 
-    In a concave corner of `a` two faces are near, and the pair's own normal is between theirs.
+    These are the closest points of each part of `a` if there are several, otherwise those of the
+    pair. In a concave corner of `a`, the pair's normal is between the normals of two near faces.
     """
     return [part for pair in pairs for part in pair.parts or (pair,)]
 
@@ -116,7 +118,8 @@ class PairDistances:
         # computing.
         results = self._placed.distanceResults
         self._results = [[[results[k] for k in one] for one in group] for group in groups]
-        """For each pair: its own, and those of the parts of its body `a` if there are several."""
+        """For each pair: the results of all its shapes, then those of each part of its body `a` if
+        there are several."""
         by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         self._order = np.concatenate([np.arange(0), *by_part])
         self._starts = np.cumsum([0, *map(len, by_part)])[:-1]
@@ -143,7 +146,9 @@ class PairDistances:
         return tuple(rows[: len(self.pairs)].tolist())
 
     def write_distances(self, into: Array) -> None:
-        """[m] all distances, then those of each part of a body `a` with several."""
+        """Write the distances [m] of all pairs into an array; then those of each part of the bodies
+        `a` with several parts.
+        """
         if len(self._starts) == len(self._signed):
             into[:] = self._signed
         else:
@@ -191,15 +196,15 @@ def distance_view(results: Sequence[pin.DistanceResult]) -> Array:
     view = before[:, 1]
     for k, each in enumerate(results):
         each.min_distance = float(k)
-    assert (view == np.arange(len(view))).all(), "coal stores distances in another way"
+    assert (view == np.arange(len(view))).all(), "coal does not store distances as assumed here"
     return view
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
-    """Configure distances to depend on the bodies' places alone, to the last digit.
+    """Data for distances that depend on the poses of the bodies alone, not on former calls.
 
-    With pinocchio's own requests each search starts where the pair's last one has ended, which
-    changes results below 1e-6 m, and saves no time.
+    With pinocchio's own requests, each search starts at the result of the pair's last search. This
+    changes distances by less than 1e-6 m, and saves no time.
     """
     data = pin.GeometryData(geometry)
     for k in range(len(data.distanceRequests)):

@@ -57,8 +57,8 @@ class RobotModel:
 
         Raises:
             AssetError: The URDF is missing.
-            DescriptionError: The description names a joint or link that the URDF does not have, or
-                limits that contradict each other.
+            DescriptionError: The description names a joint or link that the URDF does not have, its
+                limits contradict each other, or pinocchio cannot read the URDF.
         """
         self.description = description
         full = whole_model(description)
@@ -208,8 +208,8 @@ def kept_per_model(
     lifetime.
 
     All callers share a result: they must not change it, and it must not refer to the model, or
-    neither would ever be freed. Each model has a limited number of results; beyond it the oldest
-    is dropped.
+    neither would ever be freed. Each model has at most `most` results; a further result replaces
+    the oldest.
     """
 
     def keep(

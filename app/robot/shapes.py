@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 INTERVALS = 24
-"""[-] along each edge of the cube whose grid is projected onto a superquadric."""
+"""[-] intervals along each edge of the cube whose grid is projected onto a superquadric."""
 Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 
 
@@ -179,7 +179,7 @@ class Superquadric(_Placed):
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    trimesh would correct the winding of slivers with networkx, which may not be installed.
+    trimesh would correct the winding of slivers with networkx, which is possibly not installed.
     """
     import trimesh  # see ConvexMesh.hull
 
@@ -197,7 +197,7 @@ def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
     """The convex hull of points (N, 3) [m]; 0.1 mm thick if they are in a plane or on a line.
 
     coal refuses corners with more than 255 neighbours, such as those of a finely drawn disc. Then
-    the points are rounded to the finest grid [m] without such corners.
+    the points are rounded to `grid` [m], which is doubled until coal accepts them.
     """
     points = np.asarray(points, dtype=float)
     around = points - points.mean(axis=0)
@@ -225,7 +225,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
     """The surface of a shape, in its own frame: that of its `placement()`.
 
     Raises:
-        AssetError: The file of a convex mesh is missing.
+        AssetError: The file of a convex mesh is missing, or takes more than its budget to read.
     """
     with extras_named():
         from trimesh import convex, creation

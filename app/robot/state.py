@@ -45,7 +45,8 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats.
 
     Raises:
-        MeasurementError: An array has a wrong number of values; the message names the array.
+        MeasurementError: A field is not an array of the right number of values; the message names
+            the field.
     """
     for each, shapes in zip(measurement, model.reading_shapes, strict=True):
         if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
@@ -131,11 +132,11 @@ def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Arr
 def chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     """Twist and acceleration of the body on each joint, at the origin of the world.
 
-    The accelerations are those at q̈ = 0, J̇ q̇: each joint's axes turn with its parent. The
-    base's own are fixed to it, and its twist is constant then.
+    The accelerations are J̇ q̇, those at q̈ = 0. The axes of each joint turn with its parent. The
+    base's axes are fixed to the base, so that its twist is constant at q̈ = 0.
 
     Args:
-        J: (6, 3 + n_m) as of this module.
+        J: (6, 3 + n_m) as described for this module.
         v: (3 + n_m,) pinocchio's velocity.
 
     Returns:
@@ -191,7 +192,7 @@ def point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float
 
 @compiled()
 def carrying(joint: int) -> int:
-    """Number of velocities that move the body on a joint, which are the first ones; 0 for the
+    """Number of velocities that move the body on a joint, the first velocities of all; 0 for the
     world.
     """
     return joint + 2 if joint > 0 else 0
@@ -232,22 +233,24 @@ def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
 def distance_motions(
     J: Array, B: Array, twists: Array, biases: Array, joints: Array, at: Array, normals: Array
 ) -> tuple[Array, Array, Array]:
-    """Motion of points of bodies along normals that are fixed to other bodies: ḋ and d̈.
+    """Motion of points of bodies along normals that are fixed to other bodies: the terms of ḋ and
+    d̈.
 
     J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a,
     because the printed (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
     round link near a face: the normal of the face is constant while the closest points slide along
-    the face, and the point of the core does not move on the link. With the term |v_⊥|²/d of two
-    fixed points the error of d̈ would be ten times as large.
+    the face, and the point of the core does not move on the link. With the term |v_⊥|²/d, which
+    belongs to the distance of two fixed points, the error of d̈ would be ten times as large.
 
     Paper: Eq. (21).
 
     Args:
-        J: (6, 3 + n_m) as of this module.
-        B: (3, n_b) as of this module.
+        J: (6, 3 + n_m) as described for this module.
+        B: (3, n_b) as described for this module.
         twists: (2 + n_m, 6) of `chain_motion`.
         biases: (2 + n_m, 6) of `chain_motion`.
-        joints: (k, 2) that move the body with the normal and the one with the point.
+        joints: (k, 2) the joint that moves the body with the normal, and that of the body with the
+            point.
         at: (k, 3) [m] the points, in the world.
         normals: (k, 3) unit normals, in the world.
 
@@ -321,8 +324,7 @@ def _motion(J: Array, B: Array, v: Array, p: Array) -> tuple[Array, Array, Array
 def compute_dynamics(model: pin.Model, data: pin.Data, q: Array, v: Array) -> None:
     """Compute M, C q̇ + g, g, the Jacobian and all placements: the results of `pinocchio_views`.
 
-    `pin.computeAllTerms` computes energies and the centre of mass too, which takes 1.5 times as
-    long.
+    `pin.computeAllTerms` computes energies and the centre of mass too, and takes 1.5 times as long.
     """
     pin.crba(model, data, q, pin.Convention.WORLD)  # and the Jacobian
     pin.nonLinearEffects(model, data, q, v)
@@ -338,7 +340,7 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     joints, first = len(data.oMi), data.oMi[0].rotation
     oMi = np.lib.stride_tricks.as_strided(first, (joints, 4, 3), (96, 24, 8))
     last = np.array(data.oMi[joints - 1].translation)
-    assert (oMi[-1, 3] == last).all(), "pinocchio stores placements in another way"
+    assert (oMi[-1, 3] == last).all(), "pinocchio does not store placements as assumed here"
     return {"M_pin": data.M, "h_pin": data.nle, "g_pin": data.g, "J_pin": data.J, "oMi": oMi}
 
 
@@ -394,7 +396,9 @@ class RobotState:
         self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def share(self, step: Any) -> None:
-        """From now on use the memory of a control step, which the step updates."""
+        """Use the arrays of a control step as this state's memory from now on: the step updates
+        them.
+        """
         present = {name: getattr(self, name) for name in _SHARED}
         for name in _SHARED:
             setattr(self, name, getattr(step, name))
@@ -451,7 +455,7 @@ class RobotState:
             self.pin.inertias[self.pin.njoints - 1] += self._load
 
     def update(self, measurement: Measurement) -> None:
-        """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
+        """Recompute all arrays from a measurement: Algorithm 2, line 2 (UpdateKinematics)."""
         q, v = self._take(measurement)
         compute_dynamics(self.pin, self.data, q, v)
         M, h, g = reduced_dynamics(*self._dynamics, self._B)
@@ -459,7 +463,7 @@ class RobotState:
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
-        """Recompute everything except M, h and g, which keep the values of the last `update`."""
+        """Recompute all arrays except M, h and g, which keep the values of the last `update`."""
         q, v = self._take(measurement)
         pin.computeJointJacobians(self.pin, self.data, q)
         self._update_motion(v)
@@ -491,11 +495,13 @@ class RobotState:
         return point_jacobian(self._J, self._B, joint, p_world)
 
     def point_velocity(self, joint: int, p_world: Array) -> Array:
-        """(3,) [m/s] velocity of that point."""
+        """(3,) [m/s] velocity of the point of a joint's body at the present place `p_world`."""
         return np.array(point_velocity(self.twists[joint], p_world))
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
-        """(3,) J̇ q̇ of that point: its acceleration at q̈ = 0."""
+        """(3,) [m/s²] J̇ q̇ of the point of a joint's body at `p_world`: its acceleration at
+        q̈ = 0.
+        """
         return np.array(point_bias(self.twists[joint], self.biases[joint], p_world))
 
     def distance_motions(self, joints: Array, p: Array, n: Array) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Elements of a URDF as numbers, places, triangles and colours; one reading for all its readers."""
+"""Elements of a URDF as numbers, poses, triangles and colours, read alike by all parts."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from app.strict import Array
 if TYPE_CHECKING:
     import trimesh
 
-_MAX_TURN = 4 * np.pi  # [rad] of a roll, pitch or yaw
-_FARTHEST = 10.0  # [m] of an origin: of a joint, a shape or a centre of mass
+_MAX_TURN = 4 * np.pi  # [rad] largest roll, pitch or yaw
+_FARTHEST = 10.0  # [m] largest coordinate of the origin of a joint, shape or centre of mass
 
 
 def unit_of(length: float) -> str:
-    """The unit in which a length that is too large in metres may have been written."""
+    """The unit in which a length that is too large in metres is probably written."""
     return "millimetres" if length >= 60.0 else "inches or centimetres"
 
 
@@ -31,7 +31,8 @@ def origin(element: Element, where: str) -> pin.SE3:
     """The `<origin>` of an element; the identity where there is none.
 
     Raises:
-        RobotFileError: It is not six numbers, or they are in degrees or another unit of length.
+        RobotFileError: An attribute is not three numbers, or the numbers are so large that they are
+            probably in degrees or not in metres.
     """
     at = element.find("origin")
     rpy = numbers(at, "rpy", (0.0, 0.0, 0.0), where)
@@ -51,10 +52,10 @@ def origin(element: Element, where: str) -> pin.SE3:
 
 
 def numbers(element: Element | None, key: str, default: tuple[float, ...], where: str) -> Array:
-    """The numbers of an attribute, as many as the default has.
+    """The numbers of an attribute, as many as the default has; the default without the attribute.
 
     Raises:
-        RobotFileError: They are fewer, more or no numbers.
+        RobotFileError: The attribute has fewer or more numbers, or other words.
     """
     words = None if element is None else element.get(key)
     if words is None:
@@ -68,12 +69,13 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 def colour(
     visual: Element, materials: Mapping[str | None, Element], where: str
 ) -> tuple[float, float, float, float] | None:
-    """Red, green, blue and opacity [0, 1] of a visual; None where the URDF states none.
+    """Red, green, blue and opacity [0, 1] of a visual; None if the URDF states no colour.
 
-    Its material may only name one of the robot's `materials`.
+    If the visual's material has no colour of its own, the material of the same name in the robot's
+    `materials` counts.
 
     Raises:
-        RobotFileError: They are not four numbers.
+        RobotFileError: The colour is not four numbers.
     """
     if (material := visual.find("material")) is None:
         return None
@@ -92,7 +94,7 @@ def mesh_path(address: str) -> Path:
 def mesh_bytes(robot: Element) -> int:
     """[bytes] of all mesh files of a URDF, for the budget of reading them; 0 if it has none.
 
-    A mesh counts as large data at any size: a few bytes may stand for millions of triangles.
+    A mesh counts as large data at any size: a few bytes can encode millions of triangles.
     """
     named = {mesh.get("filename", "") for mesh in robot.iter("mesh")} - {""}
     sizes = [path.stat().st_size for path in map(mesh_path, named) if path.is_file()]
@@ -102,10 +104,12 @@ def mesh_bytes(robot: Element) -> int:
 def urdf_mesh(
     shape: Element, where: str, load: Callable[[Path, str], trimesh.Trimesh]
 ) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles [m], and the radius of a round one; `load` reads those of a file.
+    """A shape's triangles [m], and the radius [m] of a round shape, otherwise None.
+
+    `load` reads the triangles of a mesh file.
 
     Raises:
-        RobotFileError: It is none of a URDF's shapes, or says nothing sensible.
+        RobotFileError: It is none of a URDF's shapes, or an attribute is missing or invalid.
     """
     if shape.tag != "mesh":
         return primitive(shape, where)
@@ -116,10 +120,10 @@ def urdf_mesh(
 
 
 def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """Triangles [m] of a box, sphere, cylinder or capsule, and the radius of a round one.
+    """Triangles [m] of a box, sphere, cylinder or capsule, and the radius [m] of a round one.
 
     Raises:
-        RobotFileError: It is another shape, or a size of it is not above zero.
+        RobotFileError: It is none of these shapes, or one of its sizes is not above zero.
     """
     from trimesh import creation  # takes long
 

@@ -2,13 +2,14 @@
 
 The frame's origin is the middle of the rear axle on the floor, the front axle is L ahead of it. The
 velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w_x and ω = w_y / L.
-The front wheels point along it, so it stays in the double cone |w_y| ≤ tan δ_max |w_x|: the
+The front wheels point along this velocity, so it is in the double cone |w_y| ≤ tan δ_max |w_x|: the
 curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
 
-The force of a differential base would give (v, ω). Of the velocities in the cone the base takes the
-one nearest to it, in the metric of its kinetic energy m v² + I ω². Outside of the cone this is on
-an edge, with v = (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia
-m + I κ² under a force F_x + κ τ, ahead with κ towards τ, or backwards with -κ.
+Let (v, ω) be the velocity that the force would give a differential base. A car-like base takes the
+velocity in the cone that is nearest to (v, ω) in the metric of kinetic energy, m v² + I ω². If
+(v, ω) is outside of the cone, the nearest velocity is on an edge of the cone and has the speed
+(m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia m + I κ² under a
+force F_x + κ τ, ahead with κ towards τ, or backwards with -κ.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ def nearest_in_cone(
     """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), in the norm √(v² + ρ² ω²).
 
     If both edges of the cone are about equally near, the base keeps its direction of motion. At
-    rest it moves backwards: this brings the arm ahead of the rear axle, where the score is better.
+    rest, with both exactly equally near, it moves backwards: this brings the arm ahead of the rear
+    axle, where the score is better.
 
     Args:
         v: [m/s] desired.
@@ -63,7 +65,7 @@ def nearest_in_cone(
     """
     if abs(w) <= kappa * abs(v):
         return v, w
-    side = math.copysign(kappa, w)  # the curvature ahead; backwards it is the opposite
+    side = math.copysign(kappa, w)  # curvature of a motion ahead; backwards it is -side
     inertia = 1.0 + (radius * kappa) ** 2
     ahead = max((v + radius**2 * side * w) / inertia, 0.0)
     back = min((v - radius**2 * side * w) / inertia, 0.0)
@@ -76,9 +78,9 @@ def nearest_in_cone(
 class CarLikeBase(BaseKind):
     """An Ackermann base: ν = (v, ω) of the rear axle's middle, q̇_b = (w_x, w_y) of the front's.
 
-    The measure in (10) is the square of the area that the velocities of a point on the two tightest
-    arcs span, at unit speed: 2 κ_max x, with the sign of x. It is 0 on the rear axle's line, where
-    all arcs move a point in the same direction, positive ahead of it and negative behind.
+    The measure in (10) is sign(x) (2 κ_max x)². The velocities of a point on the two tightest arcs,
+    at unit speed, span the area 2 κ_max |x|. The measure is 0 on the rear axle's line, where all
+    arcs move a point in the same direction, positive ahead of this line and negative behind it.
 
     The drive follows a command with its speed v and its steering angle δ: δ approaches the angle of
     the command's arc, v the speed nearest to the command along the arc of the present δ.
@@ -117,7 +119,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²] and ω̇ [rad/s²], on the tightest arc while it is steered."""
+        """Largest v̇ [m/s²] and ω̇ [rad/s²]; ω̇ on the tightest arc, at the full steering rate."""
         turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
         a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         return a, a * self.curvature_max + v * turning / self.wheelbase_m
@@ -202,9 +204,9 @@ class CarLikeBase(BaseKind):
     ) -> tuple[float, float]:
         """Speed [m/s] and steering angle [rad] for a command.
 
-        While the wheels steer, the motion is along the present arc. Its speed is the nearest to the
-        command in the metric of kinetic energy. It never opposes the command, and is reduced if the
-        present arc and that of the command bend to opposite sides.
+        While the wheels steer, the motion is along the present arc. The speed on this arc is the
+        nearest to the command in the metric of kinetic energy. This speed never opposes the
+        command, and is reduced if the present arc and that of the command bend to opposite sides.
         """
         top = self.max_linear_velocity_mps
         v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)

@@ -1,9 +1,9 @@
-"""The interface of a kind of mobile base: all its data that the method uses.
+"""The interface of a kind of mobile base: all data of a base that the method uses.
 
-A base has velocity axes ν (n_b,). `T` maps them to its twist (v_x, v_y, ω_z), in its own frame:
-origin on the floor, x forward. `J_m` maps the reduced coordinates q̇_b (n_b,), such as the wheels'
-speeds, to ν. The method does not distinguish kinds. Only onboarding, which reads wheels, the plant
-with wheels in contact, and the dashboard's words do.
+A base has velocity axes ν (n_b,). `T` maps ν to the base's twist (v_x, v_y, ω_z) in the base's
+frame: origin on the floor, x forward. `J_m` maps the reduced velocities q̇_b (n_b,), such as the
+wheels' speeds, to ν. The method does not distinguish kinds. Only onboarding, which reads wheels,
+the plant with wheels in contact, and the dashboard's words do.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:
 
 
 def twist_map(axes: Sequence[Axis]) -> Array:
-    """(3, n_b) from values along the axes to forward, left and turn; each axis has one of them."""
+    """(3, n_b) from values along the axes to forward, left and turn; each axis is one of these."""
     rows = ("forward", "left", "turn")
     columns = [rows.index("turn" if axis.angular else axis.way) for axis in axes]
     return np.eye(3)[:, columns]
@@ -72,16 +72,18 @@ class BaseForce(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """Quality of the motion of a point x ahead: constant + per_square_metre x |x|."""
+    """Quality of the motion of a point at x [m] in the base's frame:
+    `constant` + `per_square_metre` · x · |x|.
+    """
 
     constant: float
-    """[-] quality that is independent of the point."""
+    """[-] part that is independent of the point."""
     per_square_metre: float
-    """[1/m², times the measure's unit]"""
+    """[the measure's unit / m²] part that grows with x · |x|."""
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
-"""[m²/rad⁴] (7) of the paper's robot 1 m ahead of its axis: the reference of the gain of (13)."""
+"""[m²/rad⁴] (7) of the paper's robot, divided by x²: the reference of the gain of (13)."""
 
 
 class Channel(NamedTuple):
@@ -94,7 +96,7 @@ class Channel(NamedTuple):
     v_max: float
     """[m/s or rad/s] largest speed."""
     delay: float = 0.0
-    """[s] delay of its start."""
+    """[s] time before the motion starts."""
 
 
 class Wheels(NamedTuple):
@@ -178,7 +180,7 @@ class BaseKind(Sourced, ABC):
 
     @property
     def score_unit(self) -> float:
-        """Unit of `measure` in (13), which makes it as large as that of the paper's robot."""
+        """Divisor of the score in (13), because S_0 is a gain for the paper's measure."""
         return 1.0
 
     @property
@@ -187,7 +189,7 @@ class BaseKind(Sourced, ABC):
         """Quality of the motion of a point, in place of the determinant of (7)."""
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The measure at points, with the sign of the better side.
+        """The measure at points; it is larger farther ahead, or constant.
 
         It replaces sign(x) det(J_c J_cᵀ) in (10).
 
@@ -195,7 +197,7 @@ class BaseKind(Sourced, ABC):
             p: (…, 3) [m] points in the base's frame.
 
         Returns:
-            (…) the measure and (…, 3) its gradient by the point.
+            (…) the measure, and (…, 3) the measure's gradient with respect to the point.
         """
         constant, quadratic = self.measure
         x = np.asarray(p, dtype=float)[..., 0]
@@ -226,7 +228,7 @@ class BaseKind(Sourced, ABC):
 
         Args:
             wanted: (n_b,) desired velocity, within the limits of each axis.
-            before: (n_b,) present velocity command.
+            before: (n_b,) previous velocity command.
         """
         del before
         return wanted
@@ -236,7 +238,7 @@ class BaseKind(Sourced, ABC):
         return np.zeros(0)
 
     def follower(self, dt: float) -> Follower:
-        """Response of the drive to a command, clamped to the limits, for one period dt [s]."""
+        """Function of the drive's response to a command, within the limits, in a period dt [s]."""
         # Exact for a constant command during the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
         limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
