@@ -259,6 +259,14 @@ def test_each_state_has_its_reason(blank, near, controller, part):
     assert part in said(blank, explanation(NEAR[near], controller=controller))
 
 
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_the_base_gives_way_with_each_controller_that_moves_it(blank, controller):
+    pair = blank.pairs[0]._replace(d=0.10, beta=0.5)
+    moving = replace(blank, pairs=(pair,), controller=controller, base_velocity=(-0.2, 0.0))
+    state = {"dbb": "giving way", "hqp": "giving way", "repulsive": "resisting"}
+    assert judge(moving).state == state.get(controller, "near")
+
+
 def test_a_failed_solver_is_said_before_all_else(blank):
     text = said(blank, explanation(NEAR["base"], solved=False))
     assert text.startswith("The solver found no feasible motion")
