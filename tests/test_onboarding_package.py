@@ -80,7 +80,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     ".. inside": ({"toy/../../toy.urdf": TOY}, "leads out of the zip"),
     "absolute": ({"/tmp/toy.urdf": TOY}, "an absolute path"),
     "drive": ({"C:/toy.urdf": TOY}, "a path of Windows"),
-    "backslash": ({"..\\toy.urdf": TOY}, "a path of Windows"),
+    "backslash": ({"..\\toy.urdf": TOY}, "leads out of the zip"),
     "control": ({"toy/a\nb.urdf": TOY}, "no name of a file"),
     "long name": ({"a" * 300 + ".urdf": TOY}, "no name of a file"),
     "bomb": ({"toy.urdf": TOY, "m.stl": bytes(2_000_000)}, "expands to 2 MB; at most 1 MB"),
@@ -248,6 +248,8 @@ def test_a_zip_that_is_too_large_is_not_even_opened(
         ("toy/urdf/toy.urdf", "toy/meshes/m.stl", "package://toy/meshes/m.stl"),
         ("ws/src/toy/toy.urdf", "ws/src/other/m.stl", "package://other/m.stl"),
         ("urdf/toy.urdf", "meshes/m.stl", "package://whatever/meshes/m.stl"),
+        ("toy-main/urdf/toy.urdf", "toy-main/meshes/m.stl", "package://toy/meshes/m.stl"),
+        ("toy\\urdf\\toy.urdf", "toy\\meshes\\m.stl", "package://toy/meshes/m.stl"),
     ],
 )
 def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
@@ -255,7 +257,13 @@ def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
 ) -> None:
     """Also where the zip was made inside of the package's folder, so that its name is lost."""
     path = zipped(
-        tmp_path, {urdf: with_mesh(TOY, reference), mesh: cube(), "setup.py": "raise SystemExit"}
+        tmp_path,
+        {
+            urdf.rpartition("toy.urdf")[0]: b"",
+            urdf: with_mesh(TOY, reference),
+            mesh: cube(),
+            "setup.py": "raise SystemExit",
+        },
     )
     found = open_package(path, tmp_path / "made")
     parsed = parse(Request(urdf=str(found), base="base", tip="hand", out=tmp_path / "toy"))
