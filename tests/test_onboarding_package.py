@@ -256,15 +256,9 @@ def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
     urdf: str, mesh: str, reference: str, tmp_path: Path
 ) -> None:
     """Also where the zip was made inside of the package's folder, so that its name is lost."""
-    path = zipped(
-        tmp_path,
-        {
-            urdf.rpartition("toy.urdf")[0]: b"",
-            urdf: with_mesh(TOY, reference),
-            mesh: cube(),
-            "setup.py": "raise SystemExit",
-        },
-    )
+    folders = {name: b"" for name in (urdf.removesuffix("toy.urdf"),) if name}
+    files = {urdf: with_mesh(TOY, reference), mesh: cube(), "setup.py": "raise SystemExit"}
+    path = zipped(tmp_path, folders | files)
     found = open_package(path, tmp_path / "made")
     parsed = parse(Request(urdf=str(found), base="base", tip="hand", out=tmp_path / "toy"))
     assert parsed.geometry["hand"].volume == pytest.approx(0.08 * 0.12 * 0.08, rel=1e-5)

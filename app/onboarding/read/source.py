@@ -25,7 +25,6 @@ from app.robot.assets import (
     share_folders,
     xml_text,
 )
-from app.robot.urdf import mesh_path
 from app.strict import LARGEST_TEXT
 
 MESHES = (".stl", ".dae", ".obj")
@@ -44,7 +43,7 @@ def locate(source: str) -> Path:
         AssetError: The package is not installed.
     """
     scheme, rest = split_address(source)
-    path = Path(rest if scheme == "file" else source).expanduser()
+    path = Path(os.path.expanduser(rest if scheme == "file" else source))
     path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
         raise RobotFileError(
@@ -96,10 +95,7 @@ def _needless(
                 f"link {link.get('name')!r}: a mesh has no filename; name its file, or take "
                 "the shape out"
             )
-        shape.set("filename", address := mesh_address(file, folder, packages))
-        if not address.lower().endswith(".3mf"):  # an archive
-            with mesh_path(address).open("rb") as opened:
-                refuse_placeholder(opened.read(1024), f"mesh {address}")
+        shape.set("filename", mesh_address(file, folder, packages))
     except RobotFileError as error:
         if element.tag == "collision" or link.find("collision") is None:
             raise
@@ -164,7 +160,8 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     Escapes such as `%20`, backslashes and accents are read in the sense of other programs.
 
     Raises:
-        RobotFileError: The file does not exist.
+        RobotFileError: The file does not exist, has an unreadable format, or a placeholder is in
+            its place.
     """
     for spelling in spellings(reference):
         found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
@@ -172,6 +169,9 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
             if found.suffix.lower() not in FORMATS:
                 known = ", ".join(FORMATS[:-1])
                 raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
+            if found.suffix.lower() != ".3mf":  # an archive
+                with found.open("rb") as file:
+                    refuse_placeholder(file.read(1024), f"mesh {found}")
             return _installed_address(found) or str(followed(found))
     why = _missing(spellings(reference)[-1], folder, packages or {})
     raise RobotFileError(f"mesh {reference}: {why}")
