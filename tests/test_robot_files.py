@@ -303,15 +303,16 @@ def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(
         ('length="0.34"', 'height="0.34"', ["link 'upper'", "its cylinder has no length"]),
         ('type="revolute"', 'type="Revolute"', ["(did you mean 'revolute'?)"]),
         ('<child link="fore"/>', '<child link="Fore"/>', ["no link (did you mean 'fore'?)"]),
-        ("link", "Link", ["the URDF has no <link> (did you mean 'Link'?)"]),
+        ("<link", "<Link", ["the URDF has no <link> (did you mean 'Link'?)"]),
     ],
 )
 def test_what_other_readers_do_not_take_is_refused_with_its_remedy(
     tmp_path: Path, old: str, new: str, causes: list[str]
 ) -> None:
     assert old in TOY
+    text = TOY.replace(old, new).replace(old.replace("<", "</"), new.replace("<", "</"))
     with pytest.raises(RobotFileError) as caught:
-        parsed(tmp_path, TOY.replace(old, new))
+        parsed(tmp_path, text)
     assert all(cause in str(caught.value) for cause in causes), caught.value
 
 
@@ -379,10 +380,9 @@ def test_a_mesh_without_a_volume_is_thin(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", ["", ".v1"])
 def test_a_link_to_a_store_has_the_ending_of_its_name(tmp_path: Path, ending: str) -> None:
     """As in caches of downloads, whose files are named by their content."""
-    (tmp_path / "store").mkdir()
-    for name, content in (("m.off", trimesh.creation.box(HAND).export(file_type="off")),):
-        (tmp_path / "store" / f"0a{ending}").write_text(str(content))
-        (tmp_path / name).symlink_to(tmp_path / "store" / f"0a{ending}")
+    stored = tmp_path / f"0a{ending}"
+    stored.write_text(str(trimesh.creation.box(HAND).export(file_type="off")))
+    (tmp_path / "m.off").symlink_to(stored)
     assert extents(parsed(tmp_path, with_mesh(TOY, "m.off"))) == pytest.approx(HAND)
 
 
