@@ -121,6 +121,8 @@ def _explain(
         hint = did_you_mean(str(problem["loc"][-1]), names)
         return f"{path}: unknown field{hint}; known: {', '.join(names)}"
     text = valid_text(problem["loc"], problem["type"]) or problem["msg"]
+    if isinstance(problem["input"], str) and problem["type"].startswith(("float", "int")):
+        text += ", a number without quotes"
     return f"{path}: {text} (was {_short(problem['input'])})"
 
 
@@ -229,7 +231,40 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
     except ValueError as error:
-        raise ValueError(f"{error}{_slip(text)}") from None
+        raise ValueError(f"{error}{_at(error, text)}{_slip(text)}") from None
+
+
+def _at(error: ValueError, text: str) -> str:
+    """The line that a reader of TOML or JSON names in its message, or empty."""
+    found = re.search(r"line (\d+),? column", str(error))
+    lines = text.split("\n")
+    if found is None or int(found[1]) > len(lines):
+        return ""
+    before = text[: getattr(error, "pos", 0)].rstrip()
+    comma = "; take away the comma before it" * before.endswith(",")
+    return f": {_cut(repr(lines[int(found[1]) - 1].strip(' ')))}{comma}"
+
+
+_PLACEHOLDERS = (
+    (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
+    (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
+    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
+    (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
+    (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),
+    (rb"\x1f\x8b|PK\x03\x04|7z\xbc\xaf|Rar!", "an archive; unpack it"),
+    (rb"\.{0,2}/[\w./ -]+\Z", "the text of a symbolic link; put the file that it names here"),
+    (rb"\s*\Z", "an empty file; download it again"),
+)
+
+
+def placeholder(content: bytes) -> str:
+    """The name of a placeholder that a download or a repository left in a file's place, or empty.
+
+    `content` is the first bytes of the file, or all of them.
+    """
+    begin = content[:1024].removeprefix(codecs.BOM_UTF8)
+    found = (n for p, n in _PLACEHOLDERS if re.match(p, begin, re.IGNORECASE | re.DOTALL))
+    return next(found, "")
 
 
 def text_of(content: bytes) -> str:
@@ -238,8 +273,11 @@ def text_of(content: bytes) -> str:
     The result has no byte order mark, and only line feeds as line ends.
 
     Raises:
-        ValueError: The file has a different encoding; the message names the line.
+        ValueError: The file has a different encoding, and the message names the line; or the
+            content is a placeholder for the file.
     """
+    if content.strip() and (name := placeholder(content)):
+        raise ValueError(f"in the place of the file is {name}")
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")
@@ -251,8 +289,8 @@ def text_of(content: bytes) -> str:
 
 _SLIPS = {
     r"[“”„‘’‚«»]": 'is a typographic quote; write "',
-    r"[:=\[]\s*-?\d+,\d+\s*([,}\]]\s*)?(#|$)": "has a decimal comma; write a point",
-    r"[\u00a0\u2007\u202f]": "is a special space; write a plain space",
+    r"[:=\[]\s*-?[\d.]*\d,\d+(e[-+]?\d+)?\s*([,}\]]\s*)?$": "has a decimal comma; write a point",
+    r"[\u00a0\u2007\u202f\u200b\u2060\u2028\ufeff]": "is a special space; write a plain one",
     r"[−–—]": "is a typographic minus or dash; write -",
 }
 """Typical errors from word processors and spreadsheets, as patterns that take linear time."""

@@ -17,9 +17,10 @@ import pytest
 
 from app import system
 from app.config_file import decode_config
-from app.errors import ConfigError, LogError, UnknownNameError
+from app.errors import CaseError, ConfigError, LogError, UnknownNameError
 from app.robot import assets
 from app.robot.description import load_description, load_robot
+from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
 from tests.logs import random_snapshots, trace_of
 from tests.readme import PROJECT
@@ -159,7 +160,9 @@ def test_files_survive_editors(edit, tmp_path: Path) -> None:
     assert np.array_equal(after.table, before.table, equal_nan=True)
 
 
-def test_a_log_survives_semicolons_and_decimal_commas(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_a_log_survives_a_spreadsheet(tmp_path: Path, mark: str) -> None:
+    """With decimal commas, and empty rows and columns at its ends."""
     snapshots = [replace(each, pulls=(), ghosts=(), scores=()) for each in random_snapshots(3, 4)]
     log = tmp_path / "log.csv"
     write_trace(log, trace_of(snapshots))
@@ -169,10 +172,12 @@ def test_a_log_survives_semicolons_and_decimal_commas(tmp_path: Path) -> None:
     swapped = [
         [x.replace(".", ",") if re.fullmatch(r"[-\d.e+]+", x) else x for x in row] for row in cells
     ]
-    with log.open("w", encoding="utf-8-sig", newline="") as file:
-        file.write(f"{head};;;\r\n")
-        csv.writer(file, delimiter=";").writerows(swapped)
-    after = read_trace(log)
+    saved = tmp_path / "LOG.CSV"
+    with saved.open("w", encoding="utf-16", newline="") as file:
+        file.write(f"{head}{3 * mark}\r\n")
+        csv.writer(file, delimiter=mark).writerows([*row, "", ""] for row in swapped)
+        file.write(f"{len(swapped[0]) * mark}\r\n")
+    after = read_trace(saved)
     assert np.array_equal(after.table, before.table, equal_nan=True)
 
 
@@ -184,11 +189,23 @@ def test_a_log_survives_semicolons_and_decimal_commas(tmp_path: Path) -> None:
         ("[border]\nd_b =\u00a00.2\n".encode(), "line 2"),
         ("[border]\nd_b = −0.2\n".encode(), "typographic minus"),
         ('name = "grün"\n'.encode("latin-1"), "not UTF-8 in line 1; save the file as UTF-8"),
+        (b"[border]\nd_b = 1.234,5e-1\n", "has a decimal comma"),
+        ("[border]\nd_b = 0.2\u200b\n".encode(), r"'d_b = 0.2\u200b'; in line 2"),
+        (b"[border]\nd_b = 0.2;\n", "(at line 2, column 10): 'd_b = 0.2;'"),
+        (b'[border]\nd_b = "0.2"\n', "a number without quotes (was '0.2')"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "a Git LFS pointer"),
+        (b"\x1f\x8b\x08\x00", "an archive; unpack it"),
     ],
 )
 def test_a_slip_of_an_editor_is_named(content: bytes, named: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(named)):
         decode_config(content)
+
+
+def test_a_comma_after_the_last_value_is_named(tmp_path: Path) -> None:
+    (tmp_path / "c.json").write_text('{"dbb_case": 1,\n}\n')
+    with pytest.raises(CaseError, match="comma before"):
+        read_case(tmp_path / "c.json")
 
 
 def test_a_log_whose_first_line_a_spreadsheet_has_changed_says_so(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     ".. inside": ({"toy/../../toy.urdf": TOY}, "leads out of the zip"),
     "absolute": ({"/tmp/toy.urdf": TOY}, "an absolute path"),
     "drive": ({"C:/toy.urdf": TOY}, "a path of Windows"),
-    "backslash": ({"..\\toy.urdf": TOY}, "a path of Windows"),
+    "backslash": ({"..\\toy.urdf": TOY}, "leads out of the zip"),
     "control": ({"toy/a\nb.urdf": TOY}, "no name of a file"),
     "long name": ({"a" * 300 + ".urdf": TOY}, "no name of a file"),
     "bomb": ({"toy.urdf": TOY, "m.stl": bytes(2_000_000)}, "expands to 2 MB; at most 1 MB"),
@@ -248,15 +248,17 @@ def test_a_zip_that_is_too_large_is_not_even_opened(
         ("toy/urdf/toy.urdf", "toy/meshes/m.stl", "package://toy/meshes/m.stl"),
         ("ws/src/toy/toy.urdf", "ws/src/other/m.stl", "package://other/m.stl"),
         ("urdf/toy.urdf", "meshes/m.stl", "package://whatever/meshes/m.stl"),
+        ("toy-main/urdf/toy.urdf", "toy-main/meshes/m.stl", "package://toy/meshes/m.stl"),
+        ("toy\\urdf\\toy.urdf", "toy\\meshes\\m.stl", "package://toy/meshes/m.stl"),
     ],
 )
 def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
     urdf: str, mesh: str, reference: str, tmp_path: Path
 ) -> None:
     """Also where the zip was made inside of the package's folder, so that its name is lost."""
-    path = zipped(
-        tmp_path, {urdf: with_mesh(TOY, reference), mesh: cube(), "setup.py": "raise SystemExit"}
-    )
+    folders = {name: b"" for name in (urdf.removesuffix("toy.urdf"),) if name}
+    files = {urdf: with_mesh(TOY, reference), mesh: cube(), "setup.py": "raise SystemExit"}
+    path = zipped(tmp_path, folders | files)
     found = open_package(path, tmp_path / "made")
     parsed = parse(Request(urdf=str(found), base="base", tip="hand", out=tmp_path / "toy"))
     assert parsed.geometry["hand"].volume == pytest.approx(0.08 * 0.12 * 0.08, rel=1e-5)

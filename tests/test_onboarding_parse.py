@@ -361,7 +361,8 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
     assert [p.name for p in made.iterdir()] == ["mine.txt"]
 
 
-def test_a_xacro_is_expanded(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", ["xacro", "XACRO"])
+def test_a_xacro_is_expanded(tmp_path: Path, ending: str) -> None:
     pytest.importorskip("xacrodoc")
     text = TOY.replace(
         '<robot name="toy">',
@@ -369,7 +370,7 @@ def test_a_xacro_is_expanded(tmp_path: Path) -> None:
         '<xacro:property name="r" value="0.1"/>',
     )
     text = text.replace('radius="0.1"', 'radius="${r}"')
-    path = write(tmp_path, text, "toy.urdf.xacro")
+    path = write(tmp_path, text, f"toy.urdf.{ending}")
     parsed = parse(Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made"))
     assert parsed.wheels.r == pytest.approx(0.1)
 

@@ -163,7 +163,7 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
     monkeypatch.syspath_prepend(str(tmp_path))
     mesh = tmp_path / "some_robots" / ".toy-x" / "package" / "m.stl"
     mesh.parent.mkdir(parents=True)
-    mesh.touch()
+    mesh.write_bytes(b"solid")
     address = mesh_address(str(mesh), tmp_path)
     assert address == "package://some_robots/.toy-x/package/m.stl"
     for reference in (address, str(mesh)):
@@ -177,12 +177,12 @@ def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
     """For any name of the folder, and any path to it."""
     beside = tmp_path / "toy-other" / "m.stl"
     beside.parent.mkdir()
-    beside.touch()
+    beside.write_bytes(b"solid")
     (tmp_path / "toy").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "toy")
     home = beside.parent / folder if folder.startswith("..") else tmp_path / folder
     (home / "package").mkdir(parents=True)
-    (home / "package" / "m.stl").touch()
+    (home / "package" / "m.stl").write_bytes(b"solid")
     real = home.resolve()
     mesh = Path("package") / "m.stl"
     for reference in (

@@ -19,7 +19,7 @@ from app.onboarding.request import Request
 from app.onboarding.write import rebased_urdf
 from app.robot.assets import xml_text
 from benchmarks.urdf_mutants import collada
-from tests.onboarding import arm, cart, cube, joint, link, robot, solid, with_mesh
+from tests.onboarding import BOX, arm, cart, cube, joint, link, robot, solid, with_mesh
 from tests.robots import husky_panda
 
 TOY = robot([*cart(), *arm()])
@@ -138,10 +138,15 @@ def test_addresses_of_meshes_are_read_as_their_writers_mean_them(
         ("file:///C:/robots/m.stl", "a path of another machine, of Windows"),
         ("m.STL", "there is no file"),
         ("hand.stl", "(did you mean 'Hand.STL'?)"),
+        ("Meshes/m.stl", "(did you mean 'meshes/M.STL'?)"),
+        (f"{300 * 'a'}/m.stl", "there is no file"),
+        ("package://__main__/m.stl", "give --package __main__=FOLDER"),
+        ("package://test/m.stl", "give --package test=FOLDER"),
     ],
 )
 def test_an_address_that_leads_nowhere_says_why(tmp_path: Path, address: str, cause: str) -> None:
-    for name in ("Hand.STL", "nan.stl"):
+    (tmp_path / "meshes").mkdir()
+    for name in ("Hand.STL", "nan.stl", "meshes/M.STL"):
         (tmp_path / name).write_bytes(cube())
     with pytest.raises(RobotFileError) as caught:
         parsed(tmp_path, with_mesh(TOY, address))
@@ -262,10 +267,142 @@ def test_a_placeholder_of_size_0_is_left_out_and_said(tmp_path: Path, shape: str
     assert shape not in rebased_urdf(made, name="toy", header="").replace(" />", "/>")
 
 
-def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(tmp_path: Path) -> None:
-    visual = '<visual><geometry><mesh filename="m.usd"/></geometry></visual>'
+@pytest.mark.parametrize(
+    ("file", "cause"),
+    [
+        ("m.usd", "are read; convert it to one"),
+        ("none.stl", "there is no file"),
+        ("package://gone/m.dae", "give --package gone=FOLDER"),
+        ("pointer.dae", "a Git LFS pointer"),
+        ("", "has no filename"),
+    ],
+)
+def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(
+    tmp_path: Path, file: str, cause: str
+) -> None:
+    (tmp_path / "m.usd").write_bytes(b"PXR-USDC")
+    (tmp_path / "pointer.dae").write_text(POINTER)
+    visual = f'<visual><geometry><mesh filename="{file}"/></geometry></visual>'
     made = parsed(tmp_path, TOY.replace('<link name="hand">', f'<link name="hand">{visual}'))
-    assert "m.usd" in made.changes[0]
+    assert made.changes[0].startswith("a visual of hand is left out: ")
+    assert cause in made.changes[0]
+    alone = TOY.replace("collision>", "visual>").replace(BOX, f'<mesh filename="{file}"/>')
+    with pytest.raises(RobotFileError, match=re.escape(cause)):
+        parsed(tmp_path, alone)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "causes"),
+    [
+        ('xyz="0.15 0 0.1"', 'xyz="0,15 0 0,1"', ["3 numbers", "no commas"]),
+        ('xyz="0.15 0 0.1"', 'xyz="0.15, 0, 0.1"', ["3 numbers", "no commas"]),
+        ('xyz="0.15 0 0.1"', 'xyz="1_5 0 0.1"', ["3 numbers"]),
+        ('<mass value="2"/>', '<mass value="nan"/>', ["value='nan' should be a number"]),
+        ('effort="60"', 'effort="-60"', ["'pan'", "effort='-60'", "not below zero"]),
+        ('velocity="2"', 'velocity="2,5"', ["'pan'", "no commas"]),
+        ('length="0.34"', 'height="0.34"', ["link 'upper'", "its cylinder has no length"]),
+        ('type="revolute"', 'type="Revolute"', ["(did you mean 'revolute'?)"]),
+        ('<child link="fore"/>', '<child link="Fore"/>', ["no link (did you mean 'fore'?)"]),
+        ("<link", "<Link", ["the URDF has no <link> (did you mean 'Link'?)"]),
+    ],
+)
+def test_what_other_readers_do_not_take_is_refused_with_its_remedy(
+    tmp_path: Path, old: str, new: str, causes: list[str]
+) -> None:
+    assert old in TOY
+    text = TOY.replace(old, new).replace(old.replace("<", "</"), new.replace("<", "</"))
+    with pytest.raises(RobotFileError) as caught:
+        parsed(tmp_path, text)
+    assert all(cause in str(caught.value) for cause in causes), caught.value
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('<child link="hand"/>', '<child link="hand "/>'),
+        ('type="revolute"', 'type=" revolute "'),
+        ('<link name="fore">', '<link name=" fore">'),
+    ],
+)
+def test_blanks_around_a_name_are_no_part_of_it(tmp_path: Path, old: str, new: str) -> None:
+    made = parsed(tmp_path, TOY.replace(old, new))
+    assert [each.child for each in made.arm.joints][-4:] == ["fore", "cuff", "wrist_link", "hand"]
+    assert new not in rebased_urdf(made, name="toy", header="")
+
+
+@pytest.mark.parametrize(
+    ("rgba", "written"),
+    [
+        ("1 0.5 0 0.5", "1 0.5 0 0.5"),
+        ("255 0 51 1", "1 0 0.2 1"),
+        ("1 0 0", "1 0 0 1"),
+        ("1, 0, 0, 1", "1 0 0 1"),
+        ("red", None),
+    ],
+)
+def test_colours_are_written_as_all_readers_take_them(
+    tmp_path: Path, rgba: str, written: str | None
+) -> None:
+    visual = f'<visual><geometry>{BOX}</geometry><material name="m"><color rgba="{rgba}"/>'
+    visual += "</material></visual>"
+    made = parsed(tmp_path, TOY.replace('<link name="hand">', f'<link name="hand">{visual}'))
+    found = re.findall('rgba="([^"]*)"', rebased_urdf(made, name="toy", header=""))
+    assert found == ([] if written is None else [written])
+
+
+ASCII = trimesh.creation.box(HAND).export(file_type="stl_ascii")
+assert isinstance(ASCII, str)
+OBJ = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "cause"),
+    [
+        ("m.stl", re.sub(r"(\d)\.(\d)", r"\1,\2", ASCII).encode(), "have decimal commas"),
+        ("m.obj", OBJ.replace(".", ",").encode(), "have decimal commas"),
+        ("m.stl", cube()[:-120], "states 12 triangles, which take 684 bytes, and has 564"),
+        ("m.obj", OBJ.replace("0.1 0 0", "nan 0 0").encode(), "not a finite number"),
+        ("m.stl", cube()[:96] + b"\0\0\x80\x7f" + cube()[100:], "not a finite number"),
+    ],
+)
+def test_damage_of_a_mesh_is_named(tmp_path: Path, file: str, content: bytes, cause: str) -> None:
+    (tmp_path / file).write_bytes(content)
+    with pytest.raises(RobotFileError, match=cause):
+        read_mesh(tmp_path / file, "link 'a'")
+
+
+def test_a_mesh_without_a_volume_is_thin(tmp_path: Path) -> None:
+    (tmp_path / "m.obj").write_text(OBJ)
+    made = parsed(tmp_path, with_mesh(TOY, "m.obj"))
+    assert extents(made) == pytest.approx([0.1, 0.1, 0.0], abs=2e-4)
+
+
+@pytest.mark.parametrize("ending", ["", ".v1"])
+def test_a_link_to_a_store_has_the_ending_of_its_name(tmp_path: Path, ending: str) -> None:
+    """As in caches of downloads, whose files are named by their content."""
+    stored = tmp_path / f"0a{ending}"
+    stored.write_text(str(trimesh.creation.box(HAND).export(file_type="off")))
+    (tmp_path / "m.off").symlink_to(stored)
+    assert extents(parsed(tmp_path, with_mesh(TOY, "m.off"))) == pytest.approx(HAND)
+
+
+def test_a_package_has_the_name_that_it_states(tmp_path: Path) -> None:
+    """A downloaded repository's folder may be called `toy-main`."""
+    folder = tmp_path / "toy-main" / "urdf"
+    folder.mkdir(parents=True)
+    (folder.parent / "package.xml").write_text("<package><name>toy</name></package>")
+    (folder.parent / "m.stl").write_bytes(cube())
+    assert extents(parsed(folder, with_mesh(TOY, "package://toy/m.stl"))) == pytest.approx(HAND)
+
+
+@pytest.mark.parametrize("form", ["file://{}", "~/toy.urdf"])
+def test_a_urdf_may_be_named_as_in_other_programs(
+    tmp_path: Path, form: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "toy.urdf").write_text(TOY)
+    asked = Request(form.format(tmp_path / "toy.urdf"), "base", "hand", tmp_path / "made")
+    assert "hand" in parse(asked).tree.links
 
 
 @pytest.mark.parametrize("name", ["end_effector", "floor_point", "universe", "planar_x_link"])

@@ -27,10 +27,11 @@ from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.tree import FREE, MOVING, Joint, Tree
+from app.robot.assets import followed
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
-from app.robot.urdf import mesh_path
+from app.robot.urdf import mesh_path, rgba
 from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
 
@@ -209,7 +210,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     robot = Element("robot", name=name, version="1.2")
     robot.append(ElementTree.Comment(f" {header.replace('--', '- -')} "))
     for material in tree.robot.findall("material"):
-        if material.find("color") is not None:
+        if rgba(material) is not None:
             robot.append(_colour_only(material))
     _add_inertial(SubElement(robot, "link", name=ROOT), pin.Inertia.Zero())
     joint = SubElement(robot, "joint", name=f"{ROOT}_joint", type="fixed")
@@ -239,7 +240,7 @@ def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     over `package://`. Otherwise it is `address`, an address of `mesh_address`. A mesh that
     libraries read differently is first converted to STL in metres, in `home`.
     """
-    path = mesh_path(address).resolve()
+    path = followed(mesh_path(address))
     if home is None:
         return address
     home = home.resolve()
@@ -277,7 +278,8 @@ def _copies(element: Element, *tags: str) -> list[Element]:
 def _colour_only(material: Element) -> Element:
     """A material without its texture, because textures are never drawn."""
     kept = Element("material", name=material.get("name") or "unnamed")
-    kept.extend(_copies(material, "color"))
+    if (colour := rgba(material)) is not None:
+        SubElement(kept, "color", rgba=_words(np.array(colour)))
     return kept
 
 

@@ -24,7 +24,7 @@ from xml.parsers import expat
 import platformdirs
 
 from app.errors import AssetError, DescriptionError, RobotFileError, UnknownNameError, check_name
-from app.strict import content_of
+from app.strict import content_of, placeholder
 from app.system import cache_folders, home_folder, is_writable
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -131,15 +131,26 @@ def resolve_package_uri(uri: str) -> Path:
         how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
     for root in roots:
-        path = (root / inner).resolve()
+        path = followed(root / inner)
         if isfile(path) and path.is_relative_to(root.resolve()):
             return path
     raise AssetError(f"{uri}: no such file in the installed package {package!r}")
 
 
+def followed(path: Path) -> Path:
+    """A file's path without symbolic links.
+
+    A link to a store of contents, whose files have other endings or none, stays a link.
+    """
+    full = path.resolve()
+    return full if full.suffix == path.suffix else path.parent.resolve() / path.name
+
+
 def package_roots(package: str) -> list[Path]:
     """Folders of an installed package: a Python package's own, then those below `share`."""
-    spec = importlib.util.find_spec(package) if package.isidentifier() else None
+    spec = None
+    if package.isidentifier() and package != "__main__":  # which has no folder
+        spec = importlib.util.find_spec(package)
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
         roots += [share / package for share in share_folders() if isdir(share / package)]
@@ -294,16 +305,6 @@ _UTF16 = {
 """First bytes of a file in UTF-16; a file with other first bytes is read as UTF-8 if it declares
 UTF-16."""
 _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
-_PLACEHOLDERS = (
-    (rb"version https://git-lfs", "a Git LFS pointer; get the file by: git lfs pull"),
-    (rb"[./\\\w]*annex[/\\]objects", "a git-annex pointer; get the file by: git annex get"),
-    (rb"(<!--.*?-->|\s)*<(!doctype\s+html|html)", "a web page; download the file itself"),
-    (rb"(404: Not Found|\{\s*\"(message|error))", "a server's error; download the file again"),
-    (rb"\[InternetShortcut\]", "a link to a web page; download the file itself"),
-    (rb"\x1f\x8b|PK\x03\x04|7z\xbc\xaf|Rar!", "an archive; unpack it"),
-    (rb"\.{0,2}/[\w./ -]+\Z", "the text of a symbolic link; put the file that it names here"),
-    (rb"\s*\Z", "an empty file; download it again"),
-)
 
 
 def refuse_placeholder(content: bytes, where: object) -> None:
@@ -316,10 +317,8 @@ def refuse_placeholder(content: bytes, where: object) -> None:
     Raises:
         RobotFileError: The content is such a placeholder; the message names its kind.
     """
-    begin = content[:1024].removeprefix(codecs.BOM_UTF8)
-    for pattern, name in _PLACEHOLDERS:
-        if re.match(pattern, begin, re.IGNORECASE | re.DOTALL):
-            raise RobotFileError(f"{where}: in the place of the file is {name}")
+    if name := placeholder(content):
+        raise RobotFileError(f"{where}: in the place of the file is {name}")
 
 
 def xml_text(path: Path) -> str:
@@ -413,11 +412,14 @@ def planar_urdf(description: HasUrdf) -> str:
 def floats(text: str, count: int) -> list[float] | None:
     """The numbers of an attribute; None unless their number is `count` and all are finite."""
     words = text.split(None, count)  # an attribute may have millions
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
+    if len(words) != count or not all(map(_NUMBER.fullmatch, words)):
         return None
-    return values if len(values) == count and all(map(math.isfinite, values)) else None
+    values = [float(word) for word in words]
+    return values if all(map(math.isfinite, values)) else None
+
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.ASCII | re.IGNORECASE)
+"""A number that all readers of a URDF take, unlike 1_000, which Python takes too."""
 
 
 def root_link(urdf: str) -> str:

@@ -179,11 +179,16 @@ class Superquadric(_Placed):
 def hull_mesh(points: Array) -> trimesh.Trimesh:
     """The convex hull of points (N, 3) [m], its triangles facing outwards.
 
-    trimesh would correct the winding of slivers with networkx, which is possibly not installed.
+    It is 0.1 mm thick if the points are only three, or on a line. trimesh would correct the winding
+    of slivers with networkx, which is possibly not installed.
     """
     import trimesh  # see ConvexMesh.hull
+    from scipy.spatial import QhullError
 
-    hull = trimesh.convex.convex_hull(points, repair=False)
+    try:
+        hull = trimesh.convex.convex_hull(points, repair=False)
+    except QhullError:
+        hull = trimesh.convex.convex_hull(_thick(points), repair=False)
     out = hull.triangles_center - hull.vertices.mean(axis=0)
     inwards = np.vecdot(hull.face_normals, out) < 0.0
     hull.faces = np.where(inwards[:, None], hull.faces[:, ::-1], hull.faces)
@@ -193,17 +198,22 @@ def hull_mesh(points: Array) -> trimesh.Trimesh:
 _THIN = 1e-4  # [m] smallest thickness of a hull
 
 
+def _thick(points: Array) -> Array:
+    """Points that are at least 0.1 mm apart in each direction."""
+    around = points - points.mean(axis=0)
+    for axis in np.linalg.eigh(around.T @ around)[1].T:
+        if np.ptp(points @ axis) < _THIN:
+            points = np.concatenate([points + s * _THIN / 2 * axis for s in (-1.0, 1.0)])
+    return points
+
+
 def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
     """The convex hull of points (N, 3) [m]; 0.1 mm thick if they are in a plane or on a line.
 
     coal refuses corners with more than 255 neighbours, such as those of a finely drawn disc. Then
     the points are rounded to `grid` [m], which is doubled until coal accepts them.
     """
-    points = np.asarray(points, dtype=float)
-    around = points - points.mean(axis=0)
-    for axis in np.linalg.eigh(around.T @ around)[1].T:
-        if np.ptp(points @ axis) < _THIN:  # coal ends the process for a hull without a volume
-            points = np.concatenate([points + s * _THIN / 2 * axis for s in (-1.0, 1.0)])
+    points = _thick(np.asarray(points, dtype=float))  # coal ends the process without a volume
     vertices = coal.StdVec_Vec3s()
     for vertex in points:
         vertices.append(vertex)

@@ -62,28 +62,39 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
         return np.array(default)
     values = floats(words, len(default))
     if values is None:
-        raise RobotFileError(f"{where}: {key}={words!r} should be {len(default)} numbers")
+        wanted = "a number" if len(default) == 1 else f"{len(default)} numbers"
+        raise RobotFileError(f"{where}: {key}={words!r} should be {wanted}{without_commas(words)}")
     return np.array(values)
 
 
-def colour(
-    visual: Element, materials: Mapping[str | None, Element], where: str
-) -> tuple[float, float, float, float] | None:
+def without_commas(words: str) -> str:
+    """The remedy for a text of numbers with commas, or empty."""
+    return "; write points in numbers and blanks between them, no commas" * ("," in words)
+
+
+def colour(visual: Element, materials: Mapping[str | None, Element]) -> list[float] | None:
     """Red, green, blue and opacity [0, 1] of a visual; None if the URDF states no colour.
 
     If the visual's material has no colour of its own, the material of the same name in the robot's
     `materials` counts.
-
-    Raises:
-        RobotFileError: The colour is not four numbers.
     """
     if (material := visual.find("material")) is None:
         return None
-    for each in (material, materials.get(material.get("name"), material)):
-        if (found := each.find("color")) is not None:
-            r, g, b, a = numbers(found, "rgba", (0.0,) * 4, where).tolist()
-            return r, g, b, a
-    return None
+    return rgba(material) or rgba(materials.get(material.get("name"), material))
+
+
+def rgba(material: Element) -> list[float] | None:
+    """Red, green, blue and opacity [0, 1] of a material; None where it states none.
+
+    Colours up to 255 and without opacity are read as meant; others that are none do not count.
+    """
+    found = material.find("color")
+    stated = "" if found is None else found.get("rgba", "").replace(",", " ")
+    if (values := floats(stated, 4) or floats(stated, 3)) is None:
+        return None
+    scale = 1.0 if max(values[:3]) <= 1.0 else 255.0
+    opacity = min(1.0, values[3]) if len(values) == 4 else 1.0
+    return [min(1.0, max(0.0, value / scale)) for value in values[:3]] + [max(0.0, opacity)]
 
 
 def mesh_path(address: str) -> Path:
@@ -128,6 +139,8 @@ def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None
     from trimesh import creation  # takes long
 
     def sizes(key: str, count: int = 1) -> Array:
+        if key not in shape.attrib:
+            raise RobotFileError(f"{where}: its {shape.tag} has no {key}")
         found = numbers(shape, key, (0.0,) * count, where)
         if not (found > 0).all():
             raise RobotFileError(f"{where}: the {key} of its {shape.tag} is not above zero")

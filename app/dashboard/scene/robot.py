@@ -186,7 +186,7 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
                 # Without textures, which every part of the mesh would copy.
                 ready[key] = for_display(trimesh.Trimesh(mesh.vertices, mesh.faces))
             placement = frame.placement * origin(visual, where)
-            rgba = colour(visual, materials, where)
+            rgba = colour(visual, materials)
             r, g, b = GREY if rgba is None else (round(255 * x) for x in rgba[:3])
             look = Visual(f"{name}_{i}", frame.parentJoint, placement, ready[key], (r, g, b))
             visuals.append(look)

@@ -12,7 +12,6 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 import trimesh
-from scipy.spatial import QhullError
 
 from app.errors import RobotFileError
 from app.onboarding.read.source import MESHES
@@ -111,10 +110,7 @@ def _shape(element: Element, where: str) -> LinkShape:
         )
     shape = holder[0]
     mesh, radius = urdf_mesh(shape, where, load_mesh)
-    try:
-        hull = hull_mesh(_outermost(np.asarray(mesh.vertices), 4))
-    except QhullError as error:
-        raise RobotFileError(f"{where}: a shape of it is flat: {str(error)[:80]}") from None
+    hull = hull_mesh(_outermost(np.asarray(mesh.vertices), 4))
     hull.apply_transform(T)
     if (size := float(hull.extents.max())) > _LARGEST:
         scale = 0.001 if unit_of(size) == "millimetres" else 0.0254
@@ -153,24 +149,48 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
                 _unit(begin, name)
             file.seek(0)
             scene = trimesh.load(
-                file, file_type=end, force="scene", skip_materials=True, process=joined
+                file, file_type=end, force="scene", skip_materials=True, process=False
             )
         assert isinstance(scene, trimesh.Scene)
-        mesh = _joined(scene)
+        mesh = _joined(scene, joined)
     except (RobotFileError, MemoryError):
         raise
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers' errors have no common base class
         why = " ".join(str(error).split())
+        why = f"{why}{_damage(begin, path.stat().st_size, end)}"
         raise RobotFileError(f"{name}: it cannot be read: {why}") from None
     if mesh is None:
-        raise RobotFileError(f"{name}: it has no triangles, or is no .{end} file")
+        why = f"it has no triangles, or is no .{end} file"
+        raise RobotFileError(f"{name}: {why}{_damage(begin, path.stat().st_size, end)}")
     return mesh
 
 
-def _joined(scene: trimesh.Scene) -> trimesh.Trimesh | None:
-    """All triangles of a file as one light mesh in metres, or None."""
+def _damage(begin: bytes, size: int, end: str) -> str:
+    """The probable damage of a mesh file that cannot be read, with its remedy, or empty."""
+    if b"\0" not in begin and re.search(rb"\d,\d", begin):
+        return "; its numbers have decimal commas: export it with points"
+    count = int.from_bytes(begin[80:84], "little")
+    if end == "stl" and b"\0" in begin and size != (stated := 84 + 50 * count):
+        return (
+            f"; it states {count:,} triangles, which take {stated:,} bytes, and has {size:,}: copy "
+            "or export it again"
+        )
+    return ""
+
+
+def _joined(scene: trimesh.Scene, merge: bool) -> trimesh.Trimesh | None:
+    """All triangles of a file as one light mesh in metres, or None; equal vertices are merged.
+
+    Raises:
+        ValueError: A coordinate is not a number. Libraries differ in their reading of such files.
+    """
+    for mesh in scene.geometry.values():
+        if not np.isfinite(mesh.vertices).all():
+            raise ValueError("a coordinate is not a finite number; export it again")
+        if merge and isinstance(mesh, trimesh.Trimesh):
+            mesh.process()
     metre = scene.units if scene.geometry else None
     scale = trimesh.units.unit_conversion(metre, "meters") if metre else 1.0
     names = [name for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))]

@@ -24,7 +24,7 @@ from xml.etree.ElementTree import Element
 from app.errors import RobotFileError, did_you_mean
 from app.onboarding.read.source import FORMATS, read_source, spellings, split_address
 from app.onboarding.read.tree import make_tree
-from app.robot.assets import refuse_entities
+from app.robot.assets import refuse_entities, refuse_placeholder
 from app.system import temporary_folder
 
 FOLDER = "package"
@@ -93,6 +93,8 @@ def _check_size(archive: Path) -> None:
         tail = file.read()
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or len(tail) < at + 22:
+        if not tail.startswith(b"PK"):
+            refuse_placeholder(tail[:1024], archive.name)
         raise RobotFileError(f"{archive.name}: not a zip; zip the URDF together with its meshes")
     if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would replace the record that is read
         raise RobotFileError(
@@ -121,7 +123,7 @@ def _checked(
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
     for info in infos:
         path = _path(info, where)
-        if info.is_dir():
+        if info.orig_filename.endswith(("/", "\\")):  # a folder
             continue
         if path in found:
             raise RobotFileError(f"{where}: the file {str(path)!r} stands twice in it")
@@ -134,11 +136,12 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     name = info.orig_filename
     if not info.flag_bits & _UTF8 and not name.isascii():
         name = _as_stored(name.encode("cp437"))
+    name = name.replace("\\", "/")  # as Windows PowerShell writes them
     problem = None
     if name.startswith("/"):
         problem = "is an absolute path"
-    elif "\\" in name or re.match(r"[A-Za-z]:", name):
-        problem = "is a path of Windows, with a drive or backslashes"
+    elif re.match(r"[A-Za-z]:", name):
+        problem = "is a path of Windows, with a drive"
     elif ".." in PurePosixPath(name).parts:
         problem = "leads out of the zip by '..'"
     elif not name.isprintable() or not name.strip("/. ") or len(name) > _LONGEST_NAME:
@@ -256,7 +259,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     places = [
         place.resolve()
         for each in filter(str.isprintable, dict.fromkeys(named))  # like all names in a zip
-        for place in ([folder / each] if own else _in_packages(each, root))
+        for place in ([folder / each] if own else _in_packages(each, folder, root))
     ]
     kept = [place for place in places if place.is_relative_to(root)]
     if not kept:
@@ -285,10 +288,11 @@ def _as_stored(name: bytes) -> str:
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 
-def _in_packages(path: str, root: Path) -> list[Path]:
-    """Candidates for `package://PACKAGE/PATH`: a folder of that name, or the top of the zip."""
+def _in_packages(path: str, folder: Path, root: Path) -> list[Path]:
+    """Candidates for `package://PACKAGE/PATH`: a folder of that name, or one above the URDF."""
     package, _, inner = path.partition("/")
-    return [place / inner for place in _package_folders(package, root)]
+    places = (*_package_folders(package, root), folder, *folder.parents)
+    return [place / inner for place in places]
 
 
 @lru_cache(maxsize=1024)
@@ -296,7 +300,7 @@ def _package_folders(package: str, root: Path) -> list[Path]:
     """Possible folders of a package in an unpacked zip; cached."""
     named = sorted(each for each in root.rglob("*") if each.is_dir() and each.name == package)
     tops = [each.parent for each in sorted(root.rglob("package.xml"))]
-    return [*named, *tops, root]
+    return [*named, *tops]
 
 
 _MAX_URDFS = 20  # [-] most URDFs that are read

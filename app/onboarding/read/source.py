@@ -13,12 +13,14 @@ from urllib.parse import unquote
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from app.errors import RobotFileError, did_you_mean
+from app.errors import RobotFileError, closest
 from app.jobs.bounded import within_budget
 from app.robot.assets import (
     floats,
+    followed,
     package_roots,
     refuse_entities,
+    refuse_placeholder,
     resolve_package_uri,
     share_folders,
     xml_text,
@@ -40,12 +42,14 @@ def locate(source: str) -> Path:
         RobotFileError: The file does not exist.
         AssetError: The package is not installed.
     """
-    path = resolve_package_uri(source) if source.startswith("package://") else Path(source)
+    scheme, rest = split_address(source)
+    path = Path(os.path.expanduser(rest if scheme == "file" else source))
+    path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
         raise RobotFileError(
             f"{source}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
         )
-    return path.resolve()
+    return followed(path)
 
 
 def read_robot(
@@ -59,45 +63,43 @@ def read_robot(
         RobotFileError: As for `read_source`, or a mesh is not found.
     """
     robot = read_source(path, packages, **arguments)
-    said = _left_out(robot)
-    for link in robot.findall("link"):
-        for mesh in link.iterfind(".//mesh"):
-            if not (file := mesh.get("filename", "").strip()):
-                raise RobotFileError(
-                    f"link {link.get('name')!r}: a mesh has no filename; name its file, or take "
-                    "the shape out"
-                )
-            mesh.set("filename", mesh_address(file, path.parent, packages))
-    return robot, said
-
-
-def _left_out(robot: Element) -> list[str]:
-    """Remove placeholder shapes and unreadable ones that are not needed; returns their names.
-
-    A placeholder has a size of 0. A visual mesh may have an unreadable format if the link has
-    a collision shape.
-    """
     said = []
     for link in robot.findall("link"):
         for tag in ("visual", "collision"):
             for element in link.findall(tag):
-                shape = element.find("geometry/*")
-                if shape is not None and (why := _needless(shape, link, tag)):
+                if why := _needless(element, link, path.parent, packages):
                     link.remove(element)
                     said.append(f"a {tag} of {link.get('name')} is left out: {why}")
-    return said
+    return robot, said
 
 
-def _needless(shape: Element, link: Element, tag: str) -> str:
-    """Why a shape is left out, or empty."""
+def _needless(
+    element: Element, link: Element, folder: Path, packages: Mapping[str, Path] | None
+) -> str:
+    """Why a visual or collision is left out, or empty; a mesh that stays gets its address.
+
+    A placeholder of size 0 is left out, and a visual whose mesh cannot be had, if the link also
+    has a collision shape.
+    """
+    if (shape := element.find("geometry/*")) is None:
+        return ""
     sizes = [shape.get(key) for key in ("size", "radius", "length", "scale")]
     stated = [floats(size, n) for size in sizes if size is not None for n in (1, 3)]
     if not all(all(each or (1.0,)) for each in stated):
         return f"its {shape.tag} has the size 0"
-    file = shape.get("filename", "")
-    end = Path(file).suffix.lower()
-    if end and end not in FORMATS and tag == "visual" and link.find("collision") is not None:
-        return f"{file}: the format {end} is not read"
+    if shape.tag != "mesh":
+        return ""
+    try:
+        if not (file := shape.get("filename", "")):
+            raise RobotFileError(
+                f"link {link.get('name')!r}: a mesh has no filename; name its file, or take "
+                "the shape out"
+            )
+        shape.set("filename", mesh_address(file, folder, packages))
+    except RobotFileError as error:
+        if element.tag == "collision" or link.find("collision") is None:
+            raise
+        return str(error)
     return ""
 
 
@@ -112,9 +114,15 @@ def read_source(
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
             cannot be expanded.
     """
-    text = _expanded(path, packages or {}, arguments) if path.suffix == ".xacro" else xml_text(path)
+    text = (
+        _expanded(path, packages or {}, arguments)
+        if path.suffix.lower() == ".xacro"
+        else xml_text(path)
+    )
     refuse_entities(text, path)
     robot = _without_namespace(ElementTree.fromstring(text))
+    for each in robot.iter():
+        each.attrib = {key: value.strip() for key, value in each.items()}  # blanks are no names
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     if left := _unexpanded(robot):
@@ -152,7 +160,8 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     Escapes such as `%20`, backslashes and accents are read in the sense of other programs.
 
     Raises:
-        RobotFileError: The file does not exist.
+        RobotFileError: The file does not exist, has an unreadable format, or a placeholder is in
+            its place.
     """
     for spelling in spellings(reference):
         found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
@@ -160,7 +169,10 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
             if found.suffix.lower() not in FORMATS:
                 known = ", ".join(FORMATS[:-1])
                 raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
-            return _installed_address(found) or str(found.resolve())
+            if found.suffix.lower() != ".3mf":  # an archive
+                with found.open("rb") as file:
+                    refuse_placeholder(file.read(1024), f"mesh {found}")
+            return _installed_address(found) or str(followed(found))
     why = _missing(spellings(reference)[-1], folder, packages or {})
     raise RobotFileError(f"mesh {reference}: {why}")
 
@@ -201,15 +213,25 @@ def _missing(reference: str, folder: Path, packages: Mapping[str, Path]) -> str:
         roots = [*dict.fromkeys(_package_folders(package, folder, packages))]
         if not roots:
             return _nowhere(package, inner, folder)
-        near = [each.name for root in roots for each in (root / inner).parent.glob("*")]
         where = f"no such file in the package {package!r}: {', '.join(map(str, roots))}"
-        return f"{where}{did_you_mean(Path(inner).name, near)}"
+        near = next(filter(None, (_near(root, inner) for root in roots)), "")
+        return f"{where}{near}; if another folder is meant, give --package {package}=FOLDER"
     if scheme not in _SCHEMES:
         return "an address of the web or of another tool; name a file, relative to the URDF"
     if re.match("/?[A-Za-z]:", path):
         return "a path of another machine, of Windows; name the file relative to the URDF"
-    near = [each.name for each in (folder / path).parent.glob("*") if isfile(each)]
-    return f"there is no file {folder / path}{did_you_mean(Path(path).name, near)}"
+    return f"there is no file {folder / path}{_near(folder, path)}"
+
+
+def _near(root: Path, path: str) -> str:
+    """` (did you mean 'x'?)` for the closest path below a folder, or an empty string."""
+    found = Path()
+    for part in Path(path).parts:
+        names = [part] if part == ".." else [each.name for each in (root / found).glob("*")]
+        if not (name := closest(part, names)):
+            return ""
+        found /= name
+    return "" if found == Path(path) else f" (did you mean {found.as_posix()!r}?)"
 
 
 def _installed_address(path: Path) -> str | None:
@@ -242,15 +264,25 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
         yield packages[package]
         return
     for parent in (folder, *folder.parents):
-        if parent.name == package:
-            yield parent
-        if isdir(parent / package):
-            yield parent / package
+        beside = (each.parent for each in parent.glob("*/package.xml"))
+        for each in (parent, parent / package, *beside):
+            if isdir(each) and package in (each.name, _stated_name(each)):
+                yield each
     for top in _ros_folders():
         yield from (each for each in (top / package, *top.glob(f"*/{package}")) if isdir(each))
         if top.name == package:
             yield top
     yield from package_roots(package)
+
+
+def _stated_name(folder: Path) -> str:
+    """A package's name in its `package.xml`, or empty; a download's folder may have another one."""
+    try:
+        with (folder / "package.xml").open("rb") as file:
+            found = re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16))
+    except OSError:
+        return ""
+    return found[1].decode() if found else ""
 
 
 def _ros_folders() -> list[Path]:
@@ -278,7 +310,7 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
             if missing[1] not in packages and (roots := package_roots(missing[1])):
                 return _expanded(path, {**packages, missing[1]: roots[0]}, arguments)
             named = rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)"
-            inner = re.search(named, path.read_text(encoding="utf-8"))
+            inner = re.search(named, xml_text(path))
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
         lacking = "substitution arg" in why  # no option can correct a property or old syntax
@@ -300,7 +332,8 @@ def _around(path: Path) -> dict[str, str]:
     """Folders that may be packages of a xacro: those beside the folders above it, nearest first."""
     found: dict[str, str] = {}
     for parent in [*list(path.parents)[1:5], *_ros_folders(), *share_folders()]:
-        for folder in sorted(parent.iterdir()):
-            if folder.is_dir() and not folder.name.startswith((".", "_")):
-                found.setdefault(folder.name, str(folder))
+        for folder in sorted(parent.glob("*")):  # of a folder that may not be read: none
+            if isdir(folder) and not folder.name.startswith((".", "_")):
+                for name in filter(None, (folder.name, _stated_name(folder))):
+                    found.setdefault(name, str(folder))
     return found

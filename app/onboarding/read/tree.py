@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
-from app.robot.urdf import numbers, origin, unit_of
+from app.robot.urdf import numbers, origin, unit_of, without_commas
 
 Array = np.ndarray
 
@@ -151,7 +151,8 @@ def make_tree(robot: Element) -> Tree:
     _once(robot, "joint")
     links = {str(link.get("name")): link for link in robot.findall("link")}
     if not links:
-        raise RobotFileError("the URDF has no links")
+        near = did_you_mean("link", {str(each.tag) for each in robot})
+        raise RobotFileError(f"the URDF has no <link>{near}")
     joints = {str(j.get("name")): _joint(j, links) for j in robot.findall("joint")}
     joint_of: dict[str, Joint] = {}
     for joint in joints.values():
@@ -193,13 +194,17 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
     name, kind = str(element.get("name")), str(element.get("type"))
     if kind not in (*MOVING, *FREE, "fixed"):
         known = ", ".join((*MOVING, *FREE))
-        raise RobotFileError(f"joint {name!r}: its type is {kind!r}; fixed, {known} are possible")
+        near = did_you_mean(kind, ("fixed", *MOVING, *FREE))
+        raise RobotFileError(
+            f"joint {name!r}: its type is {kind!r}{near}; fixed, {known} are possible"
+        )
     ends = []
     for role in ("parent", "child"):
         end = element.find(role)
         link = "" if end is None else str(end.get("link"))
         if link not in links:
-            raise RobotFileError(f"joint {name!r}: its {role} is {link!r}, which is no link")
+            near = did_you_mean(link, links)
+            raise RobotFileError(f"joint {name!r}: its {role} is {link!r}, which is no link{near}")
         ends.append(link)
     T = origin(element, f"joint {name!r}")
     axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"joint {name!r}")
@@ -214,8 +219,10 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         if word is not None and value is None:
             raise RobotFileError(
                 f"joint {name!r}: {key}={word!r} should be a finite number; leave it out if "
-                "there is no limit"
+                f"there is no limit{without_commas(word)}"
             )
+        if value is not None and value[0] < 0.0 and key in ("effort", "velocity"):
+            raise RobotFileError(f"joint {name!r}: {key}={word!r}: a size is not below zero")
         return None if value is None else value[0]
 
     bounded = kind in ("revolute", "prismatic")

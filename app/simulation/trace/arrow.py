@@ -30,7 +30,7 @@ def read_arrow(path: Path) -> tuple[str, pa.Table]:
     """
     try:
         # A small Parquet file can contain millions of equal rows.
-        smallest = 0 if path.suffix == ".csv" else SMALL + 1
+        smallest = 0 if path.suffix.lower() == ".csv" else SMALL + 1
         return within_budget(_read, path, size=max(path.stat().st_size, smallest))
     except FileNotFoundError:
         raise LogError(f"{path}: no such file") from None
@@ -41,7 +41,7 @@ def read_arrow(path: Path) -> tuple[str, pa.Table]:
 
 def _read(path: Path) -> tuple[str, pa.Table]:
     try:
-        return _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
+        return _read_csv(path) if path.suffix.lower() == ".csv" else _read_parquet(path)
     except MemoryError:
         raise
     except pa.ArrowException as error:
@@ -55,7 +55,7 @@ def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
     equal files.
     """
     sink = io.BytesIO()
-    if path.suffix == ".csv":
+    if path.suffix.lower() == ".csv":
         sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")
         pyarrow.csv.write_csv(table, sink)
     else:
@@ -66,20 +66,23 @@ def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
 
 def _read_csv(path: Path) -> tuple[str, pa.Table]:
     first, _, rest = file_text(path).partition("\n")
+    rest = re.sub(r"\n[,;\t]+(?=\n|$)", "", rest)  # empty rows of a spreadsheet
     if not first.startswith(_COMMENT):
         changed = "; a spreadsheet has probably changed it: use the original file, or .parquet"
         raise ValueError(f"the first line is no metadata comment{changed * ('# ' in first)}")
     names, _, rows = rest.partition("\n")
-    comma = ";" in names  # many countries' spreadsheets write decimal commas
-    point = "," if comma and re.search(r"\d,\d", rows[:10_000]) else "."
+    between = next((mark for mark in "\t;" if mark in names), ",")  # as spreadsheets write them
+    point = "," if between != "," and re.search(r"\d,\d", rows[:10_000]) else "."
     # pyarrow then distinguishes only numbers and texts; the caller knows the exact types.
     options = pyarrow.csv.ConvertOptions(
         null_values=[""], strings_can_be_null=False, decimal_point=point
     )
-    cells = pyarrow.csv.ParseOptions(delimiter=";" if comma else ",")
+    cells = pyarrow.csv.ParseOptions(delimiter=between)
     alone, content = pyarrow.csv.ReadOptions(use_threads=False), io.BytesIO(rest.encode())
     table = pyarrow.csv.read_csv(content, alone, cells, options)
-    return first.removeprefix(_COMMENT).rstrip(",;"), table
+    names = enumerate(table.column_names)  # a spreadsheet adds empty columns without a name
+    table = table.select([k for k, n in names if n or table.column(k).null_count < len(table)])
+    return first.removeprefix(_COMMENT).rstrip(",;\t"), table
 
 
 def _read_parquet(path: Path) -> tuple[str, pa.Table]:

@@ -190,7 +190,7 @@ def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArr
 
 
 def _check_suffix(path: Path) -> None:
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise LogError(f"{path}: a log ends in {' or '.join(SUFFIXES)}")
 
 
