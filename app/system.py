@@ -398,7 +398,7 @@ def is_writable(folder: Path) -> bool:
     return os.access(there, os.W_OK | os.X_OK)
 
 
-def _private_folder(shared: Path, *, make: bool) -> Path:
+def _private_folder(shared: Path, *, make: bool = True) -> Path:
     """This user's own folder in a folder that all users share.
 
     Raises:

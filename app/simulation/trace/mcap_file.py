@@ -225,7 +225,7 @@ def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimiti
     where, shape = f"link {link!r}", visual.find("geometry/*")
     if shape is None:
         return None
-    T, rgba = origin(visual, where), colour(visual, materials, where)
+    T, rgba = origin(visual, where), colour(visual, materials)
     tint = fg.Color(**dict(zip("rgba", rgba, strict=True))) if rgba else None
     if shape.tag != "mesh":
         return _model(T, _GLB, _glb(primitive(shape, where)[0]), tint or _GREY)
