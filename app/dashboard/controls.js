@@ -328,7 +328,7 @@ window.dbbControls = (box, ranges) => {
   let hints = {};
   listen(window, "pointerover", (e) => {
     const line = e.target.closest?.(".u-legend .u-series"), plot = line?.closest(".uplot");
-    if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
+    if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.querySelector(".u-label").textContent.trim()] ?? "";
   });
 
   // ---- while Shift is held, keys pull the end-effector
@@ -343,6 +343,16 @@ window.dbbControls = (box, ranges) => {
   }, { capture: true });
   listen(window, "keyup blur", (e) => (e.key === "Shift" || e.type === "blur") && ask("drop"));
 
+  // ---- the pointer over the scene, for the values there: at most ten reports per second
+  let pointer = [], told_at = 0, later = 0;
+  const point = () => ((later = 0), (told_at = performance.now()), api.tell("pointer", ...pointer));
+  listen(window, "pointermove", (e) => {
+    const canvas = window.__viserMutable?.canvas, box = canvas?.getBoundingClientRect();
+    pointer = canvas?.contains(e.target) && !e.buttons
+      ? [e.clientX - (box.left + box.right) / 2, (box.top + box.bottom) / 2 - e.clientY] : [];
+    later ||= setTimeout(point, Math.max(0, 100 - performance.now() + told_at));
+  });
+
   // ---- a double click resets the view
   listen(window, "dblclick", (e) => e.target.tagName === "CANVAS" && e.target !== strip && ask("look"));
 
@@ -353,7 +363,7 @@ window.dbbControls = (box, ranges) => {
   } catch {} // the browser has no storage
 
   ask("link", window.dbbAsked());
-  return {
+  const api = {
     ...window.dbbPanels,
     hints: (some) => (hints = some),
     head: (html) => (live_.innerHTML = html),
@@ -398,4 +408,5 @@ window.dbbControls = (box, ranges) => {
       for (const element of [head, card, bar, edge, past, hint]) element.remove();
     },
   };
+  return api;
 };

@@ -113,6 +113,8 @@ class Page:
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
+        border = self._scene.border
+        self.channel.on("pointer", lambda *at: setattr(border, "pointer", at[:2] if at[1:] else ()))
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
         self.hand = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
@@ -209,8 +211,7 @@ class Page:
         panel = gui.add_panel()
         with panel.add_tab("Why", viser.Icon.BULB):
             self._why = self._add(WhyPanel(self.viewer))
-        with panel.add_tab("Plots", viser.Icon.CHART_LINE):
-            self._plots = self._add(Plots(self.viewer))
+        self._plots = self._add(Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE)))
         with panel.add_tab("Compare", viser.Icon.USERS):
             self._add(ComparePanel(self.viewer))
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):

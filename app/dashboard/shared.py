@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Mapping
 from app.border.dbb import Cloud
 from app.config import Config
 from app.dashboard.explorer import Explorer
-from app.dashboard.plans import plot_plans
-from app.dashboard.record import Course, Record, Strip
+from app.dashboard.plans import plot_plans, quantities
+from app.dashboard.record import Course, Strip
 from app.dashboard.robots import RobotBuild, RobotCheck, RobotSwitch, RunningRobot
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.scene import SceneData
@@ -170,13 +170,13 @@ class SharedState(SceneData):
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.robot_check = before.robot_check if before else RobotCheck()
         self.plans = plot_plans(model, self.pairs, self.of_door)
-        self.record = Record(curve for plan in self.plans for curve in plan.curves)
-        """Values of the plots in the last minutes."""
+        self.quantities = quantities(model, loop.latest())
+        """All quantities that a viewer can add to a plot, by their names."""
         self.course = Course()
         """Results of the last scenario."""
         self.strip = Strip(model.body_names)
         """Data of the time line, of the last ten minutes."""
-        self.keepers += [self.record, self.course, self.strip]
+        self.keepers += [self.course, self.strip]
         self._watched = True
         self._explorer: Explorer | None = None
 

@@ -41,13 +41,6 @@ class View:
         "Show the border above the top of the base too; it hides the arm",
         first=False,
     )
-    shell: bool = _shown(
-        BORDER,
-        "Surface",
-        "A surface instead of points. Click it for det, R and S there, and for the motion of the "
-        "base if the arm were halfway inside",
-        first=False,
-    )
     slice: bool = _shown(
         BORDER, "Slice at the hand", "Contour of the border at the height of the hand", first=True
     )
