@@ -32,7 +32,7 @@ from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
 from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import judge
-from app.dashboard.view import PagePicture, View
+from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import DbbError
 from app.robot.description import RobotDescription
@@ -70,7 +70,6 @@ class Page:
         client: viser.ClientHandle,
         shared: SharedState,
         notifier: Notifier,
-        page_picture: PagePicture | None = None,
         before: Page | None = None,
     ) -> None:
         """Create the page of a client; `before` is its closed page of another robot."""
@@ -92,7 +91,7 @@ class Page:
         self._camera.fit(shared.parts.extent)
         own = self.channel, self.view, self.timeline, self.grip, self._camera
         files = before.viewer.files if before else Job()
-        self.viewer = Viewer(client, notifier, shared, *own, files, page_picture)
+        self.viewer = Viewer(client, notifier, shared, *own, files)
         self.channel.on("scene", self._camera.cover)
         self.closed = False
         newest = shared.loop.latest()
@@ -189,7 +188,7 @@ class Page:
         with self._client.atomic():
             self._client.scene.reset()
             self._client.gui.reset()
-            return Page(self._client, shared, self._notifier, self.viewer.page_picture, self)
+            return Page(self._client, shared, self._notifier, self)
 
     def close(self) -> None:
         """Release all pulls of the viewer, and stop drawing."""

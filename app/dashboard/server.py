@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import viser
 
 from app.border.dbb import Cloud
-from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
 from app.dashboard.panels.share import read_link
@@ -162,7 +161,7 @@ class DashboardServer:
     def _open_page(self, client: viser.ClientHandle) -> None:
         try:
             with client.atomic():
-                page = Page(client, self.shared, self._notifier, page_picture)
+                page = Page(client, self.shared, self._notifier)
         except Exception as error:  # ends only this viewer's page
             logger.exception("a page could not be built")
             show_failure(client.gui, _PAGE_ENDED, error)

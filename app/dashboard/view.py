@@ -5,13 +5,8 @@ Callbacks assign to a field, and the drawing thread reads the fields.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from copy import copy
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal, NamedTuple
-
-import numpy as np
-from PIL import Image
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 from app.dashboard.scene.legend import QUANTITIES
 
@@ -76,21 +71,12 @@ class View:
     plots: set[str] = field(default_factory=set)
     """Titles of the shown plots."""
 
-    def take_over(self, other: View) -> None:
-        """Copy all choices of another viewer."""
-        for each in fields(self):
-            setattr(self, each.name, copy(getattr(other, each.name)))
-
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
         """Return the same choices for another robot, with its pairs of L_m and its plots."""
-        new, shown = View.first(pairs, plots), self.plots & set(plots)
-        borders, first = new.borders, copy(new.borders)
-        new.take_over(self)
-        new.borders = {pair: self.borders.get(pair, HIDDEN) for pair in borders}
-        if set(new.borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
-            new.borders = first
-        new.plots = shown
-        return new
+        borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
+        if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
+            borders = View.first(pairs, plots).borders
+        return replace(self, borders=borders, plots=self.plots & set(plots))
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
@@ -99,16 +85,3 @@ class View:
         if pairs:
             borders[pairs[0]] = "score"
         return cls(borders, plots=set(plots[:4]))
-
-
-class Viewpoint(NamedTuple):
-    """View of a viewer, with eye and target (3,) [m] of the camera in the world."""
-
-    view: View
-    eye: np.ndarray
-    target: np.ndarray
-
-
-PagePicture = Callable[..., Image.Image]
-"""Draws the whole page. Arguments: the scene's data, snapshots of which the last is shown, a
-`Viewpoint`, and (width, height) [px]."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from app.dashboard.shared import SharedState
     from app.dashboard.timeline import Timeline
     from app.dashboard.verdict import Verdict
-    from app.dashboard.view import PagePicture, View
+    from app.dashboard.view import View
     from app.dashboard.viser_compat import Channel
     from app.simulation.trace.snapshot import Snapshot
 
@@ -47,8 +47,6 @@ class Viewer:
     camera: Camera
     files: Job
     """Creates the viewer's files, one after the other."""
-    page_picture: PagePicture | None = None
-    """Draws whole pages; without it, the panel Save has no button for them."""
 
     def look(self, preset: str) -> None:
         """Look at the shown snapshot from a preset, a key of `PRESETS`.

@@ -22,7 +22,6 @@ from app.dashboard.job import (
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
-from app.dashboard.view import Viewpoint
 from app.dashboard.viser_compat import scene_picture
 from app.errors import BrowserError
 from app.jobs.process import Cancelled
@@ -108,8 +107,6 @@ class SavePanel(FilePanel):
                 for name, (least, most, first) in SIZES.items()
             }
             self.file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._scene)
-            if viewer.page_picture is not None:
-                self.file("Whole page (PNG)", viser.Icon.BROWSER, "page.png", self._whole_page)
         with gui.add_folder("Marked interval, or the last minute"):
             for label, name, hint in (
                 ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
@@ -144,14 +141,6 @@ class SavePanel(FilePanel):
         shown, names = self._viewer.timeline.shown(), self._viewer.shared.model.body_names
         look = Look(light=not self._viewer.view.dark)
         return png(captioned(self.scene(*self._size()), shown, names, look))
-
-    def _whole_page(self) -> bytes:
-        viewer = self._viewer
-        assert viewer.page_picture is not None, "there is a button for it"
-        shown, camera = viewer.timeline.shown(), viewer.client.camera
-        viewpoint = Viewpoint(viewer.view, camera.position, camera.look_at)
-        past = [s for s in viewer.shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
-        return png(viewer.page_picture(viewer.shared, past, viewpoint, self._size()))
 
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:
