@@ -146,30 +146,20 @@ class Page:
             if texts and self.timeline.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
-            moment = Moment(newest, shown, judge(shown, self._shared.spoken)) if texts else None
-            if moment is not None:
-                self._renew(moment)
-        if moment is not None:
-            self._renew_beside(moment)
+            if texts:
+                self._renew(Moment(newest, shown, judge(shown, self._shared.spoken)))
 
     def _renew(self, moment: Moment) -> None:
-        """Update the panels that must appear together with the picture."""
+        """Update all panels; a page shows them together with the picture."""
         for panel in self._panels:
-            if panel.of_instant:
-                panel.update(moment)
+            panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
         self._show_refusal(moment.newest)
-
-    def _renew_beside(self, moment: Moment) -> None:
-        """Update the other panels, which may take longer."""
         _show(self._hung, hung_html(self._shared.loop.silence))
         self._change.show("")
         if self._light != self.view.light:
             self._light = self.view.light
             self.channel.tell("light", self._light)
-        for panel in self._panels:
-            if not panel.of_instant:
-                panel.update(moment)
 
     @property
     def untouched(self) -> bool:

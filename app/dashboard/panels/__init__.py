@@ -86,10 +86,8 @@ class Panel:
     widget. An `update` may assign all values each time: viser sends only changes.
     """
 
-    of_instant = False
-    """Whether the panel belongs to the shown instant: then it is updated with the picture."""
-
     def __init__(self, viewer: Viewer) -> None:
+        self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
 

@@ -38,7 +38,7 @@ class EditPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._viewer, self._shared = self._gui, viewer, viewer.shared
+        gui = self._gui
         self._check, self._robot = self._shared.robot_check, self._shared.model.description
         names = [body.name for body in self._robot.bodies]
         apart = combinations(enumerate(names), 2)  # neighbours in the chain form no pair

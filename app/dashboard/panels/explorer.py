@@ -23,12 +23,9 @@ FARTHEST = 5.0  # [m] largest base coordinate
 class ExplorerPanel(Panel):
     """Sliders of base and arm; while they are in use, the page shows their posture."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         """Create the closed folder; the viewer's gizmo moves the end-effector."""
         super().__init__(viewer)
-        self._shared, self._grip = viewer.shared, viewer.grip
         self.posture: Posture | None = None
         self._target: Array | None = None  # (3,) [m] requested position of the end-effector
         self._off = 0.0  # [m] distance to the last requested position
@@ -107,7 +104,7 @@ class ExplorerPanel(Panel):
         self._stopped, self._since = False, newest  # until the pause takes effect
         self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
-        self.posture, self._grip.reach = posture, self._move_hand
+        self.posture, self._viewer.grip.reach = posture, self._move_hand
         self._show(on=True)
 
     def _go(self, event: Any) -> None:
@@ -121,7 +118,7 @@ class ExplorerPanel(Panel):
         self._end()
 
     def _end(self) -> None:
-        self.posture = self._target = self._grip.reach = None
+        self.posture = self._target = self._viewer.grip.reach = None
         self._show(on=False)
 
     def _move_hand(self, place: Array) -> None:

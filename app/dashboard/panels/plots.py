@@ -26,12 +26,10 @@ OFF = -9.0  # value of the line at the shown instant outside its scale
 class Plots(Panel):
     """Plots of one viewer, who may add any quantity of a log; hidden plots cost nothing."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer, tab: viser.GuiTabHandle) -> None:
         """Create empty plots in a tab; the view selects the plots."""
         super().__init__(viewer)
-        self._viewer, self._tab = viewer, tab
+        self._tab = tab
         self._drawn: tuple[object, ...] = ()
         self._due = 0.0
         self._plans = {plan.title: plan for plan in viewer.shared.plans}

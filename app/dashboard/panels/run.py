@@ -64,11 +64,9 @@ _SCORES = (
 class RunPanel(Panel):
     """Scenario, controller, pause, distances and the result; choices apply to all viewers."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._shared = self._gui, viewer.shared
+        gui = self._gui
         sink = self._sink = viewer.shared.loop
         self._scenario = gui.add_dropdown(
             "Scenario",
@@ -128,8 +126,6 @@ class RunPanel(Panel):
 class LabPanel(Panel):
     """Speed and readings of the simulation, and the load of the machine."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
@@ -161,11 +157,9 @@ class LabPanel(Panel):
 class ComparePanel(Panel):
     """Choice of the controllers of the ghosts, and the scores of all controllers."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._shared = self._gui, viewer.shared
+        gui = self._gui
         gui.add_markdown(
             "Run other controllers on the same pull, as ghosts; hqp slows all of them down."
         )

@@ -43,7 +43,7 @@ class FilePanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self._viewer, self._job = viewer, viewer.files
+        self._job = viewer.files
         self._status = JobStatus(viewer, viewer.files)
 
     def update(self, moment: Moment) -> None:

@@ -154,7 +154,6 @@ class SharePanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()
         """Link that waits for its robot, or for its scenario before it sets the camera."""
         viewer.channel.on("link", self.open, str)

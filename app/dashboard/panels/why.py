@@ -41,11 +41,9 @@ _BEHIND = -0.5  # [-] x of a normal above which the near body is not behind the 
 class WhyPanel(Panel):
     """The tab, and the header over the scene, which every page has."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._viewer = self._gui, viewer
+        gui = self._gui
         self._why = gui.add_html("")
         with gui.add_folder("Details", expand_by_default=False):
             self._details = gui.add_html("")
