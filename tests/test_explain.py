@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, Level, NearPair
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.panels import why as why_panel
 from app.dashboard.panels.why import LONGEST, sentence
 from app.dashboard.verdict import judge

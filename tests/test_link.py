@@ -8,9 +8,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from app.dashboard.panels.share import Link, camera_text, read_link
 
 from app.config import Config
-from app.dashboard.panels.share import Link, camera_text, read_link
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import DbbError
 from app.simulation.case import RunCase, RunSpec

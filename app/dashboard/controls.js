@@ -362,7 +362,6 @@ window.dbbControls = (box, ranges) => {
     localStorage.setItem("dbb-tour-seen", "yes");
   } catch {} // the browser has no storage
 
-  ask("link", window.dbbAsked());
   const api = {
     ...window.dbbPanels,
     hints: (some) => (hints = some),

@@ -41,10 +41,8 @@ _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
 DENSITY = "fixedDpr"
-"""The only parameter of viser in a page's address: drawn pixels per pixel of the page. The others
-are refused, because one of them selects another server."""
-ReadLink = Callable[[str], tuple[str, str]]
-"""Reads an address's query: returns its errors, or an empty text, and its valid part."""
+"""The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
+parameters are refused, because one of them selects another server."""
 _LONGEST_PATH = 255  # [characters] length of a path; no file has a longer path
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
 _LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
@@ -131,16 +129,10 @@ class GarbageError(RefusedError):
 class Gate:
     """Checks between a viser server and its connections."""
 
-    def __init__(self, names: Collection[str], largest_upload: int, read_link: ReadLink) -> None:
-        """Create a gate.
-
-        Args:
-            names: Names under which browsers may reach the server.
-            largest_upload: [bytes] largest size of a file; 0 without uploads.
-            read_link: Reads an address's query.
-        """
+    def __init__(self, names: Collection[str], largest_upload: int) -> None:
+        """Create a gate for the server's names, with the largest size of a file [bytes]."""
         self._own_names = {name.lower() for name in names}
-        self._largest_upload, self._read_link = largest_upload, read_link
+        self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Find a widget of a page, from the page's connection and the widget's name."""
@@ -221,13 +213,12 @@ class Gate:
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
             why = "no file has a name of this length"
-        else:
-            why, rest = self._read_link(query)
-            if not why:
-                return None
+        elif others := {name for name, _ in parse_qsl(query, keep_blank_values=True)} - {DENSITY}:
+            status, why = http.HTTPStatus.BAD_REQUEST, f"unknown parameter {min(others)!r}"
             # A relative address, because a proxy may serve this page below a path.
-            status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
-            more = f'<p>Without that: <a href="{address}">{escape(rest) or "the page"}</a></p>'
+            more = '<p><a href=".">Open the page without it</a></p>'
+        else:
+            return None
         body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
         kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
@@ -281,12 +272,6 @@ class _Checked:
             if late is not None:
                 late.cancel()
         return bytes(message)
-
-
-def read_no_link(query: str) -> tuple[str, str]:
-    """Read the query of a page without links: only `DENSITY` is allowed."""
-    others = [name for name, _ in parse_qsl(query, keep_blank_values=True) if name != DENSITY]
-    return (f"unknown parameter {others[0]!r}", "") if others else ("", query)
 
 
 @lru_cache(maxsize=2)
@@ -362,11 +347,9 @@ class Uploads:
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Create an empty list.
+        """Create an empty list; `largest` is the largest size of a file [bytes].
 
-        Args:
-            largest: [bytes] largest size of a file.
-            everyone: Uploads of all viewers, who share `_MOST_UPLOADS`.
+        `everyone` has the uploads of all viewers, who share `_MOST_UPLOADS`.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
@@ -402,12 +385,7 @@ class Uploads:
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
-    """Return the bytes of an allowed message.
-
-    Args:
-        data: The received message.
-        uploads: Uploads of the same viewer.
-        widget: Finds a widget of the page by its name, or None.
+    """Return the bytes of an allowed message; `widget` finds a widget of the page by its name.
 
     Raises:
         GarbageError: A page does not send messages of this type, or a field has a wrong type.

@@ -20,7 +20,6 @@ from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
 from app.dashboard.panels.save import SavePanel
-from app.dashboard.panels.share import Link, SharePanel
 from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
 from app.dashboard.panels.view import ViewPanel
@@ -119,7 +118,6 @@ class Page:
         self.hand = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self._camera.begin(self.timeline.shown())
-        self.share_panel.resume(before.share_panel.waiting if before else Link())
         self.draw(texts=True)
 
     def draw(self, *, texts: bool) -> None:
@@ -231,7 +229,6 @@ class Page:
                 self.robot_panel = self._add(RobotPanel(viewer))
         with tabs.add_tab("Save"):
             self._add(SavePanel(viewer))
-            self.share_panel = self._add(SharePanel(viewer))
         with tabs.add_tab("Help"):
             add_help(gui, self._shortcuts())
 

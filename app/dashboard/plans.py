@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from app.config import tunable
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.scene.colours import ACTING, BETA, PERSON, SERIES, css
 from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel

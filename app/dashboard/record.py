@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.config import tunable
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.verdict import judge
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot

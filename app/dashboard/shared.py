@@ -39,13 +39,9 @@ class Tuning:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Create an empty history.
+        """Start with the configuration of the simulation `sink`, which gets each change.
 
-        Args:
-            sink: Simulation that gets each change.
-            config: Present configuration of the simulation.
-            usual: The robot's defaults.
-            clock: Returns the time [s].
+        `usual` are the robot's defaults, and `clock` returns the time [s].
         """
         self._sink, self._clock = sink, clock
         self.usual = usual or Config()

@@ -198,14 +198,8 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    The file shows robot, border, lines, arrows and trails, with a bar for the time.
-
-    Args:
-        log: The run.
-        model: The robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        look: Layer, view and background.
-        on_progress: Called with the drawn duration [s] about once per second of the run.
+    The file shows robot, border, lines, arrows and trails, with a bar for the time. `on_progress`
+    gets the drawn duration [s] about once per second of the run.
 
     Raises:
         AssetError: A mesh of the robot is missing.
@@ -295,18 +289,10 @@ def film_pictures(
 ) -> Generator[Image.Image, None, None]:
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
-    Each picture shows the last snapshot at or before its time.
-
-    Args:
-        browser: The browser that draws.
-        snapshots: Snapshots in order of time.
-        times: [s] times of the pictures.
-        model: The robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        look: Content and size of the pictures.
-        orbit: [rad] angle about the robot by which the camera turns between two pictures.
-        seen: Snapshots of all robots of a comparison, of which this film is a part. The camera then
-            shows all of them, and the picture has the base's initial outline and an explanation.
+    Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
+    turns about the robot by the angle `orbit` [rad]. If the film is a part of a comparison, `seen`
+    has the snapshots of all its robots. The camera then shows all of them, and the picture has the
+    base's initial outline and an explanation.
 
     Raises:
         AssetError: A mesh of the robot is missing.
@@ -388,17 +374,11 @@ def write_film(
     codec: str,
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Encode pictures as they come; the file is written completely or not at all.
+    """Encode pictures of one size as they come, and return their number.
 
-    Args:
-        path: File, whose suffix is a key of `CODECS`.
-        pictures: At least one picture; all have the same size.
-        rate: [1/s] frame rate.
-        codec: A codec of the suffix.
-        on_progress: Called before each picture with the number of written pictures.
-
-    Returns:
-        The number of pictures.
+    The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` one of
+    the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of written
+    pictures.
 
     Raises:
         OutputError: The file cannot be written.

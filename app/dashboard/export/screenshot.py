@@ -39,15 +39,8 @@ def take_pictures(
 ) -> list[Image.Image]:
     """Take pictures at some times of a run, all from the same viewpoint.
 
-    Each picture shows the last snapshot at or before its time, with trails and plots up to then.
-
-    Args:
-        browser: The browser that draws.
-        snapshots: Snapshots in order of time.
-        times: [s] times of the pictures.
-        model: The robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        look: Content and size of the pictures.
+    Each picture shows the last snapshot at or before its time [s], with trails and plots up to
+    then. `clouds` has P_i of each pair of L_m, by the pair's name.
 
     Raises:
         BrowserError: The browser's page does not connect.

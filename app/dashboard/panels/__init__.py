@@ -6,26 +6,23 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import viser
 
+from app.dashboard.drag import Grip
+from app.dashboard.job import Job
 from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+from app.dashboard.scene.camera import Camera
+from app.dashboard.shared import SharedState
+from app.dashboard.timeline import Timeline
+from app.dashboard.verdict import Verdict
+from app.dashboard.view import View
+from app.dashboard.viser_compat import Channel
 from app.errors import TargetError
 from app.simulation.loop.commands import Pause, StepOnce
-
-if TYPE_CHECKING:
-    from app.dashboard.drag import Grip
-    from app.dashboard.job import Job
-    from app.dashboard.scene.camera import Camera
-    from app.dashboard.shared import SharedState
-    from app.dashboard.timeline import Timeline
-    from app.dashboard.verdict import Verdict
-    from app.dashboard.view import View
-    from app.dashboard.viser_compat import Channel
-    from app.simulation.trace.snapshot import Snapshot
-
+from app.simulation.trace.snapshot import Snapshot
 
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
 """Labels of actions, the same on all buttons and in the list of commands."""

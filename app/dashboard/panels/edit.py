@@ -13,7 +13,7 @@ import viser
 
 from app.dashboard.markup import BAD_COLOUR, cell, problem, row, small, table
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
-from app.dashboard.panels.phrases import spoken
+from app.dashboard.phrases import spoken
 from app.dashboard.robots import RobotCheck
 from app.dashboard.scene.canvas import to_viser
 from app.dashboard.scene.colours import GHOSTS

@@ -9,7 +9,7 @@ import viser
 from app.dashboard.explorer import CLOSE, Posture
 from app.dashboard.markup import grid, minus, small
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.panels.phrases import signed
+from app.dashboard.phrases import signed
 from app.errors import TargetError
 from app.robot.bases.kind import planar
 from app.simulation.loop.commands import Pause, Reset

@@ -9,6 +9,7 @@ import viser
 
 from app.control import CONTROLLERS
 from app.control.buffer_watch import BufferReading, needed_text
+from app.dashboard import phrases as words
 from app.dashboard.markup import (
     FAINT,
     ONE_LINE,
@@ -26,7 +27,6 @@ from app.dashboard.markup import (
     table,
 )
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, Viewer
-from app.dashboard.panels import phrases as words
 from app.dashboard.panels.why import BAR_RANGE
 from app.dashboard.record import Course
 from app.dashboard.scene.colours import GHOSTS, SERIES, css, ink

@@ -11,6 +11,7 @@ from typing import Any, cast
 import viser
 from PIL import Image
 
+from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import (
@@ -23,7 +24,7 @@ from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.viser_compat import scene_picture
-from app.errors import BrowserError
+from app.errors import BrowserError, CaseError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
@@ -128,7 +129,25 @@ class SavePanel(FilePanel):
                 hint=f"{FILM_RATE:g} pictures per second, in the size of a picture. Each takes "
                 "about 0.25 s to draw: mark a short interval.",
             )
+            self.button(
+                "Case (JSON)",
+                self._case,
+                viser.Icon.FILE_DOWNLOAD,
+                hint="The last scenario with its parameters, for dbb serve --case FILE",
+            )
         gui.add_markdown("The tab *Tune* saves parameters.")
+
+    def _case(self, event: Any) -> None:
+        case, newest = self._shared.course.case, self._shared.loop.latest()
+        if case is None:
+            raise CaseError("there is no case yet; play a scenario first")
+        if newest.scenario:  # includes parameters changed during the run
+            parameters = {path: newest.config.value(path) for path in case.parameters}
+            parameters |= newest.config.changes(Config())
+            changed = {"controller": newest.controller, "parameters": parameters}
+            case = case.model_copy(update=changed)
+        name = f"{case.played}.json"
+        event.client.send_file_download(name, case.text().encode(), save_immediately=True)
 
     def _size(self) -> tuple[int, int]:
         """Return the chosen width and height [px]."""

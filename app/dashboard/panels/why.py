@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 from app.control.explanation import Explanation, Level, LevelName, NearPair
+from app.dashboard import phrases as words
 from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.panels import phrases as words
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
 from app.dashboard.verdict import Verdict, base_cannot_help

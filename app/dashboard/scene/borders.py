@@ -73,11 +73,7 @@ class Borders:
     ) -> ColouredCloud | None:
         """Return a border's points, coloured by a quantity; None if the border has no points.
 
-        Args:
-            pair: Name of the pair.
-            quantity: One of `app.dashboard.scene.legend.QUANTITIES`.
-            border: Parameters of the border.
-            whole: Whether to include points above the base's top.
+        `whole` includes points above the base's top.
         """
         return self._keep(
             (pair, quantity, border.d_b, border.eps, whole),

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import (
     HEAD_LENGTH,

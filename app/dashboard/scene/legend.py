@@ -73,17 +73,7 @@ class Legend(NamedTuple):
         drawn: int,
         top: float | None,
     ) -> Self:
-        """Create the legend of a border from the values (N,) of all its points, N ≥ 1.
-
-        Args:
-            pair: Name of the pair.
-            quantity: One of `QUANTITIES`.
-            base: The base, whose measure is part of the score.
-            d_b: [m] buffer distance.
-            values: Values of the quantity.
-            drawn: Number of drawn points.
-            top: [m] largest height of the drawn part, or None.
-        """
+        """Create the legend of a border from the values (N,) of a quantity at all its points."""
         low, high = float(values.min()), float(values.max())
         measure = measure_of(base.kind)
         title, unit = {

@@ -63,12 +63,7 @@ class LinkPoses:
         self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
-        """Return T_root_joint of every joint.
-
-        Args:
-            q_m: (n_m,) [rad or m] positions of the arm's joints.
-            wheel_angles: (n_w,) [rad] angles of the base's wheels.
-        """
+        """Return T_root_joint of every joint, from q_m (n_m,) and the wheels' angles (n_w,) [rad]."""
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
         wheels = self._robot.wheel_positions(wheel_angles)

@@ -7,7 +7,7 @@ import pinocchio as pin
 import viser
 
 from app.border.dbb import Cloud
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
