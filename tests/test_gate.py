@@ -37,7 +37,6 @@ from app.dashboard.gate import (
     checked,
     is_alike,
     is_allowed,
-    read_no_link,
 )
 from app.dashboard.notifications import Notifier
 from app.dashboard.viser_compat import _Buffer, close_server, open_server
@@ -274,7 +273,7 @@ def test_the_gate_is_taken_away_again_for_other_servers():
 def test_a_viser_that_starts_in_another_way_is_not_used():
     with (
         pytest.raises(ServerError, match="this version of viser"),
-        Gate({"127.0.0.1"}, 0, read_no_link).closed(),
+        Gate({"127.0.0.1"}, 0).closed(),
     ):
         pass
 
@@ -289,16 +288,6 @@ def test_what_a_page_sends_passes_unchanged():
             "wxyz": [1, 0, 0, 0],
             "position": [0.1, 0.2, 0.3],
             "owner": "c",
-        }
-    )
-    pass_on(
-        {
-            "type": "ScenePointerMessage",
-            "event_type": "click",
-            "ray_origin": [0, 0, 0],
-            "ray_direction": [0, 0, 1.0],
-            "screen_pos": [[0.5, 0.5]],
-            "modifier": None,
         }
     )
 

@@ -28,7 +28,7 @@ window.dbbControls = (box, ranges) => {
   const head = make("header", document.body, "dbb-head");
   const name = make("div", head, "dbb-name");
   make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
-  make("p", name, "", "Moves a mobile robot's base out of its own arm's way");
+  make("p", name, "", "Moves a robot's base out of its own arm's way");
   const live_ = make("div", head, "dbb-live");
   const card = make("section", document.body, "dbb-card");
   card.setAttribute("aria-label", "Guide");

@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from html import escape
 from pathlib import Path
-from typing import Any, Literal, Union, get_type_hints
+from typing import Any, Union, get_type_hints
 from urllib.parse import parse_qsl, urlsplit
 
 import msgspec
@@ -88,7 +88,6 @@ _TAKEN = (
     _messages.ViewerCameraMessage,
     _messages.GuiUpdateMessage,
     _messages.CommandTriggerMessage,
-    _messages.ScenePointerMessage,
     _messages.SceneNodeDragMessage,
     _messages.TransformControlsUpdateMessage,
     _messages.TransformControlsDragStartMessage,
@@ -100,16 +99,6 @@ _TAKEN = (
 )
 """Messages of this program's page. viser accepts others too: one opens a tunnel to this machine;
 another one about an unknown form is stored forever and sent to every viewer."""
-_Point = tuple[float, float, float]
-_NARROWER: dict[type, dict[str, Any]] = {
-    _messages.ScenePointerMessage: {
-        "event_type": Literal["click"],
-        "ray_origin": _Point,
-        "ray_direction": _Point,
-        "screen_pos": tuple[tuple[float, float]],
-    }
-}
-"""Narrower types: viser's annotations also allow values on which its handlers fail."""
 _VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
@@ -324,7 +313,7 @@ def _is_here(name: str | None, own_names: Collection[str]) -> bool:
 
 def _record(message: type) -> type:
     """Return a record with the fields of a viser message, whose types msgspec checks."""
-    hints = get_type_hints(message) | _NARROWER.get(message, {})
+    hints = get_type_hints(message)
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
         for f in dataclasses.fields(message)

@@ -127,6 +127,7 @@ class OffscreenScene:
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         view = View.first(self._data.mobile, [])
+        view.dark = look.dark
         choose_layer(view, look.layer, look.pair)
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, view)

@@ -225,10 +225,11 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 def _marked(
     values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
 ) -> list[str]:
-    """Return the cells of a row of scores; the best valid one is marked if the values differ."""
+    """Return the cells of a row of scores; the best of several valid ones is marked."""
     texts = [text(value) for value in values]
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
-    first = text(best(candidates)) if best and candidates and len(set(texts)) > 1 else None
+    compared = best and len(candidates) > 1 and len(set(texts)) > 1
+    first = text(best(candidates)) if compared else None
     return [
         cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
         for each, good in zip(texts, valid, strict=True)

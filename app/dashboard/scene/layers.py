@@ -31,6 +31,7 @@ from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acting points
+_LOOKS = ("solid", "violet", "teal")  # colours of the robot and of `colours.GHOSTS`
 _SAME = 0.01  # [m or rad] a ghost nearer to the robot is hidden
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 _LEAST_FORCE = 0.5  # [N] arrows of weaker forces would be shorter than their heads
@@ -181,9 +182,10 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
         x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
-        near = "touches" if robot.clearance < 0 else f"{millimetres(robot.clearance)} to its base"
+        near = f"arm {millimetres(robot.clearance)} from its base"
+        near = near if robot.clearance >= 0.0 else "arm touches its base"
         name = METHOD_WORDS.get(robot.controller, robot.controller)
-        canvas.label(f"/names/{i}", place, f"{name}: {near}")
+        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
