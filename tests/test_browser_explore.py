@@ -96,7 +96,7 @@ def test_a_visitor_explores_postures_and_points_at_the_border(browser):
         [at] = tab.pixels("/robot", place)
         tab.page.mouse.move(*at)
         wait_for(lambda: tab.is_shown("/probe/text"), what="the place's numbers")
-        assert "det" in tab.text("/probe/text")
+        assert "mobility" in tab.text("/probe/text")
         tab.page.mouse.move(2, 2)
         wait_for(lambda: not tab.is_shown("/probe/text"), what="no numbers")
 

@@ -144,7 +144,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
 
 @pytest.mark.browser
 @pytest.mark.slow
-def test_a_body_is_dragged_resized_saved_and_checked_in_the_page(
+def test_a_body_is_dragged_resized_and_saved_in_the_page(
     browser: Any, served: Served, tmp_path: Path
 ) -> None:
     tab = DashboardTab(browser, served.server.address)

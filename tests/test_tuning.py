@@ -21,7 +21,6 @@ from app.dashboard.panels.tuning import (
     MARK,
     TuningPanel,
     file_name,
-    score_html,
     slider_step,
     unbroken,
 )
@@ -415,13 +414,6 @@ def test_advanced_parameters_are_shown_when_asked_for_or_changed(desk):
     assert shown() == ["force.alpha_gain"]
     press(desk.panels[0]._gui, "Advanced")
     assert shown() == advanced
-
-
-def test_the_score_tells_the_numbers_of_the_robot():
-    html = score_html(husky_panda().description)
-    for body, reach in husky_panda().description.reachability.items():
-        for text in (body, f"{reach.A_per_m2:g}", f"{reach.B_m:g}", f"{reach.C:g}"):
-            assert f"<td>{text}</td>" in html
 
 
 # Files

@@ -102,7 +102,7 @@ class Grip:
         if self._hold is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
-                client, "Released, because your browser did not respond. Pull the robot again."
+                client, "Your pull has ended, because your browser did not respond. Pull again."
             )
 
 

@@ -276,11 +276,10 @@ class Page:
         self.guide.go("")
         self._notifier.clear(self._client)
 
-    def _nudge(self, *ahead: float) -> None:
-        """Pull the end-effector along `ahead` (3,) in the base's frame, as a key requests."""
-        direction = np.clip(np.array([*ahead, 0.0, 0.0, 0.0][:3], dtype=float), -1.0, 1.0)
-        if np.isfinite(direction).all():
-            self.grip.nudge(direction, self._shared.loop.latest(), self._client)
+    def _nudge(self, x: float, y: float, z: float) -> None:
+        """Pull the end-effector along x, y, z in the base's frame, as a key requests."""
+        ahead = np.clip((x, y, z), -1.0, 1.0)
+        self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
 
     def _toggle_dark(self) -> None:
         self.view.dark = not self.view.dark

@@ -61,7 +61,7 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
             f"{i + 1}",
             lambda s, i=i, most=float(most): s.u_a[i] / most,
             _series(i),
-            f"{name}: u_a divided by its limit of {most:g} N m, −1 to 1, (26)",
+            f"{name}: torque u_a divided by its limit of {most:g} N m, −1 to 1, (26)",
         )
         for i, (name, most) in enumerate(
             zip(model.description.arm.joints, model.tau_max, strict=True)

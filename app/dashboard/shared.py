@@ -12,7 +12,7 @@ from app.config import Config
 from app.dashboard.explorer import Explorer
 from app.dashboard.plans import plot_plans, quantities
 from app.dashboard.record import Course, Strip
-from app.dashboard.robots import RobotBuild, RobotCheck, RobotSwitch, RunningRobot
+from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.scene import SceneData
 from app.errors import ConfigError
@@ -164,7 +164,6 @@ class SharedState(SceneData):
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
-        self.robot_check = before.robot_check if before else RobotCheck()
         self.plans = plot_plans(model, self.pairs, self.of_door)
         self.quantities = quantities(model, loop.latest())
         """All quantities that a viewer can add to a plot, by their names."""
@@ -196,6 +195,5 @@ class SharedState(SceneData):
 
     def close(self) -> None:
         """End the background jobs."""
-        robots = (self.robot_build, self.robot_check, self.robot_switch)
-        for job in robots:
-            job.close()
+        self.robot_build.close()
+        self.robot_switch.close()

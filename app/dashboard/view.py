@@ -44,17 +44,17 @@ class View:
     distances: bool = _shown(LAYERS, "Closest points", first=True)
     """Lines between the closest points of the pairs."""
     labels: Literal["active", "all", "none"] = _shown(
-        LAYERS, "Distance labels", first="active", choices=("active", "all", "none")
-    )
-    """Lines that have a label with their distance."""
-    acting: bool = _shown(
-        LAYERS, "Acting points", "p_n, p_t, p_act and the avoidance force", first=True
-    )
-    names: bool = _shown(
         LAYERS,
-        "Point labels",
-        "p_a and p_b of the nearest pair, p_n, p_t and p_act",
-        first=False,
+        "Labels",
+        "Distances of the pairs inside their buffer; or all distances and the points' symbols",
+        first="active",
+        choices=("active", "all", "none"),
+    )
+    acting: bool = _shown(
+        LAYERS,
+        "Acting points",
+        "Acting point, its two border points, and the force on the base",
+        first=True,
     )
     motion: bool = _shown(
         LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True

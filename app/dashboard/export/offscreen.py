@@ -35,6 +35,7 @@ from app.dashboard.scene.colours import (
     css,
     set_theme,
 )
+from app.dashboard.scene.layers import nearness
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
@@ -44,7 +45,7 @@ from app.simulation.loop.commands import Command
 from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Trace
-from app.simulation.trace.words import METHOD_WORDS, millimetres, spoken
+from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.system import whole_file
 
 if TYPE_CHECKING:
@@ -321,7 +322,7 @@ def film_pictures(
             if seen:
                 yield label(picture, story(shown, first), dark=look.dark)
             else:
-                yield captioned(picture, shown, model.body_names, look)
+                yield captioned(picture, shown, look)
 
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
@@ -336,36 +337,27 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     """Describe a snapshot in words: method, task, distance of arm and base, travel of the base."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
-    near = f"arm {millimetres(shown.clearance)} from its own base"
-    touches = ("the arm hits its own base", CONTACT)
+    near = nearness(shown)
     way = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     tracks = shown.mode == "tracking"
     off = f"the hand tracks a line, {millimetres(shown.ee_error)} off"
     return [
         method.capitalize(),
         (off if tracks else "a person pulls the hand", PERSON),
-        near if shown.clearance >= 0.0 else touches,
+        near if shown.clearance >= 0.0 else (near, CONTACT),
         (f"base moved {way:.2f} m from the outline", TRAIL_BASE),
     ]
 
 
-def captioned(
-    picture: Image.Image, snapshot: Snapshot, chain: Sequence[str], look: Look
-) -> Image.Image:
-    """Add scenario and time, and each robot's least distance to its base, to a picture."""
-    near = min((p for p in snapshot.pairs if p.mobile), key=lambda p: p.d, default=None)
+def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
+    """Add scenario and time, and the present distance of each robot's arm, to a picture."""
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
-    lines: list[str | tuple[str, Rgb]] = [f"{title}t = {snapshot.t:.2f} s"]
-    if near is not None:
-        lines.append(_line(snapshot.controller, near.d, spoken(near.name, chain)))
-    for ghost, colour in zip(snapshot.ghosts, itertools.cycle(GHOSTS)):
-        lines.append((_line(ghost.controller, ghost.clearance, "arm – base"), colour))
-    return label(picture, lines, dark=look.dark)
-
-
-def _line(controller: str, d: float, pair: str) -> str:
-    distance = millimetres(d) if d >= 0.0 else f"overlap of {millimetres(-d)}"
-    return f"{METHOD_WORDS.get(controller, controller)}: {pair} {distance}"
+    robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *GHOSTS), strict=False)
+    lines = [
+        (f"{METHOD_WORDS.get(robot.controller, robot.controller)}: {nearness(robot)}", colour)
+        for robot, colour in robots
+    ]
+    return label(picture, [f"{title}t = {snapshot.t:.2f} s", *lines], dark=look.dark)
 
 
 def write_film(
@@ -415,7 +407,7 @@ def write_film(
                 process.stdin.close()
             if process.wait():
                 said.seek(0)
-                why = said.read().decode(errors="replace").strip() or "no reason given"
+                why = said.read().decode(errors="replace").strip() or "ffmpeg reported no reason"
                 raise OutputError(f"cannot write {path}: {why.splitlines()[-1]}")
         finally:
             process.kill()

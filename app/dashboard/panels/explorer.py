@@ -7,13 +7,14 @@ import numpy as np
 import viser
 
 from app.dashboard.explorer import CLOSE, Posture
-from app.dashboard.markup import grid, minus, small
+from app.dashboard.markup import RIGHT, cell, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.phrases import signed
 from app.errors import TargetError
 from app.robot.bases.kind import planar
 from app.simulation.loop.commands import Pause, Reset
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.words import millimetres
 from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
@@ -93,8 +94,7 @@ class ExplorerPanel(Panel):
         self.on_update(handle, lambda _: self._read())
         return handle
 
-    def _enter(self, event: Any) -> None:
-        del event
+    def _enter(self, _: Any) -> None:
         newest = self._shared.loop.latest()
         if newest.door is not None:
             raise TargetError(
@@ -107,8 +107,7 @@ class ExplorerPanel(Panel):
         self.posture, self._viewer.grip.reach = posture, self._move_hand
         self._show(on=True)
 
-    def _go(self, event: Any) -> None:
-        del event
+    def _go(self, _: Any) -> None:
         posture = self.posture
         if posture is None:
             return
@@ -153,16 +152,12 @@ def posture_html(
 ) -> str:
     """Show the response to a posture: distances, β, forces, and acceleration of the base."""
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
-    rows = []
+    rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]
     for pair in shown.pairs:
         force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
-        rows.append(
-            (spoken[pair.name], minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force)
-        )
+        texts = millimetres(pair.d), f"{pair.beta:.2f}", force
+        rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
     forward, left, turn = acceleration
     way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
     beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""
-    return small(
-        f"{grid(('', 'distance d', 'activation β', 'force f'), rows)}"
-        f"base acceleration: {way}, turn {signed(turn)} rad/s²{beyond}"
-    )
+    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{beyond}")

@@ -76,9 +76,9 @@ class RunPanel(Panel):
         self._controller = gui.add_dropdown(
             "Controller",
             tuple(METHOD_TITLES.values()),
-            hint="dbb: the base gives way, as in the paper. hqp: the hierarchy as printed, slower "
-            "than real time. repulsive: a force moves the arm only. barrier: a minimum distance "
-            "as a constraint. none: no avoidance.",
+            hint="dbb: the base gives way, as in the paper. hqp: the paper's hierarchy as printed, "
+            "slower than real time. repulsive: a force moves the arm only. barrier: a minimum "
+            "distance as a constraint. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
         self._restart = self.button(
@@ -167,7 +167,7 @@ class ComparePanel(Panel):
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
         ]
-        self._input = gui.add_dropdown("Same", tuple(INPUTS), hint="Common input of all robots.")
+        self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint="Input of all robots.")
         for handle in (*self._choices, self._input):
             self.on_update(handle, lambda _: self._choose())
         self._scores = gui.add_html("")

@@ -157,9 +157,8 @@ class SavePanel(FilePanel):
         return width, height
 
     def _scene(self) -> bytes:
-        shown, names = self._viewer.timeline.shown(), self._viewer.shared.model.body_names
-        look = Look(light=not self._viewer.view.dark)
-        return png(captioned(self.scene(*self._size()), shown, names, look))
+        shown, look = self._viewer.timeline.shown(), Look(light=not self._viewer.view.dark)
+        return png(captioned(self.scene(*self._size()), shown, look))
 
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:

@@ -13,16 +13,14 @@ import viser
 
 from app.config import sections, tunable
 from app.config_file import decode_config, save_config
-from app.dashboard.markup import FAINT, cell, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
-from app.robot.description import RobotDescription
 
 DECIMALS = 6  # [-] decimals of a number box
 MARK = "\N{NO-BREAK SPACE}•"  # after the label of a changed parameter
 FIRST_NAME = "tuning"
-_BEFORE_SCORE = "border"  # the score follows this section, as in the paper
+_OPEN = "border"  # section that is open at first
 
 
 class TuningPanel(Panel):
@@ -58,10 +56,7 @@ class TuningPanel(Panel):
         self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
-            self._add_folder(section.title, paths, expand=section.name == _BEFORE_SCORE)
-            if section.name == _BEFORE_SCORE:
-                with self._gui.add_folder("Score", expand_by_default=False):
-                    self._gui.add_html(score_html(self._viewer.shared.model.description))
+            self._add_folder(section.title, paths, expand=section.name == _OPEN)
         with self._gui.add_folder("File"):
             self._name = self._gui.add_text(
                 "Name", FIRST_NAME, hint="Name of the file, without .toml"
@@ -134,19 +129,6 @@ def file_name(name: str) -> str:
     """Return a file name that is valid on all systems, as in `stiff arm.toml`."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
     return f"{safe or FIRST_NAME}.toml"
-
-
-def score_html(robot: RobotDescription) -> str:
-    """Explain that the score has no parameters, and show its constants."""
-    head = row(*map(cell, ("body", "A [1/m²]", "B [m]", "C")), style=FAINT)
-    rows = [
-        row(*map(cell, (body, f"{r.A_per_m2:g}", f"{r.B_m:g}", f"{r.C:g}")))
-        for body, r in robot.reachability.items()
-    ]
-    return small(
-        "The score has no parameters: det J_c of (7) follows from the wheels; A, B, C of (9) are "
-        f"in the robot's description.{table((head, *rows)) if rows else ''}"
-    )
 
 
 class ParameterWidget(Panel):

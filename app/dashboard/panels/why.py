@@ -171,7 +171,9 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     if base_cannot_help(pair):
         where = f"{cause}, where base motion cannot help"
         if why.controller == "hqp":
-            return f"{where}, and the printed controller has nothing else that holds the arm.{also}"
+            return (
+                f"{where}, and the hierarchy as printed has no other constraint on the arm.{also}"
+            )
         if pair.held:
             return f"{where}; the arm itself holds this distance{_off_target(snapshot)}.{also}"
         least = words.length(snapshot.config.barrier.d_min)
@@ -332,22 +334,21 @@ def _force_rows(why: Explanation) -> list[str]:
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    measure, values = measure_of(why.base_kind), [_NONE] * 4
-    if why.forces:
-        first = why.forces[0]
-        values = [
-            f"{words.scientific(first.determinant)} {measure.unit}",
-            f"{first.reachability:.0f}",
-            f"{words.scientific(first.score)} {measure.unit}",
-            f"{words.scientific(first.score_near)} {measure.unit}",
-        ]
-    labels = (
-        (measure.label, measure.hint),
-        ("reachability R", "(9): how easily the arm reaches the point"),
-        ("score S", f"(10): {measure.score}"),
-        ("score at p_n", "S at the nearest point of the border, without the step (12)"),
-    )
-    return [_row(*label, value) for label, value in zip(labels, values, strict=True)]
+    measure = measure_of(why.base_kind)
+
+    def value(name: str) -> str:
+        if not why.forces:
+            return _NONE
+        return f"{words.scientific(getattr(why.forces[0], name))} {measure.unit}"
+
+    reach = f"{why.forces[0].reachability:.0f}" if why.forces else _NONE
+    at_near = "S at the nearest point of the border, without the step (12)"
+    return [
+        _row(measure.label, measure.hint, value("determinant")),
+        _row("reachability R", "(9): how easily the arm reaches it", reach),
+        _row("score S", f"(10): {measure.score}", value("score")),
+        _row("score at p_n", at_near, value("score_near")),
+    ]
 
 
 def _level_rows(levels: Sequence[Level]) -> list[str]:

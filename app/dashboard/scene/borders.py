@@ -215,8 +215,8 @@ class DrawnBorders:
         forward, left, turn = planar(base.axes, probe.acceleration)
         way = f"{forward:+.2f} m/s²" + (f", {left:+.2f} m/s² left" if abs(left) > 0.005 else "")
         text = (
-            f"score S {probe.score:.3g} {measure_of(base.kind).unit}, det {probe.det:.3g}, "
-            f"R {probe.reach:.0f}\nan arm here moves the base: {way}, {turn:+.2f} rad/s²"
+            f"score S {probe.score:.3g} {measure_of(base.kind).unit}, mobility {probe.det:.3g}, "
+            f"reachability {probe.reach:.0f}\nan arm here moves the base: {way}, {turn:+.2f} rad/s²"
         )
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)

@@ -78,7 +78,7 @@ def draw_distances(
             overlap = "" if pair.d >= 0.0 else " overlap"
             text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
             canvas.label(f"/distances/label_{pair.name}", place, text)
-        if view.names and pair.d < d_b:
+        if view.labels == "all" and pair.d < d_b:
             node = f"/distances/{pair.name}"
             canvas.point(f"{node}/p_a", pair.p_a, colours.NEAR, 0.009)
             canvas.point(f"{node}/p_b", pair.p_b, colours.NEAR, 0.009)
@@ -108,12 +108,14 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
         canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
         canvas.point(f"{node}/p_act", reading.p_act, colours.ACTING, 0.011)
-        if view.names:
+        if view.labels == "all":
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
         place = _draw_force(canvas, node, reading, top)
         force = f"base pushed {size:.0f} N"
-        canvas.label(f"{node}/p_act_label", place, f"p_act  {force}" if view.names else force)
+        canvas.label(
+            f"{node}/p_act_label", place, f"p_act  {force}" if view.labels == "all" else force
+        )
 
 
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
@@ -182,10 +184,14 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
         x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
-        near = f"arm {millimetres(robot.clearance)} from its base"
-        near = near if robot.clearance >= 0.0 else "arm touches its base"
         name = METHOD_WORDS.get(robot.controller, robot.controller)
-        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")
+        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {nearness(robot)}")
+
+
+def nearness(robot: Snapshot | GhostReading) -> str:
+    """Return the distance of a robot's arm from its base in words."""
+    d = robot.clearance
+    return "arm hits its own base" if d < 0.0 else f"arm {millimetres(d)} from its own base"
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:

@@ -33,7 +33,7 @@ class BaseMeasure(NamedTuple):
 _DETERMINANT = BaseMeasure(
     title="Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)",
     unit="m⁴/rad⁴",
-    label="det(J Jᵀ)",
+    label="mobility det(J Jᵀ)",
     hint="(7): 0 on the wheel axis, where the base cannot move the point sideways",
     score="sign · det · R",
 )
