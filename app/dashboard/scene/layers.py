@@ -113,9 +113,8 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
         place = _draw_force(canvas, node, reading, top)
         force = f"base pushed {size:.0f} N"
-        canvas.label(
-            f"{node}/p_act_label", place, f"p_act  {force}" if view.labels == "all" else force
-        )
+        text = f"p_act  {force}" if view.labels == "all" else force
+        canvas.label(f"{node}/p_act_label", place, text)
 
 
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
