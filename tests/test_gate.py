@@ -146,13 +146,18 @@ def test_a_foreign_page_cannot_connect_and_the_own_one_can():
         assert try_to_connect(server, None)
 
 
-@pytest.mark.parametrize("name", ["websocket", "playbackPath", "initDarkMode", "", "x"])
-def test_a_link_cannot_give_the_page_orders(name):
+@pytest.mark.parametrize(
+    "query",
+    ["websocket=ws://evil.example", "playbackPath=x", "initDarkMode=1", "=x", "fixedDpr=1&<b>=1"]
+    + [f"fixedDpr={value}" for value in ("", "50", "nan", "-1", "1e9")],
+)
+def test_a_link_cannot_give_the_page_orders(query):
     with served() as server:
-        status, _, text = get(server, f"/?{name}=ws://evil.example")
+        status, _, text = get(server, f"/?{query}")
         assert status == 400
-        assert escape(f"unknown parameter {name!r}.").encode() in text
-        assert get(server, "/?fixedDpr=1")[0] == 200
+        assert escape(f"unknown parameter in the address: {query}.").encode() in text
+        assert b"<b>" not in text
+        assert get(server, "/?fixedDpr=0.5")[0] == 200
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import gzip
 import http
 import ipaddress
 import math
+import re
 import socket
 import struct
 import threading
@@ -23,7 +24,7 @@ from functools import lru_cache
 from html import escape
 from pathlib import Path
 from typing import Any, Union, get_type_hints
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urlsplit
 
 import msgspec
 from viser import UploadedFile, __version__, _messages
@@ -40,7 +41,7 @@ _MOST_PIXELS = 2**24  # [-] pixels of a screenshot
 _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
-DENSITY = "fixedDpr"
+_QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
 """The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
 parameters are refused, because one of them selects another server."""
 _LONGEST_PATH = 255  # [characters] length of a path; no file has a longer path
@@ -202,8 +203,8 @@ class Gate:
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
             why = "no file has a name of this length"
-        elif others := {name for name, _ in parse_qsl(query, keep_blank_values=True)} - {DENSITY}:
-            status, why = http.HTTPStatus.BAD_REQUEST, f"unknown parameter {min(others)!r}"
+        elif not _QUERY.fullmatch(query):
+            status, why = http.HTTPStatus.BAD_REQUEST, f"unknown parameter in the address: {query}"
             # A relative address, because a proxy may serve this page below a path.
             more = '<p><a href=".">Open the page without it</a></p>'
         else:
