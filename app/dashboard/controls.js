@@ -346,9 +346,9 @@ window.dbbControls = (box, ranges) => {
   // ---- the pointer over the scene, for the values there: at most ten reports per second
   let pointer = [], told_at = 0, later = 0;
   const point = () => ((later = 0), (told_at = performance.now()), api.tell("pointer", ...pointer));
-  listen(window, "pointermove", (e) => {
+  listen(window, "pointermove pointerout", (e) => {
     const canvas = window.__viserMutable?.canvas, box = canvas?.getBoundingClientRect();
-    pointer = canvas?.contains(e.target) && !e.buttons
+    pointer = e.type === "pointermove" && canvas?.contains(e.target) && !e.buttons
       ? [e.clientX - (box.left + box.right) / 2, (box.top + box.bottom) / 2 - e.clientY] : [];
     later ||= setTimeout(point, Math.max(0, 100 - performance.now() + told_at));
   });

@@ -46,7 +46,8 @@ class Plots(Panel):
                 self._into = self._gui.add_dropdown("Plot", tuple(self._plans))
                 acts = {"Add": lambda: self._change(add=True), "Remove": self._change}
                 self.buttons("Curve", acts, hint="An added curve has the axis on the right.")
-            self._gui.add_markdown("Drag in a plot to zoom in; double click to see all again.")
+            note = self._gui.add_markdown("Drag in a plot to zoom; double click to see all again.")
+        self._order = note.order
         self._make()
 
     @property
@@ -72,11 +73,14 @@ class Plots(Panel):
         request = (timeline.live, here)
         drawn = (*request, newest, shown.t)
         soon = timeline.live and request == self._drawn[:2] and time.monotonic() < self._due
-        if SIGHT not in self._viewer.channel.seen or soon or drawn == self._drawn:
+        until = newest if timeline.live else min(newest, shown.t + AHEAD)
+        unseen = SIGHT not in self._viewer.channel.seen
+        if unseen or soon or drawn == self._drawn:
+            return
+        past = timeline.between(until - LENGTH, until)
+        if not past:  # the simulation has just restarted
             return
         self._drawn = drawn
-        until = newest if timeline.live else min(newest, shown.t + AHEAD)
-        past = timeline.between(until - LENGTH, until)
         times = np.array([snapshot.t for snapshot in past])
         due = np.diff(np.floor(times / SPACING), prepend=-1.0) > 0.0
         past, times = [past[i] for i in np.flatnonzero(due)], times[due]
@@ -111,7 +115,7 @@ class Plots(Panel):
             if plot is not None:
                 plot.remove()
             with self._tab:
-                self._plots[title] = plan, _plot(self._gui, plan, order=1000.0 + k)
+                self._plots[title] = plan, _plot(self._gui, plan, self._order + 0.01 * (k + 1))
             self._drawn = ()
             if before is not None:
                 self._viewer.channel.tell("hints", self.hints)
