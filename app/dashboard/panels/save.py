@@ -113,7 +113,8 @@ class SavePanel(FilePanel):
                 ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
                 ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
             ):
-                self.file(label, viser.Icon.TABLE, name, partial(self._log, name), hint=hint)
+                make = partial(self._log, name)
+                self.file(label, viser.Icon.TABLE, name, make, hint=hint, color="gray")
             for label, name, write in (
                 ("Report (HTML)", "report.html", write_report),
                 ("Replay (HTML)", "replay.html", write_replay),
@@ -133,6 +134,7 @@ class SavePanel(FilePanel):
                 "Case (JSON)",
                 self._case,
                 viser.Icon.FILE_DOWNLOAD,
+                color="gray",
                 hint="The last scenario with its parameters, for dbb serve --case FILE",
             )
         gui.add_markdown("The tab *Tune* saves parameters.")
