@@ -166,8 +166,8 @@ window.dbbControls = (box, ranges) => {
       const clock = t >= 60 ? `${Math.floor(t / 60)}:${String(Math.round(t % 60)).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
       ink.fillText(clock, x(t) + 3, h - 2);
     }
-    name("activation β", "left", 4, head + 9);
-    name("nearest distance", "left", 4, foot - 3);
+    if (w > 500) name("activation β", "left", 4, head + 9); // on a phone the names would hide the curves
+    if (w > 500) name("nearest distance", "left", 4, foot - 3);
     name(`buffer d_b ${Math.round(1000 * d_b)} mm`, "right", w - 4, y(d_b) + 11);
     ink.globalAlpha = 1;
     for (const [, t, kind] of events.values()) {

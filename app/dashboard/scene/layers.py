@@ -190,7 +190,7 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
 def nearness(robot: Snapshot | GhostReading) -> str:
     """Return the distance of a robot's arm from its base in words."""
     d = robot.clearance
-    return "arm hits its own base" if d < 0.0 else f"arm {millimetres(d)} from its own base"
+    return "arm hits its base" if d < 0.0 else f"arm {millimetres(d)} from its base"
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
