@@ -178,14 +178,16 @@ class ComparePanel(Panel):
 
         A controller stays in its list when the other list's controller is removed.
         """
-        course, scores = self._shared.course, moment.shown.scores
+        scores = moment.shown.scores
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
             if names != [h.value for h in self._choices if h.value != OFF]:
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
-        self._scores.content = compared_html(scores, course) + scores_html(scores)
+        self._scores.content = compared_html(moment.shown, self._shared.course.name) + scores_html(
+            scores
+        )
 
     def _choose(self) -> None:
         names = (named(handle.value, METHOD_TITLES) for handle in self._choices)
@@ -242,16 +244,13 @@ def _distance(d: float) -> str:
     return text if d >= 0.0 else state_chip(text, "contact")
 
 
-def compared_html(scores: tuple[Score, ...], course: Course) -> str:
-    """Return the scenario of the comparison, and the outcome of each robot."""
-    if not scores:
+def compared_html(shown: Snapshot, last: str) -> str:
+    """Return the scenario of the comparison, by default the last one, and each robot's outcome."""
+    if not shown.scores:
         return ""
-    when = (
-        f"{course.name}, {'so far' if course.running else 'at its end'}"
-        if course.name
-        else "So far"
-    )
-    return small(f"{when}<br>{outcomes_html(scores)}")
+    ended = f"{last}, at its end" if last else "So far"
+    when = f"{shown.scenario}, until {shown.t:.1f} s" if shown.scenario else ended
+    return small(f"{when}<br>{outcomes_html(shown.scores)}")
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
