@@ -178,16 +178,14 @@ class ComparePanel(Panel):
 
         A controller stays in its list when the other list's controller is removed.
         """
-        scores = moment.shown.scores
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
             if names != [h.value for h in self._choices if h.value != OFF]:
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
-        self._scores.content = compared_html(moment.shown, self._shared.course.name) + scores_html(
-            scores
-        )
+        outcomes = compared_html(moment.shown, self._shared.course.name)
+        self._scores.content = outcomes + scores_html(moment.shown.scores)
 
     def _choose(self) -> None:
         names = (named(handle.value, METHOD_TITLES) for handle in self._choices)
