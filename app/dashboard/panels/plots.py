@@ -101,7 +101,8 @@ class Plots(Panel):
         plan, view = self._plans[title], self._viewer.view
         curves = tuple(curve for curve in plan.curves if curve.label != name)
         if add:
-            value, colour = self._viewer.shared.quantities[name], SERIES[len(curves) % len(SERIES)]
+            used, value = {curve.colour for curve in curves}, self._shared.quantities[name]
+            colour = next((each for each in SERIES if each not in used), SERIES[0])
             curves += (Curve(name, value, colour, "right axis; a column of a log", right=True),)
         self._plans[title] = plan._replace(curves=curves)
         view.plots = view.plots | {title}
