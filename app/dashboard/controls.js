@@ -352,7 +352,7 @@ window.dbbControls = (box, ranges) => {
     pointer = e.type === "pointermove" && canvas?.contains(e.target) && !e.buttons
       ? [e.clientX - (box.left + box.right) / 2, (box.top + box.bottom) / 2 - e.clientY] : [];
     later ||= setTimeout(point, Math.max(0, 100 - performance.now() + told_at));
-  });
+  }, { capture: true }); // viser's gizmos keep some events to themselves
 
   // ---- a double click resets the view
   listen(window, "dblclick", (e) => e.target.tagName === "CANVAS" && e.target !== strip && ask("look"));
