@@ -43,7 +43,7 @@ _KEYS = (
 )
 _TEXTS = ("0", "-3", "1e9", "nan", "", "abc", "0.2", "12,5", "1", "∞", "<b>")
 _LEAVE = re.compile(
-    r"^(Use this robot|Create|Save and use|Check the saved|Film|Whole page|Load|Upload|Cancel)"
+    r"^(Use this robot|Create|Save and use|Check the saved|Film|Load|Upload|Cancel)"
 )
 """Buttons that are not pressed: they take minutes, need a file, or change the robot."""
 _CONTROLS = """() => [...document.querySelectorAll(
@@ -218,8 +218,12 @@ class _Run:
         tab.page.mouse.wheel(0, self._random.choice((-300, -60, 60, 300)))
 
     def _change(self, robot: str) -> None:
-        """Open a link to another robot in the first page, and wait until both have it."""
-        self._tabs[0].page.goto(f"{self._server.address}/?fixedDpr=0.5&robot={robot}")
+        """Choose another robot in the first page, and wait until both have it."""
+        first = self._tabs[0]
+        self._calm(first)
+        first.open_tab("Robot")
+        first.choose("Robot", robot)
+        first.click("Use this robot")
         self._use(robot)
         for each in self._tabs:
             each.wait("n => dbbPage.ready() && dbbPage.has(n)", self._hand[0], 900.0)

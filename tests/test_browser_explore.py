@@ -1,12 +1,15 @@
-"""The border as a body, and posture exploration: results of a click and of a slider."""
+"""Values of the border under the pointer, and posture exploration by sliders."""
 
 import numpy as np
 import pytest
+import viser
 
 from app.config import Config
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.explorer import Explorer, Posture
-from app.dashboard.scene.borders import Borders, first_hit, probe_at, shell_faces
+from app.dashboard.scene.borders import Borders, DrawnBorders
+from app.dashboard.scene.camera import ANY_WINDOW, lens_of
+from app.dashboard.view import View
 from app.simulation.loop.commands import Pause, Reset
 from app.simulation.loop.ensemble import Ensemble
 from app.simulation.session import Session
@@ -15,49 +18,28 @@ from tests.dashboards import served_dashboard
 from tests.fakes import ScriptedLoop
 
 
-@pytest.fixture(scope="module")
-def shell(robot, border_data):
-    """A scene's borders, a snapshot, and the body of the hand's border up to the base's top."""
-    import trimesh
-
+def test_the_foremost_point_under_the_pointer_answers_with_the_base_moving_away(robot, border_data):
     borders = Borders(robot, border_data.clouds)
     snapshot = ScriptedLoop(robot).latest()
-    surface = borders.surface(snapshot.config.border)
-    corners, faces = shell_faces(surface, 0.1, borders.top)
-    return borders, snapshot, trimesh.Trimesh(corners, faces, process=False)
-
-
-def test_the_body_is_the_border_its_front_outwards(shell, robot):
-    from app.border.mobile import MobileBody
-
-    _, snapshot, mesh = shell
-    d_b = snapshot.config.border.d_b
-    distances = MobileBody(robot).distance(np.asarray(mesh.vertices))
-    np.testing.assert_allclose(distances, d_b, atol=1e-4)
-    outside = np.asarray(mesh.triangles_center) + 0.01 * np.asarray(mesh.face_normals)
-    assert (MobileBody(robot).distance(outside) > d_b).all()
-
-
-def test_a_ray_meets_the_nearest_front(shell):
-    _, _, mesh = shell
-    found = first_hit(mesh, np.array([3.0, 0.1, 0.2]), np.array([-1.0, 0.0, 0.0]))
-    assert found is not None
-    p, n = found
-    np.testing.assert_allclose(p[1:], (0.1, 0.2))
-    assert p[0] > 0.5
-    assert n[0] > 0.9
-    assert first_hit(mesh, np.array([3.0, 0.1, 2.0]), np.array([-1.0, 0.0, 0.0])) is None
-
-
-def test_the_base_would_go_away_from_a_place_before_it(shell):
-    borders, snapshot, mesh = shell
-    found = first_hit(mesh, np.array([3.0, 0.0, 0.25]), np.array([-1.0, 0.0, 0.0]))
-    assert found is not None
-    probe = probe_at(borders, "lm-lEE", snapshot, *found)
-    assert probe.acceleration[0] < -0.1
-    field = borders.fields["lm-lEE"]
-    assert abs(probe.score) == pytest.approx(probe.det * probe.reach)
-    assert probe.score == field.score(probe.p)
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        drawn = DrawnBorders(server.scene, borders, robot)
+        drawn.update(View.first(["lm-lEE"], []), snapshot.config.border)
+        eye, target = np.array([3.0, 0.0, 0.25]), np.array([0.0, 0.0, 0.25])
+        lens = lens_of(eye, target, 800.0, ANY_WINDOW)
+        drawn.pointer = (0.0, 0.0)
+        probe = drawn._find(snapshot, lens)
+        assert probe is not None
+        assert probe.p[0] > 0.5, "the front, not the rear"
+        assert abs(probe.p[1:] - (0.0, 0.25)).max() < 0.05
+        assert probe.acceleration[0] < -0.1
+        field = borders.fields["lm-lEE"]
+        assert abs(probe.score) == pytest.approx(probe.det * probe.reach)
+        assert probe.score == field.score(probe.p)
+        drawn.pointer = (390.0, 390.0)
+        assert drawn._find(snapshot, lens) is None
+    finally:
+        server.stop()
 
 
 def test_an_explored_posture_is_what_a_run_from_there_begins_with(robot, border_data):
@@ -92,7 +74,7 @@ def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data)
 
 
 @pytest.mark.browser
-def test_a_visitor_explores_postures_and_clicks_the_border(browser):
+def test_a_visitor_explores_postures_and_points_at_the_border(browser):
     with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
         tab.open_tab("Lab")
@@ -110,17 +92,13 @@ def test_a_visitor_explores_postures_and_clicks_the_border(browser):
         wait_for(lambda: not np.array_equal(page.explorer_panel.posture.q_m, asked.q_m))
         assert served.loop.pulls() in ([], [None]), "nobody has pulled"
 
-        tab.open_tab("View")
-        tab.check("Surface")
-        tab.wait("() => dbbPage.has('/robot/shell_lm-lEE')")
-        assert not tab.is_shown("/robot/border_lm-lEE")
         place = np.array([[0.645, 0.0, 0.25]])
         [at] = tab.pixels("/robot", place)
         tab.page.mouse.move(*at)
-        tab.render(2)
-        tab.page.mouse.click(*at)
         wait_for(lambda: tab.is_shown("/probe/text"), what="the place's numbers")
-        assert "det" in tab.text("/probe/text")
+        assert "mobility" in tab.text("/probe/text")
+        tab.page.mouse.move(2, 2)
+        wait_for(lambda: not tab.is_shown("/probe/text"), what="no numbers")
 
         tab.open_tab("Lab")
         tab.click("Start from this posture")

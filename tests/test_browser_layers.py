@@ -115,12 +115,6 @@ def acting(snapshot: Snapshot) -> list[Array]:
     return places
 
 
-def named(snapshot: Snapshot) -> list[Array]:
-    """The points that have names."""
-    near = [pair for pair in snapshot.pairs if pair.d < snapshot.config.border.d_b]
-    return [p for pair in near for p in (pair.p_a, pair.p_b)] + acting(snapshot)
-
-
 def pushed(snapshot: Snapshot) -> list[Array]:
     """Along the person's force, and over the base."""
     tip = snapshot.p_ee + METRES_PER_NEWTON * snapshot.hand_force
@@ -143,7 +137,6 @@ LAYERS = (
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
     Layer("Acting points", of(acting), 60, 200, share=0.7),
-    Layer("Point labels", of(named), 110, 80),
     Layer("Forces", of(pushed), 60, 100),
     Layer("Trails", passed, 12, 40),
 )
@@ -204,7 +197,7 @@ def test_distances_are_written_at_the_active_pairs_at_all_or_at_none(tab, served
     assert near < everything
     for choice, wanted in (("none", set()), ("all", everything), ("active", near)):
         before = tab.picture()
-        tab.choose("Distance labels", choice)
+        tab.choose("Labels", choice)
 
         def written() -> set[str]:
             return {name for name in everything if tab.is_shown(f"/distances/label_{name}")}

@@ -73,6 +73,7 @@ from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.simulation.loop.commands import Pause, Pull, Release, Reset
 from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import PairReading, Score
+from app.simulation.trace.trace import Trace
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
@@ -761,11 +762,17 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
 # Plots and readings
 
 
+def buttons_of(page, label):
+    """The buttons with a label."""
+    handles = page.viewer.client.gui._gui_input_handle_from_uuid.values()
+    return next(handle for handle in handles if handle.label == label)
+
+
 def test_plots_are_fed_from_the_loop(dashboard, loop):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
-        plot = page._plots._plots["distance [m]"]
+        _, plot = page._plots._plots["distance [m]"]
         wait_for(lambda: len(plot.data[0]) > 5)
         latest = loop.latest()
         lines = np.array(plot.data)
@@ -782,16 +789,36 @@ def test_a_door_has_a_plot_that_comes_with_it(loop, robot):
     opened = (first, *others, first._replace(name=data.of_door, d=0.42))
     plan = plot_plans(robot, data.pairs, data.of_door)[1]
     assert [curve.label for curve in plan.curves] == ["door – base", "buffer d_b"]
-    assert len(plan.colours) == len(plan.hints) == len(plan.curves)
+    assert all(curve.hint for curve in plan.curves)
     assert plan.curves[0].value(replace(snapshot, pairs=opened)) == 0.42
     assert np.isnan(plan.curves[0].value(snapshot))
+
+
+def test_every_quantity_of_a_log_can_be_added_to_a_plot_and_removed(dashboard, loop):
+    with RawClient(dashboard.address) as client:
+        page = page_of(dashboard)
+        client.set_widget(page.channel._box, '["1", "seen", "plots"]')
+        columns = Trace.of_snapshots(husky_panda(), [loop.latest()]).columns
+        assert {column.name for column in columns} <= set(dashboard.shared.quantities)
+        plots, name, title = page._plots, "q_panda_joint4_rad", "hand error [mm]"
+        client.set_widget(plots._name, name)
+        client.set_widget(plots._into, title)
+        for act, lines in (("Add", 2), ("Add", 2), ("Remove", 1)):
+            client.set_widget(buttons_of(page, "Curve"), act)
+            wait_for(lambda lines=lines: len(plots._plots[title][0].curves) == lines)
+            plot = plots._plots[title][1]
+            wait_for(lambda plot=plot: plot.visible and len(plot.data[0]) > 1)
+            if lines == 2:
+                np.testing.assert_allclose(plot.data[2][-1], loop.latest().q_m[3], atol=1e-3)
+            assert len(plot.data) == lines + 2
+    assert dashboard.error is None
 
 
 def test_plots_that_are_not_shown_are_not_sent(dashboard):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
         client.set_widget(page.channel._box, '["1", "seen", "plots"]')
-        plots = page._plots._plots
+        plots = {title: plot for title, (_, plot) in page._plots._plots.items()}
         hidden = [title for title in plots if title not in page.view.plots]
         assert hidden
         hidden.append("distance to the door [m]")  # there is none
@@ -863,14 +890,14 @@ def test_readings_that_should_worry_are_coloured(loop):
     assert [worries(**fields) for fields in late] == [1, 1, 1]
 
 
-OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3)}
+OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3), "barrier": (0.02, 0)}
 
 
 def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
     """And its outcome is a word of its own, coloured as contact."""
     scores = tuple(
         Score(
-            name, least, 0.0 if contacts or least < 0 else 0.01, 0.02, 0.1, 0.0, 0.0, 0.0, contacts
+            name, least, 0.0 if contacts or least < 0 else least / 10, 0.02, 0.1, 0, 0, 0, contacts
         )
         for name, (least, contacts) in OUTCOMES.items()
     )
@@ -878,16 +905,19 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
         "<b>dbb</b>, with avoidance: no contact, least distance 104 mm",
         "<b>none</b>, without avoidance: bodies overlap by 8 mm",
         "<b>repulsive</b>, arm repulsion only: contact, least distance 50 mm",
+        "<b>barrier</b>, minimum distance only: no contact, least distance 20 mm",
     ]
     html = scores_html(scores)
     assert coloured(html, "contact") == 3, "two outcomes, and a distance below zero"
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     marked = [re.sub(r"<[^>]*>", "", cell) for cell in cells]
-    assert [text for text in marked if "✓" in text] == ["✓ 104", "✓ 10.0"]
+    assert [text for text in marked if "✓" in text] == ["✓ 104", "✓ 2.0"]
+    assert "✓" not in scores_html(scores[:3]), "one valid robot alone is not the best of several"
     assert [text for text in marked if text in ("no contact", "overlap", "contact")] == [
         "no contact",
         "overlap",
         "contact",
+        "no contact",
     ]
 
 

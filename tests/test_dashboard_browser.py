@@ -251,7 +251,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: tab.is_shown("/ghost_0"))
     wait_for(
-        lambda: (tab.text("/names/1") or "").startswith("arm repulsion only"),
+        lambda: (tab.text("/names/1") or "").startswith("violet, arm repulsion only"),
         what="the ghost's name",
     )
     tab.page.get_by_text("no contact, least distance").first.wait_for(timeout=40_000)

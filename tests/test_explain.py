@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, Level, NearPair
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.panels import why as why_panel
 from app.dashboard.panels.why import LONGEST, sentence
 from app.dashboard.verdict import judge
@@ -244,7 +244,7 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("base", "none", "avoidance is off: nothing gives way"),
         ("above", "dbb", "base's top (buffer 15 cm), where base motion cannot help"),
         ("high above", "dbb", "the arm itself will stop at 3 cm"),
-        ("high above", "hqp", "the printed controller has nothing else that holds the arm"),
+        ("high above", "hqp", "the hierarchy as printed has no other constraint on the arm"),
         ("last", "dbb", "and the arm itself holds this distance."),
         ("inside", "dbb", "The hand overlaps the base's front by 4 mm"),
         ("edge", "dbb", "The hand is 15 cm from the base's front (buffer 15 cm)"),

@@ -1,4 +1,4 @@
-"""The table behind the plots."""
+"""History of the page: paths, results of scenarios, and the time line."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from app.dashboard.panels.run import course_html
-from app.dashboard.record import BIN, KEPT, PERIOD, Course, Curve, Record, Strip
+from app.dashboard.record import BIN, KEPT, SPACING, Course, Strip, Track
 from app.dashboard.scene.scene import SceneData
 from app.simulation.people import PullReading
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
-
-CURVES = (Curve("time", lambda s: s.t), Curve("off", lambda s: s.ee_error))
 
 
 @pytest.fixture(scope="module")
@@ -50,26 +48,20 @@ def run(snapshot, begin, end, every=0.02):
     return [replace(snapshot, t=float(t), ee_error=2.0 * float(t)) for t in times]
 
 
-def test_columns_are_the_curves_over_time(snapshot):
-    record = Record(CURVES)
-    past = Past(snapshot, record)
-    past.extend(run(snapshot, 0.0, 10.0))
-    table = record.columns(8.0, 3.0)
-    assert table[0, 0] == pytest.approx(5.0)
-    assert table[0, -1] == pytest.approx(8.0)
-    np.testing.assert_allclose(table[1], table[0])
-    np.testing.assert_allclose(table[2], 2.0 * table[0])
-    np.testing.assert_allclose(np.diff(table[0]), PERIOD, atol=1e-9)
+@pytest.fixture
+def track():
+    """A path along the line x = error."""
+    return Track(lambda s: np.array([s.ee_error, 0.0, 0.0]))
 
 
-def test_it_is_bounded_in_memory_and_keeps_the_newest(snapshot):
-    record = Record(CURVES)
-    past = Past(snapshot, record)
-    past.extend(run(snapshot, 0.0, 700.0))
-    table = record.columns(700.0, 1e9)
-    assert table.shape[1] <= KEPT / PERIOD + 2
-    assert table[0, -1] == pytest.approx(700.0)
-    assert np.ptp(table[0]) == pytest.approx(KEPT, abs=2 * PERIOD)
+def test_a_path_has_points_at_least_a_spacing_apart_in_bounded_memory(snapshot, track):
+    past = Past(snapshot, track)
+    past.extend(run(snapshot, 0.0, 100.0, every=0.5 * SPACING))
+    points = track.until(100.0)[:, 0]
+    assert len(points) == 1500
+    assert (np.diff(points) >= SPACING).all()
+    assert points[-1] == pytest.approx(200.0, abs=2 * SPACING)
+    np.testing.assert_array_equal(track.until(99.0)[:, 0], points[points <= 198.0])
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (0.0, 0.02), (0.3, 0.5)])
@@ -98,30 +90,15 @@ def test_what_begins_anew_while_it_is_read_is_taken_by_the_next_look(snapshot):
     assert (strip.runs, past.last) == (2, 1.5)
 
 
-def test_snapshots_told_twice_are_taken_once(snapshot):
-    record = Record(CURVES)
-    past = Past(snapshot, record)
+def test_snapshots_told_twice_are_taken_once_and_a_restart_begins_anew(snapshot, track):
+    past = Past(snapshot, track)
+    assert track.until(1.0).shape == (0, 3)
     past.extend(run(snapshot, 0.0, 5.0))
     past.extend(run(snapshot, 3.0, 6.0))
-    times = record.columns(6.0, 60.0)[0]
-    assert (np.diff(times) > 0.5 * PERIOD).all()
+    assert (np.diff(track.until(6.0)[:, 0]) > 0.0).all()
     assert past.last == pytest.approx(6.0)
-
-
-def test_a_restart_of_the_simulation_empties_it(snapshot):
-    record = Record(CURVES)
-    past = Past(snapshot, record)
-    past.extend(run(snapshot, 0.0, 5.0))
     past.extend(run(snapshot, 0.0, 0.1))
-    assert record.columns(10.0, 60.0)[0, -1] == pytest.approx(0.1, abs=PERIOD)
-
-
-def test_an_empty_table_and_an_empty_stretch_still_have_a_row(snapshot):
-    record = Record(CURVES)
-    past = Past(snapshot, record)
-    assert record.columns(1.0, 1.0).shape == (3, 1)
-    past.extend(run(snapshot, 0.0, 1.0))
-    assert record.columns(50.0, 1.0).shape == (3, 1)
+    assert track.until(10.0)[-1, 0] == pytest.approx(0.2, abs=SPACING)
 
 
 def led(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):

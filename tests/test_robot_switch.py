@@ -178,7 +178,7 @@ def test_nothing_of_a_replaced_robot_waits_for_the_next_collection() -> None:
                 shared.model,
                 shared.parts,
                 shared.borders,
-                shared.record,
+                shared.strip,
                 shared.loop,
                 page,
                 page._scene,

@@ -21,7 +21,6 @@ from app.dashboard.panels.tuning import (
     MARK,
     TuningPanel,
     file_name,
-    score_html,
     slider_step,
     unbroken,
 )
@@ -85,8 +84,8 @@ class Desk:
         shared = SimpleNamespace(tuning=self.tuning, model=husky_panda())
         return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared)
 
-    def handle(self, path, viewer=0, face=0):
-        return self.panels[viewer].widgets[path].handles[face]
+    def handle(self, path, viewer=0):
+        return self.panels[viewer].widgets[path].handle
 
     def sees(self, path, viewer=0):
         return self.handle(path, viewer).value
@@ -353,33 +352,6 @@ def test_a_choice_that_does_not_exist_is_refused(desk):
     assert "surface or points" in sender.notes[0]
 
 
-def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
-    box, slider = desk.panels[0].widgets["task.base_weight"].handles
-    assert (slider.min, slider.max, slider.value) == (0.0, 6.0, 3.0)
-    put(slider, 2.5, Person())
-    assert desk.tuning.config.value("task.base_weight") == box.value == 316.0
-    put(box, 1234.5, Person())
-    assert desk.tuning.config.value("task.base_weight") == 1234.5
-    assert 10**slider.value == pytest.approx(1234.5)
-    assert desk.handle("task.base_weight", 1, 1).value == 3.0
-    desk.update()
-    assert 10 ** desk.handle("task.base_weight", 1, 1).value == pytest.approx(1234.5)
-    assert desk.tuning.config.value("task.base_weight") == 1234.5
-    for path in (path for path in NUMBERS if parameter(path).log):
-        _, slider = desk.panels[0].widgets[path].handles
-        for end, value in ((slider.min, parameter(path).low), (slider.max, parameter(path).high)):
-            put(slider, end, Person())
-            assert desk.tuning.config.value(path) == value
-
-
-@pytest.mark.parametrize("value", [7.0, -7.0, 400.0, -400.0, math.nan, math.inf, -math.inf])
-def test_an_exponent_out_of_range_is_refused(desk, value):
-    sender = Person()
-    slider = desk.handle("task.base_weight", face=1)
-    put(slider, value, sender)
-    assert (slider.value, desk.tuning.config, len(sender.notes)) == (3.0, Config(), 1)
-
-
 def test_what_is_changed_is_marked_on_its_label_and_folder_until_it_is_set_back(desk):
     def labels():
         return {
@@ -442,13 +414,6 @@ def test_advanced_parameters_are_shown_when_asked_for_or_changed(desk):
     assert shown() == ["force.alpha_gain"]
     press(desk.panels[0]._gui, "Advanced")
     assert shown() == advanced
-
-
-def test_the_score_tells_the_numbers_of_the_robot():
-    html = score_html(husky_panda().description)
-    for body, reach in husky_panda().description.reachability.items():
-        for text in (body, f"{reach.A_per_m2:g}", f"{reach.B_m:g}", f"{reach.C:g}"):
-            assert f"<td>{text}</td>" in html
 
 
 # Files

@@ -31,7 +31,7 @@ from app.dashboard.export.offscreen import (
     replay_html,
 )
 from app.dashboard.markup import minus
-from app.dashboard.panels.phrases import spoken
+from app.dashboard.phrases import spoken
 from app.dashboard.scene.camera import first_view
 from app.errors import DbbError
 from app.robot.description import load_robot

@@ -28,7 +28,7 @@ window.dbbControls = (box, ranges) => {
   const head = make("header", document.body, "dbb-head");
   const name = make("div", head, "dbb-name");
   make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
-  make("p", name, "", "Moves a mobile robot's base out of its own arm's way");
+  make("p", name, "", "Moves a robot's base out of its own arm's way");
   const live_ = make("div", head, "dbb-live");
   const card = make("section", document.body, "dbb-card");
   card.setAttribute("aria-label", "Guide");
@@ -166,7 +166,8 @@ window.dbbControls = (box, ranges) => {
       const clock = t >= 60 ? `${Math.floor(t / 60)}:${String(Math.round(t % 60)).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
       ink.fillText(clock, x(t) + 3, h - 2);
     }
-    name("nearest distance", "left", 4, foot - 3);
+    if (w > 500) name("activation β", "left", 4, head + 9); // on a phone the names would hide the curves
+    if (w > 500) name("nearest distance", "left", 4, foot - 3);
     name(`buffer d_b ${Math.round(1000 * d_b)} mm`, "right", w - 4, y(d_b) + 11);
     ink.globalAlpha = 1;
     for (const [, t, kind] of events.values()) {
@@ -328,7 +329,7 @@ window.dbbControls = (box, ranges) => {
   let hints = {};
   listen(window, "pointerover", (e) => {
     const line = e.target.closest?.(".u-legend .u-series"), plot = line?.closest(".uplot");
-    if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
+    if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.querySelector(".u-label").textContent.trim()] ?? "";
   });
 
   // ---- while Shift is held, keys pull the end-effector
@@ -343,6 +344,16 @@ window.dbbControls = (box, ranges) => {
   }, { capture: true });
   listen(window, "keyup blur", (e) => (e.key === "Shift" || e.type === "blur") && ask("drop"));
 
+  // ---- the pointer over the scene, for the values there: at most ten reports per second
+  let pointer = [], told_at = 0, later = 0;
+  const point = () => ((later = 0), (told_at = performance.now()), api.tell("pointer", ...pointer));
+  listen(window, "pointermove pointerout", (e) => {
+    const canvas = window.__viserMutable?.canvas, box = canvas?.getBoundingClientRect();
+    pointer = e.type === "pointermove" && canvas?.contains(e.target) && !e.buttons
+      ? [e.clientX - (box.left + box.right) / 2, (box.top + box.bottom) / 2 - e.clientY] : [];
+    later ||= setTimeout(point, Math.max(0, 100 - performance.now() + told_at));
+  }, { capture: true }); // viser's gizmos keep some events to themselves
+
   // ---- a double click resets the view
   listen(window, "dblclick", (e) => e.target.tagName === "CANVAS" && e.target !== strip && ask("look"));
 
@@ -352,8 +363,7 @@ window.dbbControls = (box, ranges) => {
     localStorage.setItem("dbb-tour-seen", "yes");
   } catch {} // the browser has no storage
 
-  ask("link", window.dbbAsked());
-  return {
+  const api = {
     ...window.dbbPanels,
     hints: (some) => (hints = some),
     head: (html) => (live_.innerHTML = html),
@@ -398,4 +408,5 @@ window.dbbControls = (box, ranges) => {
       for (const element of [head, card, bar, edge, past, hint]) element.remove();
     },
   };
+  return api;
 };

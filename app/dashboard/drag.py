@@ -34,13 +34,7 @@ class Grip:
     """Pull of one viewer. Several viewers may pull at once: their forces add up."""
 
     def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
-        """Create a grip without a pull.
-
-        Args:
-            sink: Simulation that gets the pulls.
-            notifier: Shows messages to the viewer.
-            who: Number of the viewer.
-        """
+        """Create a grip without a pull; `who` is the viewer's number in commands to `sink`."""
         self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None
         self._warned = False
@@ -108,7 +102,7 @@ class Grip:
         if self._hold is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
-                client, "Released, because your browser did not respond. Pull the robot again."
+                client, "Your pull has ended, because your browser did not respond. Pull again."
             )
 
 
@@ -125,12 +119,7 @@ class DragHandles:
     ) -> None:
         """Add the gizmo to the scene, and handle drags of the gizmo and of the arm's links.
 
-        Args:
-            scene: The scene.
-            robot: The drawn robot.
-            grip: Pull of this viewer.
-            notifier: Shows errors to the viewer.
-            arm_joints: Names of the arm's joints, by their index in the drawn model.
+        `arm_joints` has the names of the arm's joints, by their index in the drawn model.
         """
         self.grip = grip
         self._gizmo = scene.add_transform_controls(

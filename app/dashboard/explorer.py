@@ -78,14 +78,8 @@ class Explorer:
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
         """Find a posture with the end-effector at a position, starting from another posture.
 
-        The end-effector keeps its direction if possible.
-
-        Args:
-            posture: Initial posture.
-            place: (3,) [m] position in the world.
-
-        Returns:
-            The posture that comes closest, and its distance [m] to the position.
+        The end-effector keeps its direction if possible. Returns the posture that comes closest to
+        the position `place` (3,) [m] in the world, and its distance [m] to the position.
         """
         search, best = self._search, (posture, np.inf)
         search.stand(posture.base_pose)

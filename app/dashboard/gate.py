@@ -13,6 +13,7 @@ import gzip
 import http
 import ipaddress
 import math
+import re
 import socket
 import struct
 import threading
@@ -22,8 +23,8 @@ from contextlib import contextmanager
 from functools import lru_cache
 from html import escape
 from pathlib import Path
-from typing import Any, Literal, Union, get_type_hints
-from urllib.parse import parse_qsl, urlsplit
+from typing import Any, Union, get_type_hints
+from urllib.parse import urlsplit
 
 import msgspec
 from viser import UploadedFile, __version__, _messages
@@ -40,11 +41,9 @@ _MOST_PIXELS = 2**24  # [-] pixels of a screenshot
 _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] time from the first part of a message to the last
 _MOST_VIEWERS = 32  # [-] simultaneous connections
-DENSITY = "fixedDpr"
-"""The only parameter of viser in a page's address: drawn pixels per pixel of the page. The others
-are refused, because one of them selects another server."""
-ReadLink = Callable[[str], tuple[str, str]]
-"""Reads an address's query: returns its errors, or an empty text, and its valid part."""
+_QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
+"""The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
+parameters are refused, because one of them selects another server."""
 _LONGEST_PATH = 255  # [characters] length of a path; no file has a longer path
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
 _LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
@@ -90,7 +89,6 @@ _TAKEN = (
     _messages.ViewerCameraMessage,
     _messages.GuiUpdateMessage,
     _messages.CommandTriggerMessage,
-    _messages.ScenePointerMessage,
     _messages.SceneNodeDragMessage,
     _messages.TransformControlsUpdateMessage,
     _messages.TransformControlsDragStartMessage,
@@ -102,16 +100,6 @@ _TAKEN = (
 )
 """Messages of this program's page. viser accepts others too: one opens a tunnel to this machine;
 another one about an unknown form is stored forever and sent to every viewer."""
-_Point = tuple[float, float, float]
-_NARROWER: dict[type, dict[str, Any]] = {
-    _messages.ScenePointerMessage: {
-        "event_type": Literal["click"],
-        "ray_origin": _Point,
-        "ray_direction": _Point,
-        "screen_pos": tuple[tuple[float, float]],
-    }
-}
-"""Narrower types: viser's annotations also allow values on which its handlers fail."""
 _VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
@@ -131,16 +119,10 @@ class GarbageError(RefusedError):
 class Gate:
     """Checks between a viser server and its connections."""
 
-    def __init__(self, names: Collection[str], largest_upload: int, read_link: ReadLink) -> None:
-        """Create a gate.
-
-        Args:
-            names: Names under which browsers may reach the server.
-            largest_upload: [bytes] largest size of a file; 0 without uploads.
-            read_link: Function that checks the query of an address.
-        """
+    def __init__(self, names: Collection[str], largest_upload: int) -> None:
+        """Create a gate for the server's names, with the largest size of a file [bytes]."""
         self._own_names = {name.lower() for name in names}
-        self._largest_upload, self._read_link = largest_upload, read_link
+        self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Find a widget of a page, from the page's connection and the widget's name."""
@@ -221,13 +203,12 @@ class Gate:
         elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
             why = "no file has a name of this length"
-        else:
-            why, rest = self._read_link(query)
-            if not why:
-                return None
+        elif not _QUERY.fullmatch(query):
+            status, why = http.HTTPStatus.BAD_REQUEST, f"unknown parameter in the address: {query}"
             # A relative address, because a proxy may serve this page below a path.
-            status, address = http.HTTPStatus.BAD_REQUEST, escape(f"?{rest}" if rest else ".")
-            more = f'<p>Without that: <a href="{address}">{escape(rest) or "the page"}</a></p>'
+            more = '<p><a href=".">Open the page without it</a></p>'
+        else:
+            return None
         body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode(errors="replace")
         kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
@@ -283,12 +264,6 @@ class _Checked:
         return bytes(message)
 
 
-def read_no_link(query: str) -> tuple[str, str]:
-    """Read the query of a page without links: only `DENSITY` is allowed."""
-    others = [name for name, _ in parse_qsl(query, keep_blank_values=True) if name != DENSITY]
-    return (f"unknown parameter {others[0]!r}", "") if others else ("", query)
-
-
 @lru_cache(maxsize=2)
 def with_script(page: bytes, encoding: str) -> bytes:
     """Insert `_HEAD` into viser's page; `encoding` is "gzip" or "identity"."""
@@ -339,7 +314,7 @@ def _is_here(name: str | None, own_names: Collection[str]) -> bool:
 
 def _record(message: type) -> type:
     """Return a record with the fields of a viser message, whose types msgspec checks."""
-    hints = get_type_hints(message) | _NARROWER.get(message, {})
+    hints = get_type_hints(message)
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
         for f in dataclasses.fields(message)
@@ -362,11 +337,9 @@ class Uploads:
     """
 
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
-        """Create an empty list.
+        """Create an empty list; `largest` is the largest size of a file [bytes].
 
-        Args:
-            largest: [bytes] largest size of a file.
-            everyone: Uploads of all viewers, who share `_MOST_UPLOADS`.
+        `everyone` has the uploads of all viewers, who share `_MOST_UPLOADS`.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
@@ -402,12 +375,7 @@ class Uploads:
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
-    """Return the bytes of an allowed message.
-
-    Args:
-        data: The received message.
-        uploads: Uploads of the same viewer.
-        widget: Finds a widget of the page by its name, or None.
+    """Return the bytes of an allowed message; `widget` finds a widget of the page by its name.
 
     Raises:
         GarbageError: A page does not send messages of this type, or a field has a wrong type.

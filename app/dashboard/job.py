@@ -30,7 +30,6 @@ from app.system import (
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.dashboard.export import Look, Side
-    from app.onboarding.check import Row
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
@@ -192,15 +191,6 @@ def build_robot(report: Report, request: Request) -> None:
             processes=_CORES,
             on_progress=lambda share: report(text, share),
         )
-
-
-def check_rows(report: Report, robot: str) -> list[Row]:
-    """Run all checks of `dbb check-robot` on a saved robot."""
-    from app.onboarding.check import check_robot
-    from app.robot.description import load_robot
-
-    found = check_robot(load_robot(robot), tell=lambda text: report(text, -1.0), processes=_CORES)
-    return list(found)
 
 
 def write_report(report: Report, log: Path, page: Path) -> None:

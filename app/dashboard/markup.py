@@ -83,13 +83,6 @@ def spread(*texts: str) -> str:
     return _tag("div", "".join(_tag("span", text) for text in texts), style)
 
 
-def grid(heads: Iterable[str], rows: Iterable[Iterable[str]], *styles: str) -> str:
-    """Return a table of numbers with the columns' titles `heads`; a row starts with its name."""
-    head = row(*(cell(name, RIGHT, head=True) for name in heads))
-    body = (row(cell(name), *(cell(text, RIGHT) for text in texts)) for name, *texts in rows)
-    return table((head, *body), *styles)
-
-
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
     """Return a bar filled to `share` (0 to 1), with a mark at `stroke` (0 to 1)."""
     filled = f"width:{100 * share:.0f}%;height:100%;background:{colour};border-radius:2px"

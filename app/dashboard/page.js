@@ -124,9 +124,6 @@
     return [box.height, above, below].map((px) => Math.round(Math.max(px, 0)));
   };
 
-  // The query of the page's address is sent once, even if the client connects several times.
-  let asked = location.search.slice(1);
-  window.dbbAsked = () => [asked, (asked = "")][0];
   const touch = (event) => { // input of a person, also with a screen reader; not of this script
     if (touched || !event.isTrusted) return;
     touched = true;

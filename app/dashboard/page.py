@@ -20,7 +20,6 @@ from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
 from app.dashboard.panels.save import SavePanel
-from app.dashboard.panels.share import Link, SharePanel
 from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
 from app.dashboard.panels.view import ViewPanel
@@ -32,7 +31,7 @@ from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
 from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import judge
-from app.dashboard.view import PagePicture, View
+from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import DbbError
 from app.robot.description import RobotDescription
@@ -70,7 +69,6 @@ class Page:
         client: viser.ClientHandle,
         shared: SharedState,
         notifier: Notifier,
-        page_picture: PagePicture | None = None,
         before: Page | None = None,
     ) -> None:
         """Create the page of a client; `before` is its closed page of another robot."""
@@ -92,7 +90,7 @@ class Page:
         self._camera.fit(shared.parts.extent)
         own = self.channel, self.view, self.timeline, self.grip, self._camera
         files = before.viewer.files if before else Job()
-        self.viewer = Viewer(client, notifier, shared, *own, files, page_picture)
+        self.viewer = Viewer(client, notifier, shared, *own, files)
         self.channel.on("scene", self._camera.cover)
         self.closed = False
         newest = shared.loop.latest()
@@ -113,12 +111,13 @@ class Page:
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
+        border = self._scene.border
+        self.channel.on("pointer", lambda *at: setattr(border, "pointer", at[:2] if at[1:] else ()))
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
         self.hand = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self._camera.begin(self.timeline.shown())
-        self.share_panel.resume(before.share_panel.waiting if before else Link())
         self.draw(texts=True)
 
     def draw(self, *, texts: bool) -> None:
@@ -145,30 +144,20 @@ class Page:
             if texts and self.timeline.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
-            moment = Moment(newest, shown, judge(shown, self._shared.spoken)) if texts else None
-            if moment is not None:
-                self._renew(moment)
-        if moment is not None:
-            self._renew_beside(moment)
+            if texts:
+                self._renew(Moment(newest, shown, judge(shown, self._shared.spoken)))
 
     def _renew(self, moment: Moment) -> None:
-        """Update the panels that must appear together with the picture."""
+        """Update all panels; a page shows them together with the picture."""
         for panel in self._panels:
-            if panel.of_instant:
-                panel.update(moment)
+            panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
         self._show_refusal(moment.newest)
-
-    def _renew_beside(self, moment: Moment) -> None:
-        """Update the other panels, which may take longer."""
         _show(self._hung, hung_html(self._shared.loop.silence))
         self._change.show("")
         if self._light != self.view.light:
             self._light = self.view.light
             self.channel.tell("light", self._light)
-        for panel in self._panels:
-            if not panel.of_instant:
-                panel.update(moment)
 
     @property
     def untouched(self) -> bool:
@@ -187,7 +176,7 @@ class Page:
         with self._client.atomic():
             self._client.scene.reset()
             self._client.gui.reset()
-            return Page(self._client, shared, self._notifier, self.viewer.page_picture, self)
+            return Page(self._client, shared, self._notifier, self)
 
     def close(self) -> None:
         """Release all pulls of the viewer, and stop drawing."""
@@ -209,8 +198,7 @@ class Page:
         panel = gui.add_panel()
         with panel.add_tab("Why", viser.Icon.BULB):
             self._why = self._add(WhyPanel(self.viewer))
-        with panel.add_tab("Plots", viser.Icon.CHART_LINE):
-            self._plots = self._add(Plots(self.viewer))
+        self._plots = self._add(Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE)))
         with panel.add_tab("Compare", viser.Icon.USERS):
             self._add(ComparePanel(self.viewer))
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
@@ -241,7 +229,6 @@ class Page:
                 self.robot_panel = self._add(RobotPanel(viewer))
         with tabs.add_tab("Save"):
             self._add(SavePanel(viewer))
-            self.share_panel = self._add(SharePanel(viewer))
         with tabs.add_tab("Help"):
             add_help(gui, self._shortcuts())
 
@@ -289,11 +276,10 @@ class Page:
         self.guide.go("")
         self._notifier.clear(self._client)
 
-    def _nudge(self, *ahead: float) -> None:
-        """Pull the end-effector along `ahead` (3,) in the base's frame, as a key requests."""
-        direction = np.clip(np.array([*ahead, 0.0, 0.0, 0.0][:3], dtype=float), -1.0, 1.0)
-        if np.isfinite(direction).all():
-            self.grip.nudge(direction, self._shared.loop.latest(), self._client)
+    def _nudge(self, x: float, y: float, z: float) -> None:
+        """Pull the end-effector along x, y, z in the base's frame, as a key requests."""
+        ahead = np.clip((x, y, z), -1.0, 1.0)
+        self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
 
     def _toggle_dark(self) -> None:
         self.view.dark = not self.view.dark

@@ -1,20 +1,38 @@
-"""Plots of a robot: titles, curves, colours and ranges."""
+"""Plots of a robot: titles, curves and ranges, and every quantity of a log as a curve."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from app.config import tunable
-from app.dashboard.panels import phrases as words
-from app.dashboard.record import Curve
+from app.dashboard import phrases as words
 from app.dashboard.scene.colours import ACTING, BETA, PERSON, SERIES, css
 from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.columns import TraceMeta
+from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 
 _MOVES = "β_m ẍ_m: base acceleration commanded by avoidance along this axis, (16) to (18)"
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _THRESHOLD = "#98a0ab"
+Value = Callable[[Snapshot], float]
+
+
+class Curve(NamedTuple):
+    """A line of a plot."""
+
+    label: str
+    """Name in the legend."""
+    value: Value
+    """Returns the value of a snapshot."""
+    colour: str
+    hint: str
+    """Explanation of the name: symbol, unit, range and equation."""
+    dashed: bool = False
+    """Whether the line is a threshold."""
+    right: bool = False
+    """Whether the line belongs to the axis on the right, which fits all its values."""
 
 
 class PlotPlan(NamedTuple):
@@ -22,18 +40,13 @@ class PlotPlan(NamedTuple):
 
     title: str
     """Title with the unit."""
-    curves: Sequence[Curve]
-    colours: tuple[str, ...]
+    curves: tuple[Curve, ...]
     y_range: Any
     """Range in uPlot's format."""
-    height: int
+    height: int = 100
     """[px] height without title and legend."""
     fill: bool = False
     """Whether the area under the lines is filled."""
-    dashed: int = 0
-    """Number of lines at the end that are thresholds."""
-    hints: tuple[str, ...] = ()
-    """Hints for the lines' names: symbol, unit, range and equation."""
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
@@ -42,90 +55,69 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     The pair `door` of base and door has a separate plot.
     """
     axes = model.description.base.axes
-    torques = [
-        Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
-        for i, most in enumerate(model.tau_max)
-    ]
-    beta = Curve("activation β_m", lambda s: s.beta_m)
-    avoidance = [_avoidance(i, axis) for i, axis in enumerate(axes)]
-    of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
-    error = Curve("hand error", lambda s: 1000.0 * s.ee_error)
-    step = Curve("mean over 1 s", lambda s: s.step_time_us)
+    colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
+    torques = tuple(
+        Curve(
+            f"{i + 1}",
+            lambda s, i=i, most=float(most): s.u_a[i] / most,
+            _series(i),
+            f"{name}: torque u_a divided by its limit of {most:g} N m, −1 to 1, (26)",
+        )
+        for i, (name, most) in enumerate(
+            zip(model.description.arm.joints, model.tau_max, strict=True)
+        )
+    )
+    beta = Curve("activation β_m", lambda s: s.beta_m, BETA, _ACTIVATION)
+    off = "distance [mm] of the end-effector from its target"
+    error = Curve("hand error", lambda s: 1000.0 * s.ee_error, BETA, off)
+    duration = "time [µs] of Algorithm 2 in a control step; the period is 1000"
+    step = Curve("mean over 1 s", lambda s: s.step_time_us, css(PERSON), duration)
+    avoidance = tuple(map(_avoidance, range(len(axes)), axes, colours))
     return [
         _distances("distance [m]", model, names, 160),
         _distances("distance to the door [m]", model, [door], 100),
-        PlotPlan(
-            "activation of the avoidance β_m",
-            [beta],
-            (BETA,),
-            (-0.02, 1.05),
-            100,
-            fill=True,
-            hints=(_ACTIVATION,),
-        ),
-        PlotPlan(
-            "avoidance acceleration of the base, β ẍ",
-            avoidance,
-            of_axes,
-            _soft(-1.0, 1.0),
-            125,
-            hints=(_MOVES,) * len(axes),
-        ),
-        PlotPlan(
-            "joint torque / limit",
-            torques,
-            _series(len(torques)),
-            (-1.05, 1.05),
-            140,
-            hints=_about_torques(model),
-        ),
-        PlotPlan(
-            "hand error [mm]",
-            [error],
-            (BETA,),
-            _soft(0.0, 5.0),
-            100,
-            hints=("distance [mm] of the end-effector from its target",),
-        ),
-        PlotPlan(
-            "control step time [µs]",
-            [step],
-            (css(PERSON),),
-            _soft(0.0, 1000.0),
-            100,
-            hints=("time [µs] of Algorithm 2 in a control step; the period is 1000",),
-        ),
+        PlotPlan("activation of the avoidance β_m", (beta,), (-0.02, 1.05), fill=True),
+        PlotPlan("avoidance acceleration of the base, β ẍ", avoidance, _soft(-1.0, 1.0), 125),
+        PlotPlan("joint torque / limit", torques, (-1.05, 1.05), 140),
+        PlotPlan("hand error [mm]", (error,), _soft(0.0, 5.0)),
+        PlotPlan("control step time [µs]", (step,), _soft(0.0, 1000.0)),
     ]
+
+
+def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Value]:
+    """Return the numeric columns of a robot's log, by their names, as values of a snapshot."""
+    pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
+    meta = TraceMeta.of(model, pairs, snapshot.config)
+
+    def value(field: str, i: int, s: Snapshot) -> float:
+        data = getattr(s, field)
+        if field == "pairs":  # a door adds a pair
+            data = [pair for pair in data if pair.name in pairs]
+        return float(QUANTITIES[field].cells(data, meta)[i])
+
+    return {
+        column.name: partial(value, field, i)
+        for field, quantity in QUANTITIES.items()
+        for i, column in enumerate(quantity.columns(meta))
+        if column.kind != "text"
+    }
 
 
 def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
     """Plan a plot of the distances of some pairs and of d_b, with a height [px]."""
     apart = "signed distance d [m] of the convex bodies, negative where they overlap"
-    d_b = tunable("border.d_b")
-    curves = [
-        Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
-        for name in names
-    ]
-    return PlotPlan(
-        title,
-        [*curves, Curve("buffer d_b", lambda s: s.d_b)],
-        (*_series(len(names)), _THRESHOLD),
-        _soft(0.0, 0.4),
-        height,
-        dashed=1,
-        hints=(
-            *(f"{name}: {apart}" for name in names),
-            f"buffer distance d_b, (3), {d_b.allowed}",
-        ),
+    curves = (
+        Curve(
+            words.spoken(name, model.body_names),
+            lambda s, name=name: distance(s, name),
+            _series(i),
+            f"{name}: {apart}",
+        )
+        for i, name in enumerate(names)
     )
-
-
-def _about_torques(model: RobotModel) -> tuple[str, ...]:
-    """Return the hints for the lines of the joint torques."""
-    return tuple(
-        f"{name}: u_a divided by its limit of {most:g} N m, −1 to 1, (26)"
-        for name, most in zip(model.description.arm.joints, model.tau_max, strict=True)
-    )
+    about = f"buffer distance d_b, (3), {tunable('border.d_b').allowed}"
+    d_b = Curve("buffer d_b", lambda s: s.d_b, _THRESHOLD, about, dashed=True)
+    return PlotPlan(title, (*curves, d_b), _soft(0.0, 0.4), height)
 
 
 def distance(snapshot: Snapshot, pair: str) -> float:
@@ -133,17 +125,15 @@ def distance(snapshot: Snapshot, pair: str) -> float:
     return next((reading.d for reading in snapshot.pairs if reading.name == pair), math.nan)
 
 
-def _series(count: int) -> tuple[str, ...]:
-    return tuple(SERIES[i % len(SERIES)] for i in range(count))
+def _series(i: int) -> str:
+    return SERIES[i % len(SERIES)]
 
 
-def _avoidance(i: int, axis: Axis) -> Curve:
+def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
     """Return the curve of the avoidance acceleration along an axis of the base."""
     unit = "rad/s²" if axis.angular else "m/s²"
-    return Curve(
-        f"{'turn' if axis.angular else axis.way} {acceleration_symbol(axis)} [{unit}]",
-        lambda s: float(s.avoidance_acceleration[i]),
-    )
+    label = f"{'turn' if axis.angular else axis.way} {acceleration_symbol(axis)} [{unit}]"
+    return Curve(label, lambda s: float(s.avoidance_acceleration[i]), colour, _MOVES)
 
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:

@@ -1,14 +1,13 @@
-"""History for the page: curves, paths of the base and the end-effector, and events."""
+"""History for the page: paths of the base and the end-effector, results and events."""
 
-from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from app.config import tunable
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.verdict import judge
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
@@ -16,7 +15,6 @@ from app.simulation.trace.words import Outcome, outcome
 from app.strict import Array
 
 KEPT = 600.0  # [s] length of the history
-PERIOD = 0.04  # [s] shortest time between two rows of a `Record`
 SPACING = 0.01  # [m] distance between two points of a track
 _LONGEST = 1500  # largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the time line
@@ -24,94 +22,27 @@ _QUIET = 1.0  # [s] after this pause the same event counts as a new one
 _MOST_EVENTS = 400  # largest number of stored events
 
 
-class Rows:
-    """A table of values of the snapshots over time, in bounded memory."""
+class Track:
+    """The path of a point of the robot, in bounded memory."""
 
-    def __init__(
-        self,
-        values: Callable[[Snapshot], Sequence[float] | Array],
-        longest: int,
-        is_due: Callable[[Array, Array], bool],
-    ) -> None:
-        """Create an empty table.
-
-        A row consists of a time and the snapshot's values. The newest `longest` rows are kept.
-
-        Args:
-            values: Returns the values of a snapshot.
-            longest: Largest number of rows.
-            is_due: Whether a new row is added, from the last row and the new one.
-        """
-        self._values, self._is_due, self._longest = values, is_due, longest
+    def __init__(self, place: Callable[[Snapshot], Array]) -> None:
+        """Start without points; `place` returns a snapshot's position (3,) [m]."""
+        self._place = place
         self.begin()
 
     def begin(self) -> None:
-        """Delete all rows."""
-        self._rows: list[Array] = []
-        self._times: list[float] = []
+        """Delete all points."""
+        self._points: deque[tuple[float, Array]] = deque(maxlen=_LONGEST)
 
     def add(self, snapshot: Snapshot) -> None:
-        """Add the row of a snapshot if it is due."""
-        row = np.array([snapshot.t, *self._values(snapshot)])
-        if not self._rows or self._is_due(self._rows[-1], row):
-            self._rows.append(row)
-            self._times.append(snapshot.t)
-            del self._rows[: -self._longest], self._times[: -self._longest]
-
-    def table(self) -> Array:
-        """Return times [s] and values, (N, 1 + C)."""
-        return np.array(self._rows)
-
-
-class Curve(NamedTuple):
-    """A line of a plot: its label in the legend, and its value for a snapshot."""
-
-    label: str
-    value: Callable[[Snapshot], float]
-
-
-class Record(Rows):
-    """Values of curves over time."""
-
-    def __init__(self, curves: Iterable[Curve]) -> None:
-        """Create an empty table; the columns after the time are the curves."""
-        curves = tuple(curves)
-        self._width = 1 + len(curves)
-        super().__init__(
-            lambda snapshot: [curve.value(snapshot) for curve in curves],
-            int(KEPT / PERIOD) + 2,
-            # Times are sums of floats: half a millisecond of tolerance.
-            lambda before, row: row[0] >= before[0] + PERIOD - 5e-4,
-        )
-
-    def columns(self, until: float, length: float) -> Array:
-        """Return times [s] and values of an interval, (1 + C, N) with N ≥ 1.
-
-        Args:
-            until: [s] end of the interval.
-            length: [s] length of the interval.
-        """
-        if not self._rows:
-            return np.zeros((self._width, 1))
-        begin, end = bisect_left(self._times, until - length), bisect_right(self._times, until)
-        return np.array(self._rows[begin:end] or self._rows[:1]).T
-
-
-class Track(Rows):
-    """A line through positions that are at least `SPACING` apart."""
-
-    def __init__(self, place: Callable[[Snapshot], Array]) -> None:
-        """Create a line without points; `place` returns a snapshot's position (3,) [m]."""
-        super().__init__(
-            place,
-            _LONGEST,
-            lambda before, row: bool(np.linalg.norm(row[1:] - before[1:]) >= SPACING),
-        )
+        """Add the position of a snapshot if it is at least `SPACING` from the last one."""
+        place = np.array(self._place(snapshot))
+        if not self._points or np.linalg.norm(place - self._points[-1][1]) >= SPACING:
+            self._points.append((snapshot.t, place))
 
     def until(self, t: float) -> Array:
         """Return the positions (K, 3) [m] up to time `t` [s]."""
-        table = self.table().reshape(-1, 4)
-        return table[table[:, 0] <= t, 1:]
+        return np.array([place for at, place in tuple(self._points) if at <= t]).reshape(-1, 3)
 
 
 class Course:

@@ -6,12 +6,12 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from app.border.cache import BorderData, kept_border_data
 from app.border.dbb import Cloud
 from app.config import Config
-from app.dashboard.job import Job, build_robot, check_rows, look_into_package, sample_border
+from app.dashboard.job import Job, build_robot, look_into_package, sample_border
 from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
@@ -23,9 +23,6 @@ from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
-
-if TYPE_CHECKING:
-    from app.onboarding.check import Row
 
 _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
 """pybullet needs every mesh; MuJoCo and the viewer use the convex bodies if one is missing."""
@@ -232,30 +229,6 @@ class RobotSwitch(Job):
             loop.stop()
             raise
         return loop
-
-
-class RobotCheck(Job):
-    """Check of a robot, with the rows of the last check; at most one check runs at a time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.name = ""
-        """Name of the last checked robot."""
-        self.rows: list[Row] = []
-        """Rows of the last check, as `dbb check-robot` prints them."""
-
-    def begin(self, name: str) -> None:
-        """Check a saved robot in a separate process.
-
-        Raises:
-            ConfigError: Another check is running.
-        """
-
-        def work() -> None:
-            self.name, self.rows = name, []
-            self.rows = self.run(check_rows, name)
-
-        self.start(name, "checking", work)
 
 
 class Package(NamedTuple):

@@ -11,10 +11,8 @@ from collections.abc import Mapping, Sequence
 import viser
 
 from app.border.dbb import Cloud
-from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
-from app.dashboard.panels.share import read_link
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
@@ -167,7 +165,7 @@ class DashboardServer:
     def _open_page(self, client: viser.ClientHandle) -> None:
         try:
             with client.atomic():
-                page = Page(client, self.shared, self._notifier, page_picture)
+                page = Page(client, self.shared, self._notifier)
         except Exception as error:  # ends only this viewer's page
             logger.exception("a page could not be built")
             show_failure(client.gui, _PAGE_ENDED, error)
@@ -223,17 +221,11 @@ def serve_dashboard(
 ) -> DashboardServer:
     """Open the dashboard and start drawing.
 
-    Args:
-        loop: A started simulation loop.
-        model: The simulated robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        host: Address of the server. viser has neither password nor encryption: use an address
-            other than this machine's only in a trusted network.
-        port: Port of the server; 0 selects a free port.
-        allowed: Further names under which browsers may reach the server.
-        case: A scenario that starts at the loop's initial state, for a button that plays it.
-        parts: The robot's meshes if they are already loaded.
-        start_loop: Starts the simulation of another robot. If None, the robot cannot be changed.
+    The `loop` has started, and `clouds` has P_i of each pair of L_m, by the pair's name. A button
+    plays the scenario `case` from the loop's initial state. `start_loop` starts the simulation of
+    another robot; without it, the robot cannot be changed. `host`, `port` and `allowed` are those
+    of `open_server`. viser has neither password nor encryption: use an address other than this
+    machine's only in a trusted network.
 
     Raises:
         ServerError: The address cannot be bound.
@@ -243,7 +235,7 @@ def serve_dashboard(
     switch = RobotSwitch(start_loop)
     switch.look()  # takes long: before a viewer connects
     shared = SharedState(loop, model, clouds, parts, case=case, robot_switch=switch)
-    server = open_server(host, port, LARGEST_ARCHIVE, read_link, allowed)
+    server = open_server(host, port, LARGEST_ARCHIVE, allowed)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Mapping
 from app.border.dbb import Cloud
 from app.config import Config
 from app.dashboard.explorer import Explorer
-from app.dashboard.plans import plot_plans
-from app.dashboard.record import Course, Record, Strip
-from app.dashboard.robots import RobotBuild, RobotCheck, RobotSwitch, RunningRobot
+from app.dashboard.plans import plot_plans, quantities
+from app.dashboard.record import Course, Strip
+from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.scene import SceneData
 from app.errors import ConfigError
@@ -39,13 +39,9 @@ class Tuning:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Create an empty history.
+        """Start with the configuration of the simulation `sink`, which gets each change.
 
-        Args:
-            sink: Simulation that gets each change.
-            config: Present configuration of the simulation.
-            usual: The robot's defaults.
-            clock: Returns the time [s].
+        `usual` are the robot's defaults, and `clock` returns the time [s].
         """
         self._sink, self._clock = sink, clock
         self.usual = usual or Config()
@@ -168,15 +164,14 @@ class SharedState(SceneData):
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
-        self.robot_check = before.robot_check if before else RobotCheck()
         self.plans = plot_plans(model, self.pairs, self.of_door)
-        self.record = Record(curve for plan in self.plans for curve in plan.curves)
-        """Values of the plots in the last minutes."""
+        self.quantities = quantities(model, loop.latest())
+        """All quantities that a viewer can add to a plot, by their names."""
         self.course = Course()
         """Results of the last scenario."""
         self.strip = Strip(model.body_names)
         """Data of the time line, of the last ten minutes."""
-        self.keepers += [self.record, self.course, self.strip]
+        self.keepers += [self.course, self.strip]
         self._watched = True
         self._explorer: Explorer | None = None
 
@@ -200,6 +195,5 @@ class SharedState(SceneData):
 
     def close(self) -> None:
         """End the background jobs."""
-        robots = (self.robot_build, self.robot_check, self.robot_switch)
-        for job in robots:
-            job.close()
+        self.robot_build.close()
+        self.robot_switch.close()

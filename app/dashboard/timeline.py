@@ -135,6 +135,10 @@ class Timeline:
             raise LogError("the marked interval has no duration; mark a start and a later end")
         return found
 
+    def between(self, begin: float, end: float) -> list[Snapshot]:
+        """Return the stored snapshots between two times [s], oldest first."""
+        return [snapshot for snapshot in self._kept() if begin <= snapshot.t <= end]
+
     def _go_on(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
         began, t, speed = replay
         t += (monotonic() - began) * speed

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 from app.control.explanation import NearPair
 from app.control.inputs import METHODS
-from app.dashboard.panels.phrases import AT_REST, SLIGHT
+from app.dashboard.phrases import AT_REST, SLIGHT
 from app.dashboard.scene.colours import CLEAR, CONTACT, NEAR, RESISTS, YIELDS, Rgb
 from app.simulation.trace.snapshot import PairReading, Snapshot
 from app.simulation.trace.words import millimetres

@@ -5,13 +5,8 @@ Callbacks assign to a field, and the drawing thread reads the fields.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from copy import copy
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal, NamedTuple
-
-import numpy as np
-from PIL import Image
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 from app.dashboard.scene.legend import QUANTITIES
 
@@ -41,13 +36,6 @@ class View:
         "Show the border above the top of the base too; it hides the arm",
         first=False,
     )
-    shell: bool = _shown(
-        BORDER,
-        "Surface",
-        "A surface instead of points. Click it for det, R and S there, and for the motion of the "
-        "base if the arm were halfway inside",
-        first=False,
-    )
     slice: bool = _shown(
         BORDER, "Slice at the hand", "Contour of the border at the height of the hand", first=True
     )
@@ -56,17 +44,17 @@ class View:
     distances: bool = _shown(LAYERS, "Closest points", first=True)
     """Lines between the closest points of the pairs."""
     labels: Literal["active", "all", "none"] = _shown(
-        LAYERS, "Distance labels", first="active", choices=("active", "all", "none")
-    )
-    """Lines that have a label with their distance."""
-    acting: bool = _shown(
-        LAYERS, "Acting points", "p_n, p_t, p_act and the avoidance force", first=True
-    )
-    names: bool = _shown(
         LAYERS,
-        "Point labels",
-        "p_a and p_b of the nearest pair, p_n, p_t and p_act",
-        first=False,
+        "Labels",
+        "Distances of the pairs inside their buffer; or all distances and the points' symbols",
+        first="active",
+        choices=("active", "all", "none"),
+    )
+    acting: bool = _shown(
+        LAYERS,
+        "Acting points",
+        "Acting point, its two border points, and the force on the base",
+        first=True,
     )
     motion: bool = _shown(
         LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True
@@ -83,21 +71,12 @@ class View:
     plots: set[str] = field(default_factory=set)
     """Titles of the shown plots."""
 
-    def take_over(self, other: View) -> None:
-        """Copy all choices of another viewer."""
-        for each in fields(self):
-            setattr(self, each.name, copy(getattr(other, each.name)))
-
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
         """Return the same choices for another robot, with its pairs of L_m and its plots."""
-        new, shown = View.first(pairs, plots), self.plots & set(plots)
-        borders, first = new.borders, copy(new.borders)
-        new.take_over(self)
-        new.borders = {pair: self.borders.get(pair, HIDDEN) for pair in borders}
-        if set(new.borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
-            new.borders = first
-        new.plots = shown
-        return new
+        borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
+        if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
+            borders = View.first(pairs, plots).borders
+        return replace(self, borders=borders, plots=self.plots & set(plots))
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
@@ -106,16 +85,3 @@ class View:
         if pairs:
             borders[pairs[0]] = "score"
         return cls(borders, plots=set(plots[:4]))
-
-
-class Viewpoint(NamedTuple):
-    """View of a viewer, with eye and target (3,) [m] of the camera in the world."""
-
-    view: View
-    eye: np.ndarray
-    target: np.ndarray
-
-
-PagePicture = Callable[..., Image.Image]
-"""Draws the whole page. Arguments: the scene's data, snapshots of which the last is shown, a
-`Viewpoint`, and (width, height) [px]."""

@@ -30,10 +30,8 @@ from websockets.protocol import CONNECTING
 from app.dashboard.gate import (
     LARGEST_PICTURE,
     Gate,
-    ReadLink,
     RefusedError,
     draws_in_software,
-    read_no_link,
 )
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
@@ -106,7 +104,6 @@ def open_server(
     host: str,
     port: int,
     largest_upload: int = 0,
-    read_link: ReadLink = read_no_link,
     allowed: Sequence[str] = (),
 ) -> viser.ViserServer:
     """Start a server.
@@ -117,7 +114,6 @@ def open_server(
         host: Address of the server.
         port: Port of the server; 0 selects a free port.
         largest_upload: [bytes] largest size of an uploaded file; 0 without uploads.
-        read_link: Reads an address's query.
         allowed: Further names under which browsers may reach the server.
 
     Raises:
@@ -128,7 +124,7 @@ def open_server(
         logging.getLogger(name).addFilter(_knocks)  # a filter is added once only
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # normal at its end
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
-    gate = Gate({host, *allowed}, largest_upload, read_link)
+    gate = Gate({host, *allowed}, largest_upload)
     with _silence(), gate.closed():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     notifier = Notifier(server)
@@ -193,13 +189,6 @@ def scene_picture(
             return client.get_render(height, width, transport_format="png", timeout=timeout)
         finally:
             connection.protocol.max_message_size -= LARGEST_PICTURE
-
-
-def address_of(client: viser.ClientHandle) -> str:
-    """Return the page's address in the viewer's browser, without a query."""
-    connection = _connection(client)
-    request = connection.request if connection is not None else None
-    return f"http://{request.headers.get('Host', '') if request is not None else ''}/"
 
 
 def image_size(client: viser.ClientHandle) -> tuple[float, float]:

@@ -120,11 +120,7 @@ def new_context(
 ) -> BrowserContext:
     """Open a window of `size` (width, height) [px], whose pages have the helpers `dbbPage`.
 
-    Args:
-        browser: The browser.
-        size: [px] width and height.
-        honest: Whether the page reports its software renderer.
-        touch: Whether the window has a touch screen.
+    An `honest` page reports its software renderer; with `touch`, the window has a touch screen.
     """
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch

@@ -35,6 +35,7 @@ from app.dashboard.scene.colours import (
     css,
     set_theme,
 )
+from app.dashboard.scene.layers import nearness
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
@@ -44,7 +45,7 @@ from app.simulation.loop.commands import Command
 from app.simulation.trace.metrics import metrics, verdict
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.simulation.trace.trace import Trace
-from app.simulation.trace.words import METHOD_WORDS, millimetres, spoken
+from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.system import whole_file
 
 if TYPE_CHECKING:
@@ -127,6 +128,7 @@ class OffscreenScene:
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         view = View.first(self._data.mobile, [])
+        view.dark = look.dark
         choose_layer(view, look.layer, look.pair)
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, view)
@@ -198,14 +200,8 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    The file shows robot, border, lines, arrows and trails, with a bar for the time.
-
-    Args:
-        log: The run.
-        model: The robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        look: Layer, view and background.
-        on_progress: Called with the drawn duration [s] about once per second of the run.
+    The file shows robot, border, lines, arrows and trails, with a bar for the time. `on_progress`
+    gets the drawn duration [s] about once per second of the run.
 
     Raises:
         AssetError: A mesh of the robot is missing.
@@ -295,18 +291,10 @@ def film_pictures(
 ) -> Generator[Image.Image, None, None]:
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
-    Each picture shows the last snapshot at or before its time.
-
-    Args:
-        browser: The browser that draws.
-        snapshots: Snapshots in order of time.
-        times: [s] times of the pictures.
-        model: The robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        look: Content and size of the pictures.
-        orbit: [rad] angle about the robot by which the camera turns between two pictures.
-        seen: Snapshots of all robots of a comparison, of which this film is a part. The camera then
-            shows all of them, and the picture has the base's initial outline and an explanation.
+    Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
+    turns about the robot by the angle `orbit` [rad]. If the film is a part of a comparison, `seen`
+    has the snapshots of all its robots. The camera then shows all of them, and the picture has the
+    base's initial outline and an explanation.
 
     Raises:
         AssetError: A mesh of the robot is missing.
@@ -334,7 +322,7 @@ def film_pictures(
             if seen:
                 yield label(picture, story(shown, first), dark=look.dark)
             else:
-                yield captioned(picture, shown, model.body_names, look)
+                yield captioned(picture, shown, look)
 
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
@@ -349,36 +337,27 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     """Describe a snapshot in words: method, task, distance of arm and base, travel of the base."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
-    near = f"arm {millimetres(shown.clearance)} from its own base"
-    touches = ("the arm hits its own base", CONTACT)
+    near = nearness(shown)
     way = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     tracks = shown.mode == "tracking"
     off = f"the hand tracks a line, {millimetres(shown.ee_error)} off"
     return [
         method.capitalize(),
         (off if tracks else "a person pulls the hand", PERSON),
-        near if shown.clearance >= 0.0 else touches,
+        near if shown.clearance >= 0.0 else (near, CONTACT),
         (f"base moved {way:.2f} m from the outline", TRAIL_BASE),
     ]
 
 
-def captioned(
-    picture: Image.Image, snapshot: Snapshot, chain: Sequence[str], look: Look
-) -> Image.Image:
-    """Add scenario and time, and each robot's least distance to its base, to a picture."""
-    near = min((p for p in snapshot.pairs if p.mobile), key=lambda p: p.d, default=None)
+def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
+    """Add scenario and time, and the present distance of each robot's arm, to a picture."""
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
-    lines: list[str | tuple[str, Rgb]] = [f"{title}t = {snapshot.t:.2f} s"]
-    if near is not None:
-        lines.append(_line(snapshot.controller, near.d, spoken(near.name, chain)))
-    for ghost, colour in zip(snapshot.ghosts, itertools.cycle(GHOSTS)):
-        lines.append((_line(ghost.controller, ghost.clearance, "arm – base"), colour))
-    return label(picture, lines, dark=look.dark)
-
-
-def _line(controller: str, d: float, pair: str) -> str:
-    distance = millimetres(d) if d >= 0.0 else f"overlap of {millimetres(-d)}"
-    return f"{METHOD_WORDS.get(controller, controller)}: {pair} {distance}"
+    robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *GHOSTS), strict=False)
+    lines = [
+        (f"{METHOD_WORDS.get(robot.controller, robot.controller)}: {nearness(robot)}", colour)
+        for robot, colour in robots
+    ]
+    return label(picture, [f"{title}t = {snapshot.t:.2f} s", *lines], dark=look.dark)
 
 
 def write_film(
@@ -388,17 +367,11 @@ def write_film(
     codec: str,
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Encode pictures as they come; the file is written completely or not at all.
+    """Encode pictures of one size as they come, and return their number.
 
-    Args:
-        path: File, whose suffix is a key of `CODECS`.
-        pictures: At least one picture; all have the same size.
-        rate: [1/s] frame rate.
-        codec: A codec of the suffix.
-        on_progress: Called before each picture with the number of written pictures.
-
-    Returns:
-        The number of pictures.
+    The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` one of
+    the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of written
+    pictures.
 
     Raises:
         OutputError: The file cannot be written.
@@ -434,7 +407,7 @@ def write_film(
                 process.stdin.close()
             if process.wait():
                 said.seek(0)
-                why = said.read().decode(errors="replace").strip() or "no reason given"
+                why = said.read().decode(errors="replace").strip() or "ffmpeg reported no reason"
                 raise OutputError(f"cannot write {path}: {why.splitlines()[-1]}")
         finally:
             process.kill()

@@ -13,14 +13,11 @@ from PIL import Image, ImageDraw
 
 from app.border.dbb import Cloud
 from app.dashboard.export import Look, offscreen
-from app.dashboard.export.browser import chromium
 from app.dashboard.export.offscreen import OffscreenScene, RecordedLoop
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import SEEN
-from app.dashboard.scene.scene import SceneData
 from app.dashboard.shared import SharedState
-from app.dashboard.view import Viewpoint
 from app.errors import BrowserError
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
@@ -39,20 +36,11 @@ def take_pictures(
     model: RobotModel,
     clouds: Mapping[str, Cloud],
     look: Look,
-    viewpoint: Viewpoint | None = None,
 ) -> list[Image.Image]:
     """Take pictures at some times of a run, all from the same viewpoint.
 
-    Each picture shows the last snapshot at or before its time, with trails and plots up to then.
-
-    Args:
-        browser: The browser that draws.
-        snapshots: Snapshots in order of time.
-        times: [s] times of the pictures.
-        model: The robot.
-        clouds: Point clouds P_i of all pairs of L_m, by the pairs' names.
-        look: Content and size of the pictures.
-        viewpoint: View and camera of a viewer, in place of the layer and view of `look`.
+    Each picture shows the last snapshot at or before its time [s], with trails and plots up to
+    then. `clouds` has P_i of each pair of L_m, by the pair's name.
 
     Raises:
         BrowserError: The browser's page does not connect.
@@ -63,7 +51,7 @@ def take_pictures(
         if look.page:
             shared = SharedState(loop, model, clouds)
             try:
-                return _of_page(page, server, loop, shared, times, look, viewpoint)
+                return _of_page(page, server, loop, shared, times, look)
             finally:
                 shared.close()
         scene = OffscreenScene(server, loop, model, clouds, look)
@@ -76,29 +64,6 @@ def take_pictures(
             scene.draw(t)
             pictures.append(_settled(page, server))
         return pictures
-
-
-def page_picture(
-    data: SceneData, snapshots: Sequence[Snapshot], viewpoint: Viewpoint, size: tuple[int, int]
-) -> Image.Image:
-    """Draw a viewer's whole page in another browser, with the tabs that are open by default.
-
-    Args:
-        data: The robot and its borders.
-        snapshots: Snapshots in order of time; the last one is shown.
-        viewpoint: View and camera of the viewer.
-        size: [px] width and height.
-
-    Raises:
-        BrowserError: There is no browser, or it fails.
-    """
-    look = Look(*size, page=True, light=not viewpoint.view.dark)
-    times = [snapshots[-1].t]
-    with chromium() as browser:
-        [picture] = take_pictures(
-            browser, snapshots, times, data.model, data.clouds, look, viewpoint
-        )
-    return picture
 
 
 def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool) -> Image.Image:
@@ -120,7 +85,6 @@ def _of_page(
     shared: SharedState,
     times: Sequence[float],
     look: Look,
-    viewpoint: Viewpoint | None,
 ) -> list[Image.Image]:
     offscreen.open_page(page, server)
     client = _client_of(server)
@@ -128,8 +92,6 @@ def _of_page(
     shown = Page(client, shared, Notifier(server))
     shown.view.dark = look.dark
     offscreen.choose_layer(shown.view, look.layer)
-    if viewpoint is not None:
-        shown.view.take_over(viewpoint.view)
     pictures = []
     loop.go_to(times[0])
     shared.update()
@@ -138,10 +100,7 @@ def _of_page(
     for t in times:
         loop.go_to(t)
         shared.update()
-        if viewpoint is None:
-            shown.viewer.look(look.view)
-        else:
-            shown.viewer.camera.put(viewpoint.eye, viewpoint.target)
+        shown.viewer.look(look.view)
         for _ in range(2):  # the first call creates a panel's widgets, the second fills them
             shown.draw(texts=True)
         pictures.append(_settled(page, server))

@@ -6,26 +6,23 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import viser
 
+from app.dashboard.drag import Grip
+from app.dashboard.job import Job
 from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+from app.dashboard.scene.camera import Camera
+from app.dashboard.shared import SharedState
+from app.dashboard.timeline import Timeline
+from app.dashboard.verdict import Verdict
+from app.dashboard.view import View
+from app.dashboard.viser_compat import Channel
 from app.errors import TargetError
 from app.simulation.loop.commands import Pause, StepOnce
-
-if TYPE_CHECKING:
-    from app.dashboard.drag import Grip
-    from app.dashboard.job import Job
-    from app.dashboard.scene.camera import Camera
-    from app.dashboard.shared import SharedState
-    from app.dashboard.timeline import Timeline
-    from app.dashboard.verdict import Verdict
-    from app.dashboard.view import PagePicture, View
-    from app.dashboard.viser_compat import Channel
-    from app.simulation.trace.snapshot import Snapshot
-
+from app.simulation.trace.snapshot import Snapshot
 
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
 """Labels of actions, the same on all buttons and in the list of commands."""
@@ -47,8 +44,6 @@ class Viewer:
     camera: Camera
     files: Job
     """Creates the viewer's files, one after the other."""
-    page_picture: PagePicture | None = None
-    """Draws whole pages; without it, the panel Save has no button for them."""
 
     def look(self, preset: str) -> None:
         """Look at the shown snapshot from a preset, a key of `PRESETS`.
@@ -88,10 +83,8 @@ class Panel:
     widget. An `update` may assign all values each time: viser sends only changes.
     """
 
-    of_instant = False
-    """Whether the panel belongs to the shown instant: then it is updated with the picture."""
-
     def __init__(self, viewer: Viewer) -> None:
+        self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
 

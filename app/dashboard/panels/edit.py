@@ -1,4 +1,4 @@
-"""Folder "Edit this robot": bodies by gizmos, pairs and ready pose, with saving and checking.
+"""Folder "Edit this robot": bodies by gizmos, pairs and ready pose.
 
 Callbacks store the changes; the drawing thread shows them.
 """
@@ -11,10 +11,9 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.dashboard.markup import BAD_COLOUR, cell, problem, row, small, table
-from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
-from app.dashboard.panels.phrases import spoken
-from app.dashboard.robots import RobotCheck
+from app.dashboard.markup import small
+from app.dashboard.panels import Moment, Panel, Viewer
+from app.dashboard.phrases import spoken
 from app.dashboard.scene.canvas import to_viser
 from app.dashboard.scene.colours import GHOSTS
 from app.dashboard.scene.scene import node_of
@@ -38,8 +37,8 @@ class EditPanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._viewer, self._shared = self._gui, viewer, viewer.shared
-        self._check, self._robot = self._shared.robot_check, self._shared.model.description
+        gui = self._gui
+        self._robot = self._shared.model.description
         names = [body.name for body in self._robot.bodies]
         apart = combinations(enumerate(names), 2)  # neighbours in the chain form no pair
         self._pairs = {f"{a}-{b}" for (i, a), (k, b) in apart if k - i > 1}
@@ -77,19 +76,12 @@ class EditPanel(Panel):
             )
             self.button("Save and use", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
             self.button("Discard", lambda _: self._drop(), viser.Icon.X, color="gray")
-            self.button(
-                "Check the saved robot",
-                lambda _: self._check.begin(self._robot.name),
-                viser.Icon.CHECKS,
-            )
-            self.status = JobStatus(viewer, self._check)
         self._drop()
 
     def update(self, moment: Moment) -> None:
         self._q_m = moment.shown.q_m
         self._draw()
         self._text.content = small(changes_html(self.changes))
-        self.status.show(rows_html(self._check))
 
     def _drop(self) -> None:
         self.changes = HandMade({}, dict(self._robot.unwatched), None)
@@ -259,28 +251,5 @@ def changes_html(changes: HandMade) -> str:
     said += [f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}"] if changes.ready else []
     return (f"Not saved: <b>{escape('; '.join(said))}</b>. " if said else "") + (
         "Saved changes are in <code>robot.toml</code>, marked “set by hand”. If bodies or pairs "
-        "change, the border is sampled again."
+        "change, the border is sampled again. <code>dbb check-robot</code> checks a saved robot."
     )
-
-
-_COLOURS = {
-    "passed": "light-dark(#1e7b34, #51cf66)",
-    "warned": "light-dark(#a83f05, #ffa94d)",
-    "failed": BAD_COLOUR,
-}
-
-
-def rows_html(check: RobotCheck) -> str:
-    """Return the results of the last check, row by row."""
-    if check.problem:
-        return problem(check.problem)
-    rows = [
-        row(
-            cell(escape(each.name), "white-space:nowrap;vertical-align:top"),
-            cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, 'inherit')}"),
-            hint=each.text,
-        )
-        + row(cell(escape(each.text), "opacity:.8", span=2))
-        for each in check.rows
-    ]
-    return f"<b>{escape(check.name)}</b>{table(rows)}" if rows else ""

@@ -7,13 +7,14 @@ import numpy as np
 import viser
 
 from app.dashboard.explorer import CLOSE, Posture
-from app.dashboard.markup import grid, minus, small
+from app.dashboard.markup import RIGHT, cell, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.panels.phrases import signed
+from app.dashboard.phrases import signed
 from app.errors import TargetError
 from app.robot.bases.kind import planar
 from app.simulation.loop.commands import Pause, Reset
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.words import millimetres
 from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
@@ -23,12 +24,9 @@ FARTHEST = 5.0  # [m] largest base coordinate
 class ExplorerPanel(Panel):
     """Sliders of base and arm; while they are in use, the page shows their posture."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         """Create the closed folder; the viewer's gizmo moves the end-effector."""
         super().__init__(viewer)
-        self._shared, self._grip = viewer.shared, viewer.grip
         self.posture: Posture | None = None
         self._target: Array | None = None  # (3,) [m] requested position of the end-effector
         self._off = 0.0  # [m] distance to the last requested position
@@ -96,8 +94,7 @@ class ExplorerPanel(Panel):
         self.on_update(handle, lambda _: self._read())
         return handle
 
-    def _enter(self, event: Any) -> None:
-        del event
+    def _enter(self, _: Any) -> None:
         newest = self._shared.loop.latest()
         if newest.door is not None:
             raise TargetError(
@@ -107,11 +104,10 @@ class ExplorerPanel(Panel):
         self._stopped, self._since = False, newest  # until the pause takes effect
         self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
-        self.posture, self._grip.reach = posture, self._move_hand
+        self.posture, self._viewer.grip.reach = posture, self._move_hand
         self._show(on=True)
 
-    def _go(self, event: Any) -> None:
-        del event
+    def _go(self, _: Any) -> None:
         posture = self.posture
         if posture is None:
             return
@@ -121,7 +117,7 @@ class ExplorerPanel(Panel):
         self._end()
 
     def _end(self) -> None:
-        self.posture = self._target = self._grip.reach = None
+        self.posture = self._target = self._viewer.grip.reach = None
         self._show(on=False)
 
     def _move_hand(self, place: Array) -> None:
@@ -156,16 +152,12 @@ def posture_html(
 ) -> str:
     """Show the response to a posture: distances, β, forces, and acceleration of the base."""
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
-    rows = []
+    rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]
     for pair in shown.pairs:
         force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
-        rows.append(
-            (spoken[pair.name], minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force)
-        )
+        texts = millimetres(pair.d), f"{pair.beta:.2f}", force
+        rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
     forward, left, turn = acceleration
     way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
     beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""
-    return small(
-        f"{grid(('', 'distance d', 'activation β', 'force f'), rows)}"
-        f"base acceleration: {way}, turn {signed(turn)} rad/s²{beyond}"
-    )
+    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{beyond}")

@@ -1,4 +1,4 @@
-"""Plots: curves of the last seconds over a common time axis, with a cursor at the shown instant."""
+"""Plots: curves of the last seconds over a common time axis, with a line at the shown instant."""
 
 import math
 import time
@@ -9,7 +9,8 @@ import viser
 from viser import uplot
 
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.plans import PlotPlan
+from app.dashboard.plans import Curve, PlotPlan
+from app.dashboard.scene.colours import SERIES
 
 LENGTH = 20.0  # [s] length of the time axis
 AHEAD = 5.0  # [s] shown time after an instant of the past
@@ -17,86 +18,127 @@ SPACING = 0.08  # [s] period of drawn values, about one per pixel
 PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] period of drawing
 RESTING, STILL = 12, 2e-3  # [-] number of last values; their largest difference at rest
 LINE = 1.6  # [px] width
-_CURSOR = "#ff7a00"
+_INSTANT = Curve("shown instant", lambda _: OFF, "#ff7a00", "the instant shown in the past")
 SIGHT = "plots"  # reported by the page while the plots are visible
-OFF = -9.0  # value of the cursor outside its scale
+OFF = -9.0  # value of the line at the shown instant outside its scale
 
 
 class Plots(Panel):
-    """Plots of one viewer; hidden plots cost nothing."""
+    """Plots of one viewer, who may add any quantity of a log; hidden plots cost nothing."""
 
-    of_instant = True
-
-    def __init__(self, viewer: Viewer) -> None:
-        """Create empty plots with the record's curves, in order; the view selects the plots."""
+    def __init__(self, viewer: Viewer, tab: viser.GuiTabHandle) -> None:
+        """Create empty plots in a tab; the view selects the plots."""
         super().__init__(viewer)
-        self._viewer, plans = viewer, viewer.shared.plans
-        viewer.channel.sight(SIGHT)
+        self._tab = tab
         self._drawn: tuple[object, ...] = ()
         self._due = 0.0
-        self._plots = {plan.title: _plot(self._gui, plan) for plan in plans}
-        begins = np.cumsum([1, *(len(plan.curves) for plan in plans)])
-        self._columns = {
-            plan.title: slice(int(begin), int(begin) + len(plan.curves))
-            for plan, begin in zip(plans, begins, strict=False)
-        }
+        self._plans = {plan.title: plan for plan in viewer.shared.plans}
+        """Present content of each plot, by its title; callbacks assign another one."""
+        self._plots: dict[str, tuple[PlotPlan, viser.GuiUplotHandle]] = {}
+        with tab:
+            viewer.channel.sight(SIGHT)
+            with self._gui.add_folder("Add a curve", expand_by_default=False):
+                self._name = self._gui.add_dropdown(
+                    "Quantity",
+                    tuple(viewer.shared.quantities),
+                    hint="A column of a log; its name ends in the unit.",
+                )
+                self._into = self._gui.add_dropdown("Plot", tuple(self._plans))
+                acts = {"Add": lambda: self._change(add=True), "Remove": self._change}
+                self.buttons("Curve", acts, hint="An added curve has the axis on the right.")
+            note = self._gui.add_markdown("Drag in a plot to zoom; double click to see all again.")
+        self._order = note.order
+        self._make()
 
     @property
     def hints(self) -> dict[str, dict[str, str]]:
         """Explanations of the lines for the pointer, by plot title and label."""
-        named = {
-            plan.title: dict(zip([c.label for c in plan.curves], plan.hints, strict=True))
-            for plan in self._viewer.shared.plans
+        return {
+            title: {curve.label: curve.hint for curve in (*plan.curves, _INSTANT)}
+            for title, plan in self._plans.items()
         }
-        cursor = {"cursor": "the instant shown in the past"}
-        return {title: {**hints, **cursor} for title, hints in named.items()}
 
     def update(self, moment: Moment) -> None:
         """Draw the time around the shown snapshot, if the viewer sees the plots."""
-        shown, view, timeline = moment.shown, self._viewer.view, self._viewer.timeline
-        newest = self._viewer.shared.last
-        record, seen = self._viewer.shared.record, SIGHT in self._viewer.channel.seen
+        newest, shown = moment.newest.t, moment.shown
+        view, timeline = self._viewer.view, self._viewer.timeline
+        self._make()
         here = {
-            plan.title
-            for plan in self._viewer.shared.plans
-            if plan.title in view.plots and not math.isnan(plan.curves[0].value(shown))
+            title: plan.curves
+            for title, plan in self._plans.items()
+            if title in view.plots and not math.isnan(plan.curves[0].value(shown))
         }
-        for title, plot in self._plots.items():
+        for title, (_, plot) in self._plots.items():
             plot.visible = title in here
-        request = (record, timeline.live, here)
+        request = (timeline.live, here)
         drawn = (*request, newest, shown.t)
-        soon = timeline.live and request == self._drawn[:3] and time.monotonic() < self._due
-        if not seen or soon or drawn == self._drawn:
+        soon = timeline.live and request == self._drawn[:2] and time.monotonic() < self._due
+        until = newest if timeline.live else min(newest, shown.t + AHEAD)
+        unseen = SIGHT not in self._viewer.channel.seen
+        if unseen or soon or drawn == self._drawn:
+            return
+        past = timeline.between(until - LENGTH, until)
+        if not past:  # the simulation has just restarted
             return
         self._drawn = drawn
-        until = newest if timeline.live else min(newest, shown.t + AHEAD)
-        table = record.columns(until, LENGTH)
-        table = table[:, np.diff(np.floor(table[0] / SPACING), prepend=-1.0) > 0.0]
-        now = [table[self._columns[title], -RESTING:] for title in here]
-        rests = all(np.ptp(lines, axis=1).max() < STILL for lines in now)
+        times = np.array([snapshot.t for snapshot in past])
+        due = np.diff(np.floor(times / SPACING), prepend=-1.0) > 0.0
+        past, times = [past[i] for i in np.flatnonzero(due)], times[due]
+        instant = np.full(len(times), OFF)
+        if not timeline.live:
+            instant[int(np.abs(times - shown.t).argmin())] = 1.0
+        rests = True
+        for title, curves in here.items():
+            lines = [np.array([curve.value(s) for s in past]) for curve in curves]
+            self._plots[title][1].data = (times, *lines, instant)
+            rests = rests and all(np.ptp(line[-RESTING:]) < STILL for line in lines)
         period = PERIOD_REST if rests else PERIOD_LIGHT if view.light else PERIOD
         self._due = time.monotonic() + period
-        cursor = np.full(table.shape[1], OFF)
-        if not timeline.live:
-            cursor[int(np.abs(table[0] - shown.t).argmin())] = 1.0
-        for title in here:
-            self._plots[title].data = (table[0], *table[self._columns[title]], cursor)
+
+    def _change(self, *, add: bool = False) -> None:
+        """Remove the chosen quantity from the chosen plot, or add it."""
+        name, title = self._name.value, self._into.value
+        plan, view = self._plans[title], self._viewer.view
+        curves = tuple(curve for curve in plan.curves if curve.label != name)
+        if add:
+            used, value = {curve.colour for curve in curves}, self._shared.quantities[name]
+            colour = next((each for each in SERIES if each not in used), SERIES[0])
+            curves += (Curve(name, value, colour, "right axis; a column of a log", right=True),)
+        self._plans[title] = plan._replace(curves=curves)
+        view.plots = view.plots | {title}
+
+    def _make(self) -> None:
+        """Create the plots whose content has changed; called by the drawing thread."""
+        for k, (title, plan) in enumerate(self._plans.items()):
+            before, plot = self._plots.get(title, (None, None))
+            if before == plan:
+                continue
+            if plot is not None:
+                plot.remove()
+            with self._tab:
+                self._plots[title] = plan, _plot(self._gui, plan, self._order + 0.01 * (k + 1))
+            self._drawn = ()
+            if before is not None:
+                self._viewer.channel.tell("hints", self.hints)
 
 
-def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
+def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
     """Create an empty plot.
 
     The range of values is constant, because a change would rebuild the plot in the browser. The
-    time axis must change, because uPlot draws no numbers on a constant axis. The cursor is a line
-    with its own scale, which is inside the plot at one instant only.
+    time axis must change, because uPlot draws no numbers on a constant axis. The shown instant is
+    a line with its own scale, which is inside the plot at one instant only.
     """
     lines = []
-    for i, (curve, colour) in enumerate(zip(plan.curves, plan.colours, strict=True)):
-        more: dict[str, Any] = {"fill": colour + "40"} if plan.fill else {}
-        if i >= len(plan.curves) - plan.dashed:
+    for curve in plan.curves:
+        more: dict[str, Any] = {"fill": curve.colour + "40"} if plan.fill else {}
+        if curve.dashed:
             more["dash"] = [6, 4]
-        lines.append(_line(curve.label, colour, **more))
-    lines.append(_line("cursor", _CURSOR, scale="cursor"))
+        lines.append(_line(curve, scale="right" if curve.right else "y", **more))
+    lines.append(_line(_INSTANT, scale="instant"))
+    axes = [uplot.Axis(size=38), uplot.Axis(size=48)]
+    if any(curve.right for curve in plan.curves):
+        axes.append(uplot.Axis(size=48, side=1, scale="right"))
     return gui.add_uplot(
         data=tuple(np.zeros(1) for _ in range(len(lines) + 1)),
         series=(uplot.Series(label="t [s]"), *lines),
@@ -105,17 +147,17 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
         scales={
             "x": uplot.Scale(time=False),
             "y": uplot.Scale(range=plan.y_range),
-            "cursor": uplot.Scale(range=(0.0, 1.0)),
+            "instant": uplot.Scale(range=(0.0, 1.0)),
         },
-        axes=(uplot.Axis(size=38), uplot.Axis(size=48)),
-        legend=uplot.Legend(show=True, live=False),
-        cursor=uplot.Cursor(show=False),
+        axes=tuple(axes),
+        legend=uplot.Legend(show=True, live=True),
+        cursor=uplot.Cursor(show=True, y=False),
         height=plan.height,
         padding=(10, 12, 0, 0),
+        order=order,
     )
 
 
-def _line(label: str, colour: str, **more: Any) -> uplot.Series:
-    return uplot.Series(
-        label=label, stroke=colour, width=LINE, points=uplot.Series_Points(show=False), **more
-    )
+def _line(curve: Curve, **more: Any) -> uplot.Series:
+    points = uplot.Series_Points(show=False)
+    return uplot.Series(label=curve.label, stroke=curve.colour, width=LINE, points=points, **more)

@@ -58,7 +58,7 @@ class RobotPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, shared = self._gui, viewer.shared
-        self._shared, self._switch = shared, shared.robot_switch
+        self._switch = shared.robot_switch
         self._entries: list[RobotEntry] = []
         self._list = gui.add_dropdown(
             "Robot",

@@ -9,6 +9,7 @@ import viser
 
 from app.control import CONTROLLERS
 from app.control.buffer_watch import BufferReading, needed_text
+from app.dashboard import phrases as words
 from app.dashboard.markup import (
     FAINT,
     ONE_LINE,
@@ -26,7 +27,6 @@ from app.dashboard.markup import (
     table,
 )
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, Viewer
-from app.dashboard.panels import phrases as words
 from app.dashboard.panels.why import BAR_RANGE
 from app.dashboard.record import Course
 from app.dashboard.scene.colours import GHOSTS, SERIES, css, ink
@@ -64,11 +64,9 @@ _SCORES = (
 class RunPanel(Panel):
     """Scenario, controller, pause, distances and the result; choices apply to all viewers."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._shared = self._gui, viewer.shared
+        gui = self._gui
         sink = self._sink = viewer.shared.loop
         self._scenario = gui.add_dropdown(
             "Scenario",
@@ -78,9 +76,9 @@ class RunPanel(Panel):
         self._controller = gui.add_dropdown(
             "Controller",
             tuple(METHOD_TITLES.values()),
-            hint="dbb: the base gives way, as in the paper. hqp: the hierarchy as printed, slower "
-            "than real time. repulsive: a force moves the arm only. barrier: a minimum distance "
-            "as a constraint. none: no avoidance.",
+            hint="dbb: the base gives way, as in the paper. hqp: the paper's hierarchy as printed, "
+            "slower than real time. repulsive: a force moves the arm only. barrier: a minimum "
+            "distance as a constraint. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
         self._restart = self.button(
@@ -128,8 +126,6 @@ class RunPanel(Panel):
 class LabPanel(Panel):
     """Speed and readings of the simulation, and the load of the machine."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, sink = self._gui, viewer.shared.loop
@@ -161,11 +157,9 @@ class LabPanel(Panel):
 class ComparePanel(Panel):
     """Choice of the controllers of the ghosts, and the scores of all controllers."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._shared = self._gui, viewer.shared
+        gui = self._gui
         gui.add_markdown(
             "Run other controllers on the same pull, as ghosts; hqp slows all of them down."
         )
@@ -173,7 +167,7 @@ class ComparePanel(Panel):
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
         ]
-        self._input = gui.add_dropdown("Same", tuple(INPUTS), hint="Common input of all robots.")
+        self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint="Input of all robots.")
         for handle in (*self._choices, self._input):
             self.on_update(handle, lambda _: self._choose())
         self._scores = gui.add_html("")
@@ -184,14 +178,14 @@ class ComparePanel(Panel):
 
         A controller stays in its list when the other list's controller is removed.
         """
-        course, scores = self._shared.course, moment.shown.scores
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
             if names != [h.value for h in self._choices if h.value != OFF]:
                 for handle, name in zip_longest(self._choices, names, fillvalue=OFF):
                     handle.value = name
-        self._scores.content = compared_html(scores, course) + scores_html(scores)
+        outcomes = compared_html(moment.shown, self._shared.course.name)
+        self._scores.content = outcomes + scores_html(moment.shown.scores)
 
     def _choose(self) -> None:
         names = (named(handle.value, METHOD_TITLES) for handle in self._choices)
@@ -231,10 +225,11 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 def _marked(
     values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
 ) -> list[str]:
-    """Return the cells of a row of scores; the best valid one is marked if the values differ."""
+    """Return the cells of a row of scores; the best of several valid ones is marked."""
     texts = [text(value) for value in values]
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
-    first = text(best(candidates)) if best and candidates and len(set(texts)) > 1 else None
+    compared = best and len(candidates) > 1 and len(set(texts)) > 1
+    first = text(best(candidates)) if compared else None
     return [
         cell(f"✓ {each}" if each == first and good else each, RIGHT, ONE_LINE)
         for each, good in zip(texts, valid, strict=True)
@@ -247,16 +242,13 @@ def _distance(d: float) -> str:
     return text if d >= 0.0 else state_chip(text, "contact")
 
 
-def compared_html(scores: tuple[Score, ...], course: Course) -> str:
-    """Return the scenario of the comparison, and the outcome of each robot."""
-    if not scores:
+def compared_html(shown: Snapshot, last: str) -> str:
+    """Return the scenario of the comparison, by default the last one, and each robot's outcome."""
+    if not shown.scores:
         return ""
-    when = (
-        f"{course.name}, {'so far' if course.running else 'at its end'}"
-        if course.name
-        else "So far"
-    )
-    return small(f"{when}<br>{outcomes_html(scores)}")
+    ended = f"{last}, at its end" if last else "So far"
+    when = f"{shown.scenario}, until {shown.t:.1f} s" if shown.scenario else ended
+    return small(f"{when}<br>{outcomes_html(shown.scores)}")
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:

@@ -11,6 +11,7 @@ from typing import Any, cast
 import viser
 from PIL import Image
 
+from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import (
@@ -22,9 +23,8 @@ from app.dashboard.job import (
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
-from app.dashboard.view import Viewpoint
 from app.dashboard.viser_compat import scene_picture
-from app.errors import BrowserError
+from app.errors import BrowserError, CaseError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
 from app.strict import check_range
@@ -44,7 +44,7 @@ class FilePanel(Panel):
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self._viewer, self._job = viewer, viewer.files
+        self._job = viewer.files
         self._status = JobStatus(viewer, viewer.files)
 
     def update(self, moment: Moment) -> None:
@@ -108,14 +108,13 @@ class SavePanel(FilePanel):
                 for name, (least, most, first) in SIZES.items()
             }
             self.file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._scene)
-            if viewer.page_picture is not None:
-                self.file("Whole page (PNG)", viser.Icon.BROWSER, "page.png", self._whole_page)
         with gui.add_folder("Marked interval, or the last minute"):
             for label, name, hint in (
                 ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
                 ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
             ):
-                self.file(label, viser.Icon.TABLE, name, partial(self._log, name), hint=hint)
+                make = partial(self._log, name)
+                self.file(label, viser.Icon.TABLE, name, make, hint=hint, color="gray")
             for label, name, write in (
                 ("Report (HTML)", "report.html", write_report),
                 ("Replay (HTML)", "replay.html", write_replay),
@@ -131,7 +130,26 @@ class SavePanel(FilePanel):
                 hint=f"{FILM_RATE:g} pictures per second, in the size of a picture. Each takes "
                 "about 0.25 s to draw: mark a short interval.",
             )
+            self.button(
+                "Case (JSON)",
+                self._case,
+                viser.Icon.FILE_DOWNLOAD,
+                color="gray",
+                hint="The last scenario with its parameters, for dbb serve --case FILE",
+            )
         gui.add_markdown("The tab *Tune* saves parameters.")
+
+    def _case(self, event: Any) -> None:
+        case, newest = self._shared.course.case, self._shared.loop.latest()
+        if case is None:
+            raise CaseError("there is no case yet; play a scenario first")
+        if newest.scenario:  # includes parameters changed during the run
+            parameters = {path: newest.config.value(path) for path in case.parameters}
+            parameters |= newest.config.changes(Config())
+            changed = {"controller": newest.controller, "parameters": parameters}
+            case = case.model_copy(update=changed)
+        name = f"{case.played}.json"
+        event.client.send_file_download(name, case.text().encode(), save_immediately=True)
 
     def _size(self) -> tuple[int, int]:
         """Return the chosen width and height [px]."""
@@ -141,17 +159,8 @@ class SavePanel(FilePanel):
         return width, height
 
     def _scene(self) -> bytes:
-        shown, names = self._viewer.timeline.shown(), self._viewer.shared.model.body_names
-        look = Look(light=not self._viewer.view.dark)
-        return png(captioned(self.scene(*self._size()), shown, names, look))
-
-    def _whole_page(self) -> bytes:
-        viewer = self._viewer
-        assert viewer.page_picture is not None, "there is a button for it"
-        shown, camera = viewer.timeline.shown(), viewer.client.camera
-        viewpoint = Viewpoint(viewer.view, camera.position, camera.look_at)
-        past = [s for s in viewer.shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
-        return png(viewer.page_picture(viewer.shared, past, viewpoint, self._size()))
+        shown, look = self._viewer.timeline.shown(), Look(light=not self._viewer.view.dark)
+        return png(captioned(self.scene(*self._size()), shown, look))
 
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:

@@ -11,8 +11,6 @@ from app.simulation.trace.snapshot import Snapshot
 class TimelinePanel(Panel):
     """Time line of one viewer; the page's own script draws it across the page."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         timeline, strip, channel = viewer.timeline, viewer.shared.strip, viewer.channel

@@ -17,7 +17,7 @@ class ViewPanel(Panel):
         gui, self._view = self._gui, viewer.view
         with gui.add_folder(BORDER):
             for pair, quantity in self._view.borders.items():
-                hint = f"P_i of {pair}: points at the distance d_b from the base, (3)"
+                hint = f"Reachable points at the buffer distance from the base: P_i of {pair}, (3)"
                 spoken = viewer.shared.spoken[pair]
                 choice = gui.add_dropdown(spoken, CHOICES, initial_value=quantity, hint=hint)
                 self.on_update(choice, partial(self._colour, pair))

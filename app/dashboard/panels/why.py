@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 from app.control.explanation import Explanation, Level, LevelName, NearPair
+from app.dashboard import phrases as words
 from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
-from app.dashboard.panels import phrases as words
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
 from app.dashboard.verdict import Verdict, base_cannot_help
@@ -41,11 +41,9 @@ _BEHIND = -0.5  # [-] x of a normal above which the near body is not behind the 
 class WhyPanel(Panel):
     """The tab, and the header over the scene, which every page has."""
 
-    of_instant = True
-
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        gui, self._viewer = self._gui, viewer
+        gui = self._gui
         self._why = gui.add_html("")
         with gui.add_folder("Details", expand_by_default=False):
             self._details = gui.add_html("")
@@ -173,7 +171,9 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     if base_cannot_help(pair):
         where = f"{cause}, where base motion cannot help"
         if why.controller == "hqp":
-            return f"{where}, and the printed controller has nothing else that holds the arm.{also}"
+            return (
+                f"{where}, and the hierarchy as printed has no other constraint on the arm.{also}"
+            )
         if pair.held:
             return f"{where}; the arm itself holds this distance{_off_target(snapshot)}.{also}"
         least = words.length(snapshot.config.barrier.d_min)
@@ -334,22 +334,21 @@ def _force_rows(why: Explanation) -> list[str]:
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    measure, values = measure_of(why.base_kind), [_NONE] * 4
-    if why.forces:
-        first = why.forces[0]
-        values = [
-            f"{words.scientific(first.determinant)} {measure.unit}",
-            f"{first.reachability:.0f}",
-            f"{words.scientific(first.score)} {measure.unit}",
-            f"{words.scientific(first.score_near)} {measure.unit}",
-        ]
-    labels = (
-        (measure.label, measure.hint),
-        ("reachability R", "(9): how easily the arm reaches the point"),
-        ("score S", f"(10): {measure.score}"),
-        ("score at p_n", "S at the nearest point of the border, without the step (12)"),
-    )
-    return [_row(*label, value) for label, value in zip(labels, values, strict=True)]
+    measure = measure_of(why.base_kind)
+
+    def value(name: str) -> str:
+        if not why.forces:
+            return _NONE
+        return f"{words.scientific(getattr(why.forces[0], name))} {measure.unit}"
+
+    reach = f"{why.forces[0].reachability:.0f}" if why.forces else _NONE
+    at_near = "S at the nearest point of the border, without the step (12)"
+    return [
+        _row(measure.label, measure.hint, value("determinant")),
+        _row("reachability R", "(9): how easily the arm reaches it", reach),
+        _row("score S", f"(10): {measure.score}", value("score")),
+        _row("score at p_n", at_near, value("score_near")),
+    ]
 
 
 def _level_rows(levels: Sequence[Level]) -> list[str]:

@@ -1,15 +1,11 @@
-"""Borders: coloured points or surfaces that move with the base, and their slice at the arm."""
+"""Borders: coloured points that move with the base, their values under the pointer, and a slice."""
 
-import io
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-import trimesh
 import viser
-from PIL import Image
-from trimesh.visual.material import PBRMaterial
 
 from app.avoidance.acting_point import (
     ActingPointFinder,
@@ -22,7 +18,7 @@ from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.scene.canvas import ROOT, Canvas
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
 from app.dashboard.scene.legend import Legend, measure_of
@@ -42,11 +38,9 @@ _GRAIN = 0.002  # [m] resolution of the slice's height
 _EVERY = 3  # rays of the contour between two drawn points
 _ON_DARK: Rgb = (255, 255, 255)
 _ON_LIGHT: Rgb = (20, 24, 30)
-_RAYS = 3  # rays of a contour per column of the surface
-_HEIGHTS = 2  # contours per row of the surface
-_OPACITY = 0.42  # [-]
-_SHADES = 256  # colours of the surface
-_INSIDE = 0.5  # [-] assumed distance of the arm at a click, relative to d_b
+_INSIDE = 0.5  # [-] assumed distance of the arm at the pointer, relative to d_b
+_NEAR = 8.0  # [px] largest distance of a point from the pointer
+_SMALL = 1e-4  # [m] step of a numerical gradient
 
 
 class ColouredCloud(NamedTuple):
@@ -64,7 +58,9 @@ class Borders:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.pairs = frozenset(clouds)
         """Names of the pairs of L_m."""
-        self.top = float(MobileBody(model).upper[2])
+        self.body = MobileBody(model)
+        """l_m, in the base's frame."""
+        self.top = float(self.body.upper[2])
         """[m] height of the base's top; the border above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
@@ -77,11 +73,7 @@ class Borders:
     ) -> ColouredCloud | None:
         """Return a border's points, coloured by a quantity; None if the border has no points.
 
-        Args:
-            pair: Name of the pair.
-            quantity: One of `app.dashboard.scene.legend.QUANTITIES`.
-            border: Parameters of the border.
-            whole: Whether to include points above the base's top.
+        `whole` includes points above the base's top.
         """
         return self._keep(
             (pair, quantity, border.d_b, border.eps, whole),
@@ -147,31 +139,28 @@ class Probe(NamedTuple):
 
 
 class _Drawn(NamedTuple):
-    """Drawn parts of a pair's border; empty if the border is hidden or has no points."""
+    """Drawn points of a pair's border; none if the border is hidden or has no points."""
 
     request: tuple[object, ...]
-    legend: Legend | None = None
-    node: viser.PointCloudHandle | viser.GlbHandle | None = None
-    body: trimesh.Trimesh | None = None
+    cloud: ColouredCloud | None = None
+    node: viser.PointCloudHandle | None = None
 
 
 class DrawnBorders:
-    """Draws the border of each pair again when its quantity, d_b, ε or style has changed.
-
-    A border is a cloud of points or a translucent surface. A click on the surface shows the
-    quantities there.
-    """
+    """Draws the border of each pair again when its quantity, d_b, ε or detail has changed."""
 
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
         self._scene, self._borders, self._model = scene, borders, model
         self._drawn: dict[str, _Drawn] = {}
-        self._clicked: tuple[Array, Array] | None = None
-        self._probed: tuple[str, Probe] | None = None
+        self._probed: tuple[object, Probe | None] = (), None
+        self.pointer: tuple[float, ...] = ()
+        """[px] position of the pointer over the scene, to the right and up from its centre; empty
+        without a pointer."""
 
     @property
     def legends(self) -> list[Legend]:
         """Legends of the drawn borders."""
-        return [drawn.legend for drawn in self._drawn.values() if drawn.legend is not None]
+        return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
         """Draw all borders that have changed.
@@ -181,7 +170,7 @@ class DrawnBorders:
         """
         changed = False
         for pair, quantity in view.borders.items():
-            request = (quantity, view.whole_border, view.light, view.shell, border.d_b, border.eps)
+            request = (quantity, view.whole_border, view.light, border.d_b, border.eps)
             if pair not in self._drawn or self._drawn[pair].request != request:
                 self._drawn[pair] = self._draw(pair, request, view, border)
                 changed = True
@@ -190,88 +179,68 @@ class DrawnBorders:
     def _draw(
         self, pair: str, request: tuple[object, ...], view: View, config: BorderConfig
     ) -> _Drawn:
-        quantity, before, coloured = view.borders[pair], self._drawn.get(pair, _Drawn(())), None
-        if self._probed is not None and self._probed[0] == pair:
-            self._probed = None
+        quantity, before, found = view.borders[pair], self._drawn.get(pair, _Drawn(())), None
         if quantity != HIDDEN:
-            coloured = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
-        if before.node and (coloured is None or view.shell or before.body):
-            before.node.remove()  # without this case, the new cloud replaces the old one
-        if coloured is None:
+            found = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
+        if found is None:
+            if before.node is not None:
+                before.node.remove()
             return _Drawn(request)
         most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
-        keep = subsample(len(coloured.points), most)
-        legend = coloured.legend._replace(drawn=len(keep))
-        if view.shell:
-            heights = coloured.points[:, 2]
-            faces = shell_faces(
-                self._borders.surface(config), float(heights.min()), float(heights.max())
-            )
-            body = body_of(self._borders, faces, quantity, legend)
-            return _Drawn(request, legend, self._send(pair, body), body)
+        keep = subsample(len(found.points), most)
+        legend = found.legend._replace(drawn=len(keep))
+        cloud = ColouredCloud(found.points[keep], found.colours[keep], legend)
         # One message has points and colours, so that they always match.
         node = self._scene.add_point_cloud(
             f"{ROOT}/border_{pair}",
-            coloured.points[keep],
-            coloured.colours[keep],
+            cloud.points,
+            cloud.colours,
             point_size=size,
             point_shape="circle",
             precision="float32",
         )
-        return _Drawn(request, legend, node)
+        return _Drawn(request, cloud, node)
 
-    def _send(self, pair: str, body: trimesh.Trimesh) -> viser.GlbHandle:
-        with io.BytesIO() as file:
-            body.export(file, file_type="glb")
-            data = file.getvalue()
-        # A click callback of the surface itself would outline it and block the mouse for the arm.
-        self._scene.remove_click_callback()
-        self._scene.on_click()(self._click)
-        return self._scene.add_glb(
-            f"{ROOT}/shell_{pair}", data, cast_shadow=False, receive_shadow=False
-        )
-
-    def _click(self, event: viser.SceneClickEvent) -> None:
-        self._clicked = np.array(event.ray_origin), np.array(event.ray_direction)
-
-    def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float) -> None:
-        """Draw the clicked point with its quantities and the acceleration of the base."""
-        if self._clicked is not None:
-            found, self._clicked = self._look(snapshot, *self._clicked), None
-            self._probed = found or self._probed
-        if self._probed is None:
+    def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float, lens: Lens | None) -> None:
+        """Draw the point under the pointer with its quantities and the base's acceleration."""
+        if not self.pointer or lens is None:
             return
-        _, probe = self._probed
+        place = np.array(snapshot.base_pose)
+        key = (self.pointer, *lens.eye, *place, snapshot.config)
+        if key != self._probed[0]:
+            self._probed = key, self._find(snapshot, lens)
+        if (probe := self._probed[1]) is None:
+            return
         base = self._model.description.base
-        measure = measure_of(base.kind)
         forward, left, turn = planar(base.axes, probe.acceleration)
         way = f"{forward:+.2f} m/s²" + (f", {left:+.2f} m/s² left" if abs(left) > 0.005 else "")
         text = (
-            f"det {probe.det:.3g}, R {probe.reach:.2f}, S {probe.score:.3g} {measure.unit}\n"
-            f"base: {way}, {turn:+.2f} rad/s²"
+            f"score S {probe.score:.3g} {measure_of(base.kind).unit}, mobility {probe.det:.3g}, "
+            f"reachability {probe.reach:.0f}\nan arm here moves the base: {way}, {turn:+.2f} rad/s²"
         )
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
         canvas.lines(f"{ROOT}/probe/step", [np.array([probe.p, probe.p_act])], ACTING, 2.0)
-        x, y, phi = snapshot.base_pose
-        place = pin.utils.rotate("z", phi) @ probe.p + (x, y, 0.0)
-        canvas.label("/probe/text", place, text.replace("-", "−"))
+        x, y, phi = place
+        at = pin.utils.rotate("z", phi) @ probe.p + (x, y, 0.0)
+        canvas.label("/probe/text", at, text.replace("-", "−"))
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, base.axes, top)
 
-    def _look(
-        self, snapshot: Snapshot, origin: Array, direction: Array
-    ) -> tuple[str, Probe] | None:
-        """Return the pair whose surface a ray in the world hits first, and the probe there."""
+    def _find(self, snapshot: Snapshot, lens: Lens) -> Probe | None:
+        """Return the probe at the foremost drawn point under the pointer, or None."""
         x, y, phi = snapshot.base_pose
-        R = pin.utils.rotate("z", -phi)  # from the world to the base
-        origin, direction = R @ (origin - np.array([x, y, 0.0])), R @ direction
-        bodies = [(pair, drawn.body) for pair, drawn in self._drawn.items() if drawn.body]
-        hits = [(pair, first_hit(body, origin, direction)) for pair, body in bodies]
-        met = [(float(np.linalg.norm(hit[0] - origin)), pair, hit) for pair, hit in hits if hit]
-        if not met:
-            return None
-        _, pair, (p, n) = min(met, key=lambda each: each[0])
-        return pair, probe_at(self._borders, pair, snapshot, p, n)
+        R, nearest, found = pin.utils.rotate("z", phi), np.inf, None
+        for pair, (_, cloud, _) in self._drawn.items():
+            if cloud is None:
+                continue
+            points = cloud.points @ R.T + (x, y, 0.0)
+            u, v, depth = lens.axes @ (points - lens.eye).T
+            scale = lens.focal / np.maximum(depth, 1e-3)
+            off = np.hypot(scale * u - self.pointer[0], scale * v - self.pointer[1])
+            depth[(depth <= 0.0) | (off > _NEAR)] = np.inf
+            if depth.min() < nearest:
+                nearest, found = depth.min(), (pair, cloud.points[depth.argmin()])
+        return None if found is None else probe_at(self._borders, found[0], snapshot, found[1])
 
 
 class BorderSlice:
@@ -298,75 +267,11 @@ class BorderSlice:
             canvas.lines(f"{ROOT}/slice", self._curves, _ON_DARK if dark else _ON_LIGHT, 2.5)
 
 
-def shell_faces(surface: OffsetContours, low: float, high: float) -> tuple[Array, Array]:
-    """Return the surface of a border between two heights [m].
-
-    Returns:
-        Corners (N, 3) [m] in the base's frame, and triangles (M, 3) with outward front sides.
-    """
-    table, corners, faces = surface.table, [], []
-    for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
-        rows = np.unique([*range(first, end, _HEIGHTS), end - 1])
-        rows = rows[(low <= table.heights[rows]) & (table.heights[rows] <= high)]
-        at = table.vertices[rows, ::_RAYS]
-        there = table.shown[rows, ::_RAYS] >= 0.0
-        H, W = at.shape
-        heights = np.repeat(table.heights[rows], W)
-        index = sum(map(len, corners)) + np.arange(H * W).reshape(H, W)
-        corners.append(np.column_stack([at.real.ravel(), at.imag.ravel(), heights]))
-        quads = there[:-1, :-1] & there[1:, :-1] & there[:-1, 1:] & there[1:, 1:]
-        a, b, c, d = (
-            index[rows_, columns][quads]
-            for rows_ in (slice(None, -1), slice(1, None))
-            for columns in (slice(None, -1), slice(1, None))
-        )
-        faces += [np.column_stack([a, b, d]), np.column_stack([a, d, c])]
-    return np.concatenate(corners), np.concatenate(faces)
-
-
-def body_of(
-    borders: Borders, shell: tuple[Array, Array], quantity: str, legend: Legend
-) -> trimesh.Trimesh:
-    """Return a surface as a smooth and translucent mesh in the colours of a legend."""
-    corners, faces = shell
-    values = borders.values(legend.pair, quantity, corners)
-    u = np.clip(legend.normalised(values), 0.5 / _SHADES, 1.0 - 0.5 / _SHADES)
-    shades = viridis(np.linspace(0.0, 1.0, _SHADES))[None]
-    material = PBRMaterial(
-        baseColorTexture=Image.fromarray(np.repeat(shades, 2, axis=0)),
-        baseColorFactor=[255, 255, 255, round(255 * _OPACITY)],
-        alphaMode="BLEND",
-        doubleSided=True,
-        metallicFactor=0.0,
-        roughnessFactor=1.0,
-    )
-    uv = np.column_stack([u, np.full(len(u), 0.5)])
-    look = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    return trimesh.Trimesh(corners, faces, visual=look, process=False)
-
-
-def first_hit(mesh: trimesh.Trimesh, origin: Array, direction: Array) -> tuple[Array, Array] | None:
-    """Return the first hit (3,) [m] of a ray on a mesh and the outward normal (3,), or None."""
-    a, b, c = np.moveaxis(np.asarray(mesh.triangles), 1, 0)
-    ab, ac = b - a, c - a
-    across = np.cross(direction, ac)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = 1.0 / np.einsum("ij,ij->i", ab, across)
-        u = scale * np.einsum("ij,ij->i", origin - a, across)
-        around = np.cross(origin - a, ab)
-        v = scale * (around @ direction)
-        way = scale * np.einsum("ij,ij->i", ac, around)
-        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 0.0)
-    if not hit.any():
-        return None
-    k = int(np.flatnonzero(hit)[way[hit].argmin()])
-    n = np.cross(ab[k], ac[k])
-    return origin + way[k] * direction, n / np.linalg.norm(n)
-
-
-def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array, n: Array) -> Probe:
-    """Return the quantities at point p of a pair's border with normal n, in the base's frame."""
+def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array) -> Probe:
+    """Return the quantities at a point p (3,) [m] of a pair's border, in the base's frame."""
     config, field = snapshot.config, borders.fields[pair]
+    ends = borders.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
+    n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
     d_b, border = snapshot.d_b, snapshot.border
     d = _INSIDE * d_b
     p_b = p - (d_b - d) * n

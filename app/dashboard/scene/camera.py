@@ -195,12 +195,7 @@ class Camera:
             self.use(look.name, snapshot)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
-        """Move the camera by the base's displacement since the camera was last moved.
-
-        Args:
-            base_position: (2,) [m] position of the base.
-            on: Whether the camera follows; if False, the base's last position is forgotten.
-        """
+        """Move the camera by the base's displacement since the camera was last moved, if `on`."""
         if not on:
             self._followed = None
             return

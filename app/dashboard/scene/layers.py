@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from app.dashboard.panels import phrases as words
+from app.dashboard import phrases as words
 from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import (
     HEAD_LENGTH,
@@ -31,6 +31,7 @@ from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acting points
+_LOOKS = ("solid", "violet", "teal")  # colours of the robot and of `colours.GHOSTS`
 _SAME = 0.01  # [m or rad] a ghost nearer to the robot is hidden
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 _LEAST_FORCE = 0.5  # [N] arrows of weaker forces would be shorter than their heads
@@ -77,7 +78,7 @@ def draw_distances(
             overlap = "" if pair.d >= 0.0 else " overlap"
             text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
             canvas.label(f"/distances/label_{pair.name}", place, text)
-        if view.names and pair.d < d_b:
+        if view.labels == "all" and pair.d < d_b:
             node = f"/distances/{pair.name}"
             canvas.point(f"{node}/p_a", pair.p_a, colours.NEAR, 0.009)
             canvas.point(f"{node}/p_b", pair.p_b, colours.NEAR, 0.009)
@@ -107,12 +108,13 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
         canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
         canvas.point(f"{node}/p_act", reading.p_act, colours.ACTING, 0.011)
-        if view.names:
+        if view.labels == "all":
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
         place = _draw_force(canvas, node, reading, top)
         force = f"base pushed {size:.0f} N"
-        canvas.label(f"{node}/p_act_label", place, f"p_act  {force}" if view.names else force)
+        text = f"p_act  {force}" if view.labels == "all" else force
+        canvas.label(f"{node}/p_act_label", place, text)
 
 
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
@@ -181,9 +183,14 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
         x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
-        near = "touches" if robot.clearance < 0 else f"{millimetres(robot.clearance)} to its base"
         name = METHOD_WORDS.get(robot.controller, robot.controller)
-        canvas.label(f"/names/{i}", place, f"{name}: {near}")
+        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {nearness(robot)}")
+
+
+def nearness(robot: Snapshot | GhostReading) -> str:
+    """Return the distance of a robot's arm from its base in words."""
+    d = robot.clearance
+    return "arm hits its base" if d < 0.0 else f"arm {millimetres(d)} from its base"
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:

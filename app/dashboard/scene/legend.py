@@ -33,7 +33,7 @@ class BaseMeasure(NamedTuple):
 _DETERMINANT = BaseMeasure(
     title="Mobility of the base, det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>) (7)",
     unit="m⁴/rad⁴",
-    label="det(J Jᵀ)",
+    label="mobility det(J Jᵀ)",
     hint="(7): 0 on the wheel axis, where the base cannot move the point sideways",
     score="sign · det · R",
 )
@@ -73,17 +73,7 @@ class Legend(NamedTuple):
         drawn: int,
         top: float | None,
     ) -> Self:
-        """Create the legend of a border from the values (N,) of all its points, N ≥ 1.
-
-        Args:
-            pair: Name of the pair.
-            quantity: One of `QUANTITIES`.
-            base: The base, whose measure is part of the score.
-            d_b: [m] buffer distance.
-            values: Values of the quantity.
-            drawn: Number of drawn points.
-            top: [m] largest height of the drawn part, or None.
-        """
+        """Create the legend of a border from the values (N,) of a quantity at all its points."""
         low, high = float(values.min()), float(values.max())
         measure = measure_of(base.kind)
         title, unit = {

@@ -33,6 +33,7 @@ LIGHT_FACES = 400
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)
+_DARKEST = 110  # [-] of 255, brightest channel: a black base is invisible on a dark page
 _BELOW = np.array([0.0, 0.0, 0.12])  # [m] from a label at the top down to its point
 _AT_TOP = 0.01  # [m] below the highest point
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
@@ -63,12 +64,7 @@ class LinkPoses:
         self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
-        """Return T_root_joint of every joint.
-
-        Args:
-            q_m: (n_m,) [rad or m] positions of the arm's joints.
-            wheel_angles: (n_w,) [rad] angles of the base's wheels.
-        """
+        """Return T_root_joint of every joint, from q_m (n_m,) and wheel angles (n_w,) [rad]."""
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
         wheels = self._robot.wheel_positions(wheel_angles)
@@ -187,7 +183,8 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
                 ready[key] = for_display(trimesh.Trimesh(mesh.vertices, mesh.faces))
             placement = frame.placement * origin(visual, where)
             rgba = colour(visual, materials)
-            r, g, b = GREY if rgba is None else (round(255 * x) for x in rgba[:3])
+            rgb = GREY if rgba is None else [round(255 * x) for x in rgba[:3]]
+            r, g, b = (x + max(_DARKEST - max(rgb), 0) for x in rgb)
             look = Visual(f"{name}_{i}", frame.parentJoint, placement, ready[key], (r, g, b))
             visuals.append(look)
     return visuals

@@ -7,8 +7,8 @@ import pinocchio as pin
 import viser
 
 from app.border.dbb import Cloud
-from app.dashboard.panels import phrases as words
-from app.dashboard.record import Course, Rows, Strip, Track
+from app.dashboard import phrases as words
+from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
@@ -58,7 +58,7 @@ class SceneData:
             "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
             "hand": Track(lambda snapshot: snapshot.p_ee),
         }
-        self.keepers: list[Rows | Course | Strip] = [*self.tracks.values()]
+        self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]
         """All objects that collect snapshots, which they get in order of time."""
         self.last = -1.0
         """[s] time of the newest collected snapshot, −1 if there is none."""
@@ -179,7 +179,7 @@ class Scene:
         self.robot = RobotScene(scene, data.parts, light=view.light)
         self._ghosts: list[RobotScene] = []
         self.canvas = Canvas(scene)
-        self._border = DrawnBorders(scene, data.borders, data.model)
+        self.border = DrawnBorders(scene, data.borders, data.model)
         self._slice = BorderSlice(data.borders)
         self._trails: dict[str, Array] = {}
         self._dark, self._light, self._plain = view.dark, view.light, False
@@ -188,7 +188,7 @@ class Scene:
     @property
     def legends(self) -> list[Legend]:
         """Legends of the drawn borders."""
-        return self._border.legends
+        return self.border.legends
 
     def select_border(self, snapshot: Snapshot) -> bool:
         """Draw the borders that have changed.
@@ -198,7 +198,7 @@ class Scene:
         Returns:
             Whether `legends` is new.
         """
-        return self._border.update(self._view, snapshot.border)
+        return self.border.update(self._view, snapshot.border)
 
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
         """Draw a snapshot as seen through a lens; update labels and trails only if `texts`."""
@@ -215,6 +215,7 @@ class Scene:
             self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
         with self.canvas.picture(texts=texts, lens=lens, t=snapshot.t):
             self._draw_layers(snapshot)
+            self.border.draw_probe(self.canvas, snapshot, self._data.borders.top, lens)
 
     def _light_up(self) -> None:
         """Set lights that leave no side of the robot black, and the floor.
@@ -238,7 +239,6 @@ class Scene:
         view, canvas, top = self._view, self.canvas, self._data.borders.top
         if view.slice:
             self._slice.draw(canvas, snapshot, dark=view.dark)
-        self._border.draw_probe(canvas, snapshot, top)
         if view.distances:
             layers.draw_distances(canvas, snapshot, judge(snapshot), view, self._data.spoken)
         if view.acting:

@@ -82,11 +82,8 @@ def borne(bound: float) -> str:
 def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """Describe a base's motion, as in "backs away at 0.21 m/s and turns left"; None at rest.
 
-    Args:
-        v: [m/s] forward velocity.
-        w: [rad/s] turning velocity, positive to the left.
-        ahead: Whether the avoided body is in front of the base or beside it.
-        left: [m/s] velocity to the left, of a base that can move sideways.
+    The motion is v [m/s] forward, w [rad/s] about the vertical, and `left` [m/s] of a base that can
+    move sideways. `ahead`: the avoided body is in front of the base or beside it.
     """
     speed = f" at {math.hypot(v, left):.2f} m/s"
     turning = f" at {math.degrees(abs(w)):.0f}°/s"
@@ -96,11 +93,7 @@ def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
 def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """Describe the next motion of a base at rest, as in "back away and turn left", or None.
 
-    Args:
-        v_dot: [m/s²] commanded forward acceleration.
-        w_dot: [rad/s²] commanded turning acceleration, positive to the left.
-        ahead: Whether the avoided body is in front of the base or beside it.
-        left: [m/s²] commanded acceleration to the left.
+    The arguments are those of `motion`, for commanded accelerations.
     """
     return _moves((v_dot, left, w_dot), ahead, SLIGHT, ("", "", ""))
 
@@ -111,13 +104,10 @@ def _moves(
     threshold: tuple[float, float],
     verb: tuple[str, str, str],
 ) -> str | None:
-    """Describe the parts of a motion that reach a threshold.
+    """Describe the parts of a motion that reach a threshold along the floor or about the vertical.
 
-    Args:
-        along: Motion forward, to the left, and about the vertical.
-        ahead: Whether the avoided body is in front of the base or beside it.
-        threshold: Smallest described motion along the floor and about the vertical.
-        verb: Ending of the verbs, text of the speed along the floor, text of the turning speed.
+    `along` is the motion forward, to the left, and about the vertical. `verb` has the ending of the
+    verbs, and the texts of both speeds.
     """
     (v, left, w), (s, speed, turning) = along, verb
     parts = []
