@@ -181,9 +181,9 @@ class Controller:
 
         Returns:
             The quantities of this step, overwritten by the next one. There is always a command:
-            if the readings are not finite or a QP has no solution, the fallback command is
-            gravity compensation with damping at the last valid state (before the first one, at the
-            arm's ready posture), and a base that brakes.
+            without a possible reading for 0.1 s, or if a QP has no solution, it is the fallback
+            command: gravity compensation with damping at the last valid state (before the first
+            one, at the arm's ready posture), and a base that brakes.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the
@@ -203,7 +203,8 @@ class Controller:
             return self._step(measurement, reference, DRIVE_MODEL)
         measurement = checked(measurement, self._model)
         drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
-        v, v_cmd = measurement.base_velocity, self.last.v_cmd
+        read, v_cmd = measurement.base_velocity, self.last.v_cmd
+        v = np.where(np.isfinite(read), read, self.last.base_velocity)
         self.last.a_base_meas[:] = self._base.drive_acceleration(v, drive, v_cmd)
         return self._step(measurement, reference, BASE_MEASURED)
 

@@ -162,6 +162,7 @@ way | | 6 6 | m, rad | world | references | memory: its coefficients, by power o
 way_time | | | s | | references | memory: time since its beginning
 way_duration | | | s | | references | memory: its duration; 0 without a polynomial
 way_continues | | | 1 | | references | memory: 1 if it does not end at rest
+way_capped | | | 1 | | references | memory: 1 if it ends before the newest sample
 since_sample | | | s | | references | memory: time since the newest sample of a planner
 sample_interval | | | s | | references | memory: mean time between samples; 0 without a motion
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
@@ -296,6 +297,10 @@ class ControlStep:
     def base_avoidance(self) -> Array:
         """(n_b,) [m/s² or rad/s²] β_m ẍ_m of the method, 0 if it has no such term."""
         return self.B[: self.n_b] * self.xdd_m
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All values, for `copy.deepcopy` and `pickle`; the copy has no struct."""
+        return vars(self) | {"struct": None, "pinocchio": None}
 
     def copy(self) -> Self:
         """The same values in separate memory, which no step overwrites."""

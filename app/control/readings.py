@@ -2,14 +2,16 @@
 
 A step runs once a period, whether or not there is a new reading. The estimate of the arm belongs
 to the newest reading; torques and base have moved the robot since then, and the state of now is
-predicted from that, over the reading's age. So a reading that is repeated, dropped or known to be
-late is one and the same case. Three quantities are found in the readings themselves:
+predicted from that, over the reading's age. So a reading that is repeated, dropped, impossible or
+known to be late is one and the same case. Three quantities are found in the readings themselves:
 
 - **The lag**, by which the accelerations that torques and base make appear in the positions.
 - **The period**: the way of a joint, divided by its velocities' integral over the stated period,
   is 1; three times another ratio in a row, while the readings come at regular intervals, and the
   loop does not run at that period.
-- **Velocities** that no period explains, for their ratio is out of all proportion, are not used.
+- **Velocities** that no period explains, for their ratio is out of all proportion, are not used,
+  nor are those that no joint and no base can have. Positions replace those of joints, and the model
+  of the drive replaces those of the base.
 """
 
 import math
@@ -25,14 +27,14 @@ from app.strict import Array
 from app.structs import fill, put, put_rows
 
 FAULTS = {
-    "invalid": "a position, the base's pose or its velocity is not a finite number",
+    "invalid": "a position or the base's pose is not a finite number",
     "implausible": "a joint is farther beyond its limits than half its range: degrees, or another "
     "order of the joints?",
-    "velocity": "joint velocities are missing, or do not belong to the positions: the positions "
-    "alone are used",
+    "velocity": "velocities of joints or base are missing, impossible, or do not belong to the "
+    "positions: positions and the model of the base's drive are used instead",
     "repeated": "the readings are the last ones again: the motion since then is predicted",
-    "stale": "the readings have not changed for 0.1 s although the robot moves: the fallback "
-    "command is in force",
+    "stale": "there has been no new and possible reading for 0.1 s although the robot moves: the "
+    "fallback command is in force",
     "jump": "the arm cannot have moved to this reading: the estimate begins anew there",
     "lag": "the readings are older than stated: compensated up to 24 periods",
     "period": "the loop does not run at its stated period: the measured one is used from now on",
@@ -47,7 +49,8 @@ HISTORY = 128
 """Periods over which a reading's age can be bridged."""
 _MAX_AGE = 0.1  # [s] without a new reading, until the fallback command
 _STILL = 1e-7  # [rad] of predicted motion in a period with which a robot may be at rest
-_FARTHEST = 10.0  # [-] of the base's way at its top speed; else its pose has jumped
+_FARTHEST = 10.0  # [-] of a joint's or the base's top speed; else a velocity is impossible, and a
+# pose has jumped
 _LEAST_WAY = 0.002  # [rad] over which the period is measured
 _NOISES = 50.0  # [-] of the position's deviation, over which the period is measured at least
 _AGREED = 2  # intervals that agree with the first one on another ratio
@@ -125,7 +128,8 @@ def _is_repeated(
     for v in w.x_est[1]:
         fastest = max(fastest, abs(v) * dt)
     for v in base_velocity:
-        fastest = max(fastest, abs(v) * dt)
+        if abs(v) * dt > fastest:  # not NaN
+            fastest = abs(v) * dt
     return fastest > _STILL
 
 
@@ -145,6 +149,20 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
         far = max(far, abs(q[i] - w.reading[0, i]) - 2.0 * dt * speed)
     rested, w.rested[()] = w.rested[()], 0.0
     return rested if far > _STILL else 0.0
+
+
+@compiled()
+def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
+    """The base's velocity (n_b,): the reading, or the prediction by the model of its drive.
+
+    A reading is not used if it is missing, or beyond a limit by more than half the range.
+    """
+    found = read.copy()
+    for i in range(len(read)):
+        if not abs(read[i]) <= 2.0 * robot.v_max[i]:  # NaN too
+            found[i] = 0.0 if first else w.base_velocity[i] + gains.dt * w.a_base_meas[i]
+            w.faults[VELOCITY] = 1.0
+    return found
 
 
 @compiled()
@@ -325,16 +343,29 @@ def _begin(gains: Any, w: Any, q: Array) -> None:
 
 
 @compiled()
+def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
+    """Move a pose (3,) of the base by its present velocity for a time [s]."""
+    if time > 0.0:
+        twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        pose[0] += time * (c * twist[0] - s * twist[1])
+        pose[1] += time * (s * twist[0] + c * twist[1])
+        pose[2] += time * twist[2]
+
+
+@compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Take the base's readings, and notice a pose that leaps."""
-    if not first:
+    """Take the base's readings, and notice a pose that leaps; a missing pose is predicted."""
+    if not math.isfinite(pose.sum()):
+        _drive_on(robot, w, w.pose_last, 0.0 if first else (1.0 + w.age[()]) * gains.dt)
+        put(pose, w.pose_last)
+    elif not first:
         steps = 1.0 + w.age[()]
         far = _FARTHEST * steps * gains.dt * max(robot.v_max[0], 1.0)
         moved = math.hypot(pose[0] - w.pose_last[0], pose[1] - w.pose_last[1])
         turned = abs((pose[2] - w.pose_last[2] + math.pi) % (2.0 * math.pi) - math.pi)
         w.faults[LOCALISATION] = 1.0 if moved > far or turned > 2.0 * far else 0.0
     put(w.pose_last, pose)
-    put(w.v_read, velocity)
     put(w.v_last, velocity)
     put(w.base_velocity, velocity)
 
@@ -410,26 +441,30 @@ def take_readings(
         gains: `GAINS`.
         w: `STEP`.
         base_pose: (3,) x, y [m], φ [rad].
-        base_velocity: (n_b,) [m/s or rad/s].
+        base_velocity: (n_b,) [m/s or rad/s]; NaN where the driver has none.
         q_m: (n_m,) [rad or m] positions.
         qd_m: (n_m,) [rad/s or m/s] velocities; NaN, thus not checked, where the driver has none.
         drive: (n_d,) of the drive.
     """
     fill(w.faults, 0.0)
-    first, repeated, q, qd = math.isnan(w.q_posture[0]), False, q_m.copy(), qd_m.copy()
-    w.faults[INVALID] = 0.0 if all_finite(base_pose, base_velocity, q_m, q_m, drive) else 1.0
-    if w.faults[INVALID] == 0.0:
+    first, q, qd = math.isnan(w.q_posture[0]), q_m.copy(), qd_m.copy()
+    lost, velocity = not all_finite(q_m, q_m, q_m, q_m, drive), w.base_velocity.copy()
+    w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
+    if not lost:
         q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
-        w.faults[IMPLAUSIBLE] = 1.0 if _implausible(q, robot.q_limits) else 0.0
-        repeated = not first and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt)
-        w.faults[REPEATED] = 1.0 if repeated else 0.0
-        w.faults[STALE] = 1.0 if repeated and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
-    w.valid[()] = w.faults[INVALID] + w.faults[IMPLAUSIBLE] + w.faults[STALE] == 0.0
+        lost = _implausible(q, robot.q_limits)
+        w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
+    if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
+        lost, w.faults[REPEATED] = True, 1.0
+    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
+    w.valid[()] = not (lost and (first or w.faults[STALE] != 0.0))
     if w.valid[()] == 0.0:
         _advance_blind(robot, gains, w)
         return
-    _remember(robot, gains, w, base_velocity, not repeated)
-    if repeated:
+    if not lost:
+        velocity = _usable_velocity(robot, gains, w, base_velocity, first)
+    _remember(robot, gains, w, velocity, not lost)
+    if lost:
         w.age[()] += 1.0
         advance(w.x_est, _recall(w, 0, 1), gains.dt)
     else:
@@ -437,20 +472,15 @@ def take_readings(
         put(w.reading[0], q)
         put(w.reading[1], qd)
         _take_new(robot, gains, w, q, qd, first)
-        _take_base(robot, gains, w, base_pose, base_velocity, first)
+        _take_base(robot, gains, w, base_pose.copy(), velocity, first)
+        put(w.v_read, base_velocity)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
     _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
     put(w.base_pose, w.pose_last)
-    old = (w.age[()] + w.lag[()]) * gains.dt
-    if old > 0.0:
-        twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
-        c, s = math.cos(w.base_pose[2]), math.sin(w.base_pose[2])
-        w.base_pose[0] += old * (c * twist[0] - s * twist[1])
-        w.base_pose[1] += old * (s * twist[0] + c * twist[1])
-        w.base_pose[2] += old * twist[2]
+    _drive_on(robot, w, w.base_pose, (w.age[()] + w.lag[()]) * gains.dt)
 
 
 @compiled()
@@ -462,12 +492,10 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     else:
         _find_lag(w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
-    lost = w.no_velocity[()]
     for i in range(len(qd)):
-        if w.no_velocity[()] != 0.0 or math.isinf(qd[i]):
+        if w.no_velocity[()] != 0.0 or not abs(qd[i]) <= _FARTHEST * robot.qd_max[i]:
             qd[i] = math.nan
-        lost += 1.0 if math.isnan(qd[i]) else 0.0
-    w.faults[VELOCITY] = 1.0 if lost > 0.0 else 0.0
+            w.faults[VELOCITY] = 1.0
     lag = int(w.lag[()])
     steps = age + 1 if w.known[()] >= age + 1 + lag else 0
     jumped = estimate_arm(
@@ -484,6 +512,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     )
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
+        put(w.q_posture, q)
         _measure_from(w, q)
     put_rows(w.x_est, w.x_read)
     if lag > 0:
