@@ -218,7 +218,8 @@ def test_after_a_pause_who_pushes_stays_and_after_a_reset_nobody_does(
         ready.move(w.u_cmd, ready.state.M[2:, 2:] @ np.ones(7))
     known = w.x_est[2].copy()
     assert (known > 0.5).all()
-    controller.step(ready.measurement._replace(q_m=gap))
+    for _ in range(120):
+        controller.step(ready.measurement._replace(q_m=gap))
     w = controller.step(ready.measurement)
     np.testing.assert_array_equal(w.x_est[2], known)
     controller.reset()

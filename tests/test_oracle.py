@@ -177,6 +177,7 @@ def along(
         m = plant.measure()
         if k == GAP:
             m = m._replace(q_m=m.q_m * np.nan)
+            controller.last.age[...] = 200  # periods without a reading: no prediction any more
         given = m, reference_at(k * DT, start, path.way)
         a = plant.acceleration() if k % 50 < 25 else None
         step = controller.step(*given, base_acceleration=a)

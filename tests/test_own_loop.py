@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -150,6 +152,24 @@ READINGS = {
     "half of them lost": (lambda: lossy(0.5), {"repeated"}),
     "5 ms late": (lambda: late(5), {"lag"}),
     "20 ms late": (lambda: late(20), {"lag"}),
+    "one impossible velocity": (
+        lambda: lambda k, m: m._replace(qd_m=m.qd_m + 1e200 * (k == 500)),
+        {"velocity"},
+    ),
+    "each second position missing": (
+        lambda: lambda k, m: m._replace(q_m=np.where(np.arange(7) == 3 + 9 * (k % 2), NAN, m.q_m)),
+        {"invalid"},
+    ),
+    "one impossible position": (
+        lambda: lambda k, m: m._replace(q_m=m.q_m + 10.0 * (k == 500) * (np.arange(7) == 3)),
+        {"implausible"},
+    ),
+    "no base pose": (lambda: lambda k, m: m._replace(base_pose=NAN[:3]), {"invalid"}),
+    "no base velocity": (lambda: lambda k, m: m._replace(base_velocity=NAN[:2]), {"velocity"}),
+    "base velocity in mm/s": (
+        lambda: lambda k, m: m._replace(base_velocity=1000 * m.base_velocity),
+        {"velocity"},
+    ),
 }
 
 
@@ -226,7 +246,8 @@ def test_joints_come_by_name_in_any_order(robot: RobotModel) -> None:
     q, qd = JointOrder(robot, names)(np.arange(8.0), -np.arange(8.0))
     np.testing.assert_array_equal(q, np.arange(7.0, 0.0, -1.0))
     np.testing.assert_array_equal(qd, -q)
-    assert np.isnan(JointOrder(robot, names)(np.arange(8.0))[1]).all()
+    for no_velocity in ((), None):
+        assert np.isnan(JointOrder(robot, names)(np.arange(8.0), no_velocity)[1]).all()
 
 
 @pytest.mark.parametrize(
@@ -235,6 +256,8 @@ def test_joints_come_by_name_in_any_order(robot: RobotModel) -> None:
         (lambda names: names[1:], "does not name"),
         (lambda names: [*names, names[0]], "more than once"),
         (lambda names: [], "(none)"),
+        (lambda names: ["robot1/" + each for each in names], "did you mean 'robot1/"),
+        (lambda names: [each.encode() for each in names], "does not name"),
     ],
 )
 def test_joint_states_that_do_not_fit_are_refused_by_name(
@@ -244,6 +267,48 @@ def test_joint_states_that_do_not_fit_are_refused_by_name(
     with pytest.raises(MeasurementError, match=names[0]) as error:
         JointOrder(robot, change(names))
     assert named in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda m: None, "was NoneType"),
+        (tuple, "was tuple"),
+        (lambda m: m._asdict(), "was dict"),
+        (lambda m: m._replace(q_m=[str(each) for each in m.q_m]), "q_m"),
+        (lambda m: m._replace(q_m=m.q_m[:, None]), "q_m"),
+        (lambda m: m._replace(qd_m=1j * m.qd_m), "qd_m"),
+        (lambda m: m._replace(base_pose=np.zeros(7)), "base_pose must be 3"),
+        (lambda m: m._replace(base_velocity=[[0.0], 0.0]), "base_velocity must be 2"),
+        (lambda m: m._replace(drive=[None]), "drive"),
+    ],
+)
+def test_a_wrong_measurement_is_refused_by_its_field(
+    robot: RobotModel, border_data: BorderData, change, named: str
+) -> None:
+    loop = ControlLoop(robot, border_data)
+    with pytest.raises(MeasurementError, match=named):
+        loop.step(change(at_rest(robot, np.array(robot.description.arm.ready_position))))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda a: a.tolist(),
+        lambda a: a.astype(">f8"),
+        lambda a: np.repeat(a, 2)[::2],
+        lambda a: np.ma.masked_array(a, a == 1e20),
+        lambda a: np.frombuffer(a.tobytes()),
+    ],
+)
+def test_readings_may_be_any_array_of_numbers(
+    robot: RobotModel, border_data: BorderData, change
+) -> None:
+    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    loop, other = ControlLoop(robot, border_data), ControlLoop(robot, border_data)
+    command = loop.step(Measurement(*map(change, good[:4])))
+    np.testing.assert_array_equal(command.u_a, other.step(good).u_a)
+    assert command.faults == ()
 
 
 @pytest.mark.parametrize("factor", [57.3, -57.3])
@@ -270,6 +335,9 @@ def test_degrees_are_refused_at_first_and_named_later(
         (Reference(pin.SE3.Identity(), np.zeros(6), None), "acceleration"),  # type: ignore[arg-type]
         (Reference(pin.SE3.Identity(), np.full(6, np.nan), np.zeros(6)), "finite"),
         (Reference(pin.SE3(2 * np.eye(3), np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
+        (Reference(pin.SE3(-np.eye(3), np.zeros(3)), np.zeros(6), np.zeros(6)), "rotation"),
+        (Reference(pin.SE3.Identity(), np.full(6, 100.0), np.zeros(6)), "metres"),
+        (Reference(pin.SE3.Identity(), ["0"] * 6, np.zeros(6)), "velocity"),  # type: ignore[arg-type]
     ],
 )
 def test_a_wrong_reference_is_refused_by_its_field(
@@ -314,6 +382,39 @@ def test_references_in_samples_make_a_smooth_motion(run, rate: float, jitter: fl
     assert 0.0 < lag < 0.1 * 2.5 / rate + 0.01
 
 
+IN_STEPS: dict[str, Callable[[float], tuple[float, float]]] = {
+    "leaps at 100 Hz": lambda t: (0.3 * (int(100 * t) % 2), 0.0),
+    "an outlier each 0.2 s": lambda t: (0.3 * (round(1000 * t) % 200 == 100), 0.0),
+    "noise": lambda t: (0.15 + 0.002 * np.sin(1e7 * t), 0.0),
+    "a leap": lambda t: (0.3 * (t > 0.1), 0.0),
+    "a motion at 2 m/s without a velocity": lambda t: (min(2.0 * t, 0.3), 0.0),
+    "velocities against the motion": lambda t: (0.1 * t, -0.1),
+    "a velocity without a motion": lambda t: (0.0, 5.0 * (t > 0.0)),
+}
+
+
+@pytest.mark.parametrize("case", IN_STEPS)
+def test_no_reference_makes_a_fast_or_far_motion(
+    robot: RobotModel, border_data: BorderData, case: str
+) -> None:
+    """Position and velocity of a reference along y; all positions are between 0 and 0.3 m."""
+    loop, m = ControlLoop(robot, border_data), at_rest(robot, NAN)
+    m = m._replace(q_m=np.array(robot.description.arm.ready_position))
+    loop.step(m)
+    start, ways = loop.controller.state.T_world_ee.copy(), []
+    for k in range(600):
+        y, v = IN_STEPS[case](0.001 * k)
+        pose = pin.SE3(start.rotation, start.translation + np.array([0.0, y, 0.0]))
+        loop.step(m, Reference(pose, np.array([0.0, v, 0, 0, 0, 0]), np.zeros(6)))
+        w = loop.controller.last
+        ways.append([w.x_ref[3, 1] - start.translation[1], w.v_ref[1], w.a_ref[1]])
+    way, speed, acceleration = np.array(ways).T
+    assert -0.01 < way.min() < way.max() < 0.31
+    assert np.abs(speed).max() < 1.05 * Config().task.ee_speed
+    assert np.abs(np.diff(way)).max() < 0.00105 * Config().task.ee_speed
+    assert np.abs(acceleration).max() < 50.0
+
+
 def still(t: float, origin: pin.SE3) -> Reference:
     return Reference(origin, np.zeros(6), np.zeros(6))
 
@@ -332,7 +433,7 @@ def relocated(k: int, m: Measurement) -> Measurement:
 EVENTS = {
     "no pose for 0.2 s": (blind(300, 500, "base_pose"), "invalid", 0.3),
     "no positions for 0.2 s": (blind(300, 500, "q_m"), "invalid", 0.3),
-    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "invalid", 0.3),
+    "no base velocity for 0.2 s": (blind(300, 500, "base_velocity"), "velocity", 0.3),
     "localisation jumps": (relocated, "localisation", 0.8),  # the end-effector goes back by 0.1 m
 }
 
@@ -464,6 +565,48 @@ def test_gravity_has_a_name(robot: RobotModel, border_data: BorderData) -> None:
     ready = np.array(robot.description.arm.ready_position)
     command = ControlLoop(robot, border_data).step(at_rest(robot, ready))
     np.testing.assert_allclose(command.u_a, command.gravity, atol=1e-6)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
+def test_a_copied_command_does_not_change(
+    robot: RobotModel, border_data: BorderData, copied
+) -> None:
+    loop, m = (
+        ControlLoop(robot, border_data),
+        at_rest(robot, np.array(robot.description.arm.ready_position)),
+    )
+    command = loop.step(m._replace(qd_m=NAN))
+    record, gravity = copied(command), command.gravity
+    loop.step(m._replace(q_m=m.q_m + 0.004))
+    assert (record.faults, command.faults) == (("velocity",), ())
+    np.testing.assert_array_equal(record.gravity, gravity)
+    assert np.abs(command.gravity - gravity).max() > 0.01
+
+
+def test_the_posture_is_that_after_a_jump(robot: RobotModel, border_data: BorderData) -> None:
+    """A driver that sends zeros until it is ready."""
+    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    loop = ControlLoop(robot, border_data)
+    for _ in range(3):
+        loop.step(good._replace(q_m=np.zeros(7)))
+    assert loop.step(good).faults == ("jump",)
+    np.testing.assert_array_equal(loop.controller.last.q_posture, good.q_m)
+
+
+def test_a_load_is_set_at_once(robot: RobotModel) -> None:
+    """A step in another thread never computes with a half of it."""
+    masses = []
+
+    class Watched(RobotState):
+        def __setattr__(self, name: str, value: Any) -> None:
+            if name == "pin":
+                masses.append(sum(each.mass for each in value.inertias))
+            super().__setattr__(name, value)
+
+    state = Watched(robot)
+    for mass in (2.0, 3.0):
+        state.carry(mass, (0.0, 0.0, 0.1))
+    np.testing.assert_allclose(np.diff(masses), (2.0, 1.0))
 
 
 def test_a_fault_is_logged_once(robot: RobotModel, border_data: BorderData, caplog) -> None:

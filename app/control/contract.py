@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 
 import numpy as np
 import pinocchio as pin
 
 from app.config import Config, sections
+from app.control.references import FASTEST, HARDEST
 from app.control.tasks import Reference
-from app.errors import ConfigError, MeasurementError
+from app.errors import ConfigError, MeasurementError, did_you_mean
 from app.parameters import Parameter
 from app.robot.model import RobotModel
+from app.robot.state import numbers
 from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
@@ -25,7 +28,7 @@ def checked_period(dt: float) -> float:
     Raises:
         ConfigError: The value is not a valid period.
     """
-    if not (isinstance(dt, int | float) and SHORTEST <= dt <= LONGEST):
+    if not (isinstance(dt, Real) and SHORTEST <= dt <= LONGEST):
         raise ConfigError(f"dt must be within {SHORTEST:g} and {LONGEST:g} s, was {dt!r}")
     return float(dt)
 
@@ -77,18 +80,19 @@ class JointOrder:
         Raises:
             MeasurementError: Names missing or duplicate joints.
         """
-        wanted, names = model.description.arm.joints, list(names)
+        wanted, names = model.description.arm.joints, [str(each) for each in names]
         for fault, count in (("does not name", 0), ("names more than once", 2)):
             if wrong := [each for each in wanted if min(names.count(each), 2) == count]:
                 raise MeasurementError(
-                    f"joint states: the driver {fault} {', '.join(wrong)}; "
+                    f"joint states: the driver {fault} {', '.join(wrong)}"
+                    f"{did_you_mean(wrong[0], names) if count == 0 else ''}; "
                     f"names: {', '.join(names) or '(none)'}"
                 )
         self._size = len(names)
         self._places = np.array([names.index(each) for each in wanted])
 
     def __call__(
-        self, position: Sequence[float] | Array, velocity: Sequence[float] | Array = ()
+        self, position: Sequence[float] | Array, velocity: Sequence[float] | Array | None = None
     ) -> tuple[Array, Array]:
         """(n_m,) positions and velocities in the arm's own order; velocities are NaN without
         readings.
@@ -96,12 +100,9 @@ class JointOrder:
         Raises:
             MeasurementError: The number of values differs from the number of names.
         """
-        q, qd = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
-        for field, values in (("position", q), ("velocity", qd)):
-            if values.shape != (self._size,) and (field == "position" or values.size):
-                raise MeasurementError(
-                    f"joint states: {field} has {values.size} values for {self._size} names"
-                )
+        q = numbers("joint states: position", position, self._size)
+        no_velocity = np.empty(0) if velocity is None else velocity
+        qd = numbers("joint states: velocity", no_velocity, self._size, 0)
         places = self._places
         return q[places], qd[places] if qd.size else np.full(len(places), np.nan)
 
@@ -125,21 +126,21 @@ def checked_reference(reference: Reference) -> Reference:
         )
     if type(v) is type(a) is Array and v.dtype == a.dtype == _FLOAT and v.shape == a.shape == (6,):
         return reference
-    found = []
-    for name, each in zip(Reference._fields[1:], (v, a), strict=True):
-        try:
-            values = np.asarray(each, dtype=float)
-        except (TypeError, ValueError):
-            values = np.empty(0)
-        if values.shape != (6,):
-            raise MeasurementError(f"reference.{name} must be 6 numbers, was {each!r}")
-        found.append(values)
-    return Reference(pose, *found)
+    return Reference(
+        pose, numbers("reference.velocity", v, 6), numbers("reference.acceleration", a, 6)
+    )
 
 
 def no_motion(reference: Reference) -> MeasurementError:
-    """The error for a reference with an invalid rotation matrix, or a number that is not finite."""
+    """The error for a reference that no end-effector can have; it names the field."""
     pose, v, a = reference
-    if np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
-        return MeasurementError("reference.pose: its rotation is no rotation matrix")
-    return MeasurementError("reference: an entry is not a finite number")
+    if not np.isfinite([*pose.translation, *pose.rotation.ravel(), *v, *a]).all():
+        return MeasurementError("reference: an entry is not a finite number")
+    for name, values, most in (("velocity", v, FASTEST), ("acceleration", a, HARDEST)):
+        if (worst := float(np.abs(values).max())) > most:
+            return MeasurementError(
+                f"reference.{name}: {worst:g} is beyond {most:g}; send metres, radians and seconds"
+            )
+    return MeasurementError(
+        "reference.pose: its rotation is no rotation matrix (orthogonal, with determinant 1)"
+    )

@@ -21,7 +21,11 @@ logger = logging.getLogger(__name__)
 
 
 class Command(NamedTuple):
-    """The commands of one control step."""
+    """The commands of one control step.
+
+    `step` and the properties below belong to the loop's last step; `copy.deepcopy(command)` stays
+    the same.
+    """
 
     u_a: Array
     """(n_m,) [N m or N] torques of the arm, including gravity and Coriolis terms."""

@@ -188,9 +188,9 @@ class Controller:
 
         Returns:
             The quantities of this step, which the next step overwrites. They always contain a
-            command. If the readings are not valid or the arm's QP has no solution, this command is
-            the fallback command: gravity compensation and damping at the last valid state (before
-            the first valid state, at the ready pose), and a base that brakes.
+            command. If there is no valid reading for 0.1 s, or the arm's QP has no solution, this
+            command is the fallback command: gravity compensation and damping at the last valid
+            state (before the first valid state, at the ready pose), and a base that brakes.
 
         Raises:
             MeasurementError: A reading or the reference has a wrong number of entries, or the
@@ -211,7 +211,8 @@ class Controller:
             return self._step(measurement, reference, DRIVE_MODEL)
         measurement = checked(measurement, self._model)
         drive = measurement.drive if len(measurement.drive) else self._base.drive_at_rest()
-        v, v_cmd = measurement.base_velocity, self.last.v_cmd
+        read, v_cmd = measurement.base_velocity, self.last.v_cmd
+        v = np.where(np.isfinite(read), read, self.last.base_velocity)
         self.last.a_base_meas[:] = self._base.drive_acceleration(v, drive, v_cmd)
         return self._step(measurement, reference, BASE_MEASURED)
 

@@ -171,6 +171,7 @@ way | | 6 6 | m, rad | world | references |
 way_time | | | s | | references | memory: time since the beginning of this polynomial
 way_duration | | | s | | references | memory: duration of the polynomial; 0 without one
 way_continues | | | 1 | | references | memory: 1 if the polynomial does not end at rest
+way_capped | | | 1 | | references | memory: 1 if the polynomial ends before the newest sample
 since_sample | | | s | | references | memory: time since the newest sample of a planner
 sample_interval | | | s | | references | memory: mean time between the samples of a motion; else 0
 e_ee | x_d ⊖ x | 6 | m, rad | world | (26) | end-effector pose error
@@ -306,6 +307,10 @@ class ControlStep:
     def base_avoidance(self) -> Array:
         """(n_b,) [m/s² or rad/s²] β_m ẍ_m; 0 if the method does not move the base."""
         return self.B[: self.n_b] * self.xdd_m
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All values, for `copy.deepcopy` and `pickle`; the copy has no struct."""
+        return vars(self) | {"struct": None, "pinocchio": None}
 
     def copy(self) -> Self:
         """A copy in separate memory, which no step overwrites."""

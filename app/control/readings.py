@@ -3,15 +3,17 @@
 A step runs once in each period, with or without a new reading. The Kalman filter estimates the
 state of the arm at the newest reading. The present state is predicted from this state over the age
 of the reading, with the known torques and the motion of the base. Thus repeated readings, lost
-readings, and readings with a known delay are the same case. Three properties are estimated from the
-readings themselves:
+readings, impossible readings, and readings with a known delay are the same case. Three properties
+are estimated from the readings themselves:
 
 - **The lag** is the number of periods until accelerations by the torques and by the base appear in
   the measured positions.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If the readings arrive at regular intervals, and three successive measurements of
   this ratio agree on a different value, the loop does not run at the stated period.
-- **The velocities** are not used if no plausible period explains their ratio to the positions.
+- **The velocities** are not used if no plausible period explains their ratio to the positions, or
+  if no joint or base can have them. Positions replace those of joints, and the model of the drive
+  replaces those of the base.
 """
 
 import math
@@ -27,14 +29,14 @@ from app.strict import Array
 from app.structs import fill, put, put_rows
 
 FAULTS = {
-    "invalid": "a position, the base's pose or its velocity is not a finite number",
+    "invalid": "a position or the base's pose is not a finite number",
     "implausible": "a joint is beyond its limits by more than half its range: check the unit "
     "(degrees?) and the order of the joints",
-    "velocity": "joint velocities are missing, or do not match the positions: only the positions "
-    "are used",
+    "velocity": "velocities of joints or base are missing, impossible, or do not match the "
+    "positions: positions and the model of the base's drive are used instead",
     "repeated": "the readings have not changed: the motion since the last new reading is predicted",
-    "stale": "the readings have not changed for 0.1 s although the robot moves: the step returns "
-    "the fallback command",
+    "stale": "there has been no new and valid reading for 0.1 s although the robot moves: the step "
+    "returns the fallback command",
     "jump": "the arm cannot have moved to this reading: the estimate restarts from this reading",
     "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
@@ -49,7 +51,9 @@ HISTORY = 128
 """Largest age of a reading in periods over which the motion can be predicted."""
 _MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
-_FARTHEST = 10.0  # [-] multiple of the motion at top speed above which the pose has jumped
+_FARTHEST = (
+    10.0  # [-] multiple of a top speed above which a velocity is impossible, or a pose jumps
+)
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
@@ -129,7 +133,8 @@ def _is_repeated(
     for v in w.x_est[1]:
         fastest = max(fastest, abs(v) * dt)
     for v in base_velocity:
-        fastest = max(fastest, abs(v) * dt)
+        if abs(v) * dt > fastest:  # not NaN
+            fastest = abs(v) * dt
     return fastest > _STILL
 
 
@@ -150,6 +155,20 @@ def _rested(w: Any, q: Array, qd: Array, dt: float, first: bool) -> float:
         far = max(far, abs(q[i] - w.reading[0, i]) - 2.0 * dt * speed)
     rested, w.rested[()] = w.rested[()], 0.0
     return rested if far > _STILL else 0.0
+
+
+@compiled()
+def _usable_velocity(robot: Any, gains: Any, w: Any, read: Array, first: bool) -> Array:
+    """The base's velocity (n_b,): the reading, or the prediction by the model of its drive.
+
+    A reading is not used if it is missing, or beyond a limit by more than half the range.
+    """
+    found = read.copy()
+    for i in range(len(read)):
+        if not abs(read[i]) <= 2.0 * robot.v_max[i]:  # NaN too
+            found[i] = 0.0 if first else w.base_velocity[i] + gains.dt * w.a_base_meas[i]
+            w.faults[VELOCITY] = 1.0
+    return found
 
 
 @compiled()
@@ -334,16 +353,29 @@ def _begin(gains: Any, w: Any, q: Array) -> None:
 
 
 @compiled()
+def _drive_on(robot: Any, w: Any, pose: Array, time: float) -> None:
+    """Move a pose (3,) of the base by its present velocity for a time [s]."""
+    if time > 0.0:
+        twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        pose[0] += time * (c * twist[0] - s * twist[1])
+        pose[1] += time * (s * twist[0] + c * twist[1])
+        pose[2] += time * twist[2]
+
+
+@compiled()
 def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, first: bool) -> None:
-    """Store the readings of the base, and detect a jump of its pose."""
-    if not first:
+    """Store the readings of the base, and detect a jump of its pose; predict a missing pose."""
+    if not math.isfinite(pose.sum()):
+        _drive_on(robot, w, w.pose_last, 0.0 if first else (1.0 + w.age[()]) * gains.dt)
+        put(pose, w.pose_last)
+    elif not first:
         steps = 1.0 + w.age[()]
         far = _FARTHEST * steps * gains.dt * max(robot.v_max[0], 1.0)
         moved = math.hypot(pose[0] - w.pose_last[0], pose[1] - w.pose_last[1])
         turned = abs((pose[2] - w.pose_last[2] + math.pi) % (2.0 * math.pi) - math.pi)
         w.faults[LOCALISATION] = 1.0 if moved > far or turned > 2.0 * far else 0.0
     put(w.pose_last, pose)
-    put(w.v_read, velocity)
     put(w.v_last, velocity)
     put(w.base_velocity, velocity)
 
@@ -421,26 +453,30 @@ def take_readings(
         gains: `GAINS`.
         w: `STEP`.
         base_pose: (3,) x, y [m], φ [rad].
-        base_velocity: (n_b,) [m/s or rad/s].
+        base_velocity: (n_b,) [m/s or rad/s]; NaN where the driver has none.
         q_m: (n_m,) [rad or m] positions.
         qd_m: (n_m,) [rad/s or m/s] velocities; NaN if the driver does not measure them.
         drive: (n_d,) state of the drive.
     """
     fill(w.faults, 0.0)
-    first, repeated, q, qd = math.isnan(w.q_posture[0]), False, q_m.copy(), qd_m.copy()
-    w.faults[INVALID] = 0.0 if all_finite(base_pose, base_velocity, q_m, q_m, drive) else 1.0
-    if w.faults[INVALID] == 0.0:
+    first, q, qd = math.isnan(w.q_posture[0]), q_m.copy(), qd_m.copy()
+    lost, velocity = not all_finite(q_m, q_m, q_m, q_m, drive), w.base_velocity.copy()
+    w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
+    if not lost:
         q = unwrap(q_m, w.q_last[1], robot.q_limits, first)
-        w.faults[IMPLAUSIBLE] = 1.0 if _implausible(q, robot.q_limits) else 0.0
-        repeated = not first and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt)
-        w.faults[REPEATED] = 1.0 if repeated else 0.0
-        w.faults[STALE] = 1.0 if repeated and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
-    w.valid[()] = w.faults[INVALID] + w.faults[IMPLAUSIBLE] + w.faults[STALE] == 0.0
+        lost = _implausible(q, robot.q_limits)
+        w.faults[IMPLAUSIBLE] = 1.0 if lost else 0.0
+    if not (lost or first) and _is_repeated(w, base_pose, base_velocity, q, qd, gains.dt):
+        lost, w.faults[REPEATED] = True, 1.0
+    w.faults[STALE] = 1.0 if lost and (w.age[()] + 1.0) * gains.dt > _MAX_AGE else 0.0
+    w.valid[()] = not (lost and (first or w.faults[STALE] != 0.0))
     if w.valid[()] == 0.0:
         _advance_blind(robot, gains, w)
         return
-    _remember(robot, gains, w, base_velocity, not repeated)
-    if repeated:
+    if not lost:
+        velocity = _usable_velocity(robot, gains, w, base_velocity, first)
+    _remember(robot, gains, w, velocity, not lost)
+    if lost:
         w.age[()] += 1.0
         advance(w.x_est, _recall(w, 0, 1), gains.dt)
     else:
@@ -448,20 +484,15 @@ def take_readings(
         put(w.reading[0], q)
         put(w.reading[1], qd)
         _take_new(robot, gains, w, q, qd, first)
-        _take_base(robot, gains, w, base_pose, base_velocity, first)
+        _take_base(robot, gains, w, base_pose.copy(), velocity, first)
+        put(w.v_read, base_velocity)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
     _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
     put(w.base_pose, w.pose_last)
-    old = (w.age[()] + w.lag[()]) * gains.dt
-    if old > 0.0:
-        twist = times(robot.T_J_m, times(robot.J_m_inv, w.base_velocity))
-        c, s = math.cos(w.base_pose[2]), math.sin(w.base_pose[2])
-        w.base_pose[0] += old * (c * twist[0] - s * twist[1])
-        w.base_pose[1] += old * (s * twist[0] + c * twist[1])
-        w.base_pose[2] += old * twist[2]
+    _drive_on(robot, w, w.base_pose, (w.age[()] + w.lag[()]) * gains.dt)
 
 
 @compiled()
@@ -473,12 +504,10 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     else:
         _find_lag(w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
-    lost = w.no_velocity[()]
     for i in range(len(qd)):
-        if w.no_velocity[()] != 0.0 or math.isinf(qd[i]):
+        if w.no_velocity[()] != 0.0 or not abs(qd[i]) <= _FARTHEST * robot.qd_max[i]:
             qd[i] = math.nan
-        lost += 1.0 if math.isnan(qd[i]) else 0.0
-    w.faults[VELOCITY] = 1.0 if lost > 0.0 else 0.0
+            w.faults[VELOCITY] = 1.0
     lag = int(w.lag[()])
     steps = age + 1 if w.known[()] >= age + 1 + lag else 0
     jumped = estimate_arm(
@@ -495,6 +524,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     )
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
+        put(w.q_posture, q)
         _measure_from(w, q)
     put_rows(w.x_est, w.x_read)
     if lag > 0:

@@ -4,12 +4,14 @@ The references of a planner arrive in steps, for example at 10 or 30 Hz with jit
 a sample if its pose jumps, which means that its own velocity does not explain the change of the
 pose. At each sample a polynomial of fifth degree starts from the present position, velocity and
 acceleration of the reference. It ends at the sample after two mean intervals, with the sample's own
-velocity, or with the mean velocity since the previous sample if the own velocity is 0. Thus a
-steady motion stays steady, and jitter has no effect. Without a further sample the reference comes
-to rest at the last sample. If a sample is farther away than the correction speed allows, as after a
-pause, the reference approaches it at up to that speed and comes to rest there. The first reference
-and references without jumps are used unchanged: the law itself limits the correction speed. A
-repeated reference is no sample.
+velocity, or with the mean velocity since the previous sample if the own velocity is 0 or does not
+match the poses. Thus a steady motion stays steady, and jitter has no effect. Without a further
+sample the reference comes to rest at the last sample. A sample that requires more than the
+correction speed, or a higher acceleration than `_LEAP`, is approached within both: the first sample
+after a pause, an outlier, noise. Then each polynomial ends at rest on the way to the sample, and
+each step starts a new one. The first reference and references without jumps are used unchanged: the
+law itself limits the correction speed. A repeated reference is no sample, and is at rest: a
+velocity is valid only while the poses move.
 """
 
 import math
@@ -26,11 +28,15 @@ from app.control.tasks import pose_error, rotation_by
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
+FASTEST, HARDEST = 20.0, 1000.0
+"""[m/s, rad/s; m/s², rad/s²] largest components of a reference, beyond those of any arm."""
 _LEAP = 10.0  # [m/s², rad/s²] unexplained acceleration above which a reference is a sample
 _RATE = 0.3  # [-] weight of the newest interval in the mean interval
 _LONGEST = 0.25  # [s] longest time between samples of one motion
 _LATE = 1.75  # [-] mean intervals after which no further sample is expected
+_STEEPEST = 3.0  # [-] ratio of a polynomial's largest acceleration to its top speed per duration
 _PEAK = 1.875  # [-] ratio of largest to mean speed of the polynomial from rest to rest
+_OWN_SPEED = 1.5  # [-] largest relative difference of a sample's own velocity from the mean one
 _ROUNDING = 1e-4  # [-] tolerance of a rotation matrix in single precision
 
 _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
@@ -40,20 +46,28 @@ _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 def forget_reference(w: Any) -> None:
     """Forget all references, so that the next one counts as the first."""
     fill(w.x_sent[3], math.nan)
-    w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
+    w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
 
 
 @compiled()
 def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
-    """Whether R (3, 3) is a rotation, and p (3,), v and a (6,) are finite numbers."""
-    if not math.isfinite(p.sum() + v.sum() + a.sum()):
+    """Whether R (3, 3) is a rotation, p (3,) is finite, and v and a (6,) are within the limits."""
+    if not math.isfinite(p.sum()):
         return False
+    for i in range(6):
+        if not (abs(v[i]) <= FASTEST and abs(a[i]) <= HARDEST):  # NaN too
+            return False
     for i in range(3):
         for j in range(3):
             product = R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j]
             if not abs(product - (1.0 if i == j else 0.0)) < _ROUNDING:
                 return False
-    return True
+    x, y, z = R[:, 0], R[:, 1], R[:, 2]
+    volume = 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        volume += x[i] * (y[j] * z[k] - y[k] * z[j])
+    return volume > 0.0
 
 
 @compiled()
@@ -81,6 +95,12 @@ def _leaps(way: Array, v: Array, dt: float) -> bool:
 
 
 @compiled()
+def _largest(motion: Array) -> float:
+    """The larger one of the lengths of a linear and an angular part, together (6,)."""
+    return math.sqrt(max((motion[:3] ** 2).sum(), (motion[3:] ** 2).sum()))
+
+
+@compiled()
 def _take_sample(gains: Any, w: Any, way: Array) -> None:
     """Start a polynomial to the newest sample; `way` (6,) is the pose difference from the last
     reference to this sample.
@@ -93,10 +113,10 @@ def _take_sample(gains: Any, w: Any, way: Array) -> None:
         return
     mean = w.sample_interval[()] if w.sample_interval[()] > 0.0 else between
     w.sample_interval[()] = mean + _RATE * (between - mean)
-    own = False
-    for i in range(6):
-        own = own or w.v_sent[i] != 0.0
-    _aim(gains, w, w.v_sent if own else way / between)
+    v = way / between
+    own = (w.v_sent**2).sum() > 0.0
+    own = own and ((w.v_sent - v) ** 2).sum() <= _OWN_SPEED**2 * (v**2).sum()
+    _aim(gains, w, w.v_sent if own else v)
 
 
 @compiled()
@@ -109,12 +129,21 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
     goal = pose_error(w.x_origin[3], w.x_origin[:3].T, w.x_sent[3], w.x_sent[:3].T)
-    far = max(np.sqrt((goal[:3] ** 2).sum()), np.sqrt((goal[3:] ** 2).sum()))
+    far, rising = _largest(goal), _largest(v_end - v)
     duration = 2.0 * max(w.sample_interval[()], gains.dt)
-    slow = _PEAK * far / gains.ee_speed
-    rests = slow > 2.0 * duration or not (v_end**2).sum() > 0.0
+    top = gains.ee_speed
+    rests = _PEAK * far > 2.0 * duration * top or _largest(v_end) > _PEAK * top
+    rests = rests or _STEEPEST * rising > duration * _LEAP or not (v_end**2).sum() > 0.0
+    w.way_capped[()] = 0.0
     if rests:
-        v_end, duration = np.zeros(6), max(slow, duration)
+        slowest = _STEEPEST * top / _LEAP
+        duration = max(
+            duration, min(math.sqrt(6.0 * far / _LEAP), slowest), _STEEPEST * _largest(v) / _LEAP
+        )
+        within = duration * top / _PEAK
+        if far > within:  # a later step aims again
+            goal, w.way_capped[()] = goal * (within / far), 1.0
+        v_end = np.zeros(6)
     _write_quintic(w.way, v, a, goal, v_end, duration)
     w.way_continues[()], w.way_time[()], w.way_duration[()] = not rests, 0.0, duration
 
@@ -125,11 +154,10 @@ def _continue_way(gains: Any, w: Any) -> None:
 
     If no further sample arrives in time, a new polynomial comes to rest at the last sample.
     """
-    w.way_time[()] += gains.dt
     late = w.since_sample[()] > _LATE * w.sample_interval[()]
-    if w.way_continues[()] != 0.0 and late:
+    if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):
         _aim(gains, w, np.zeros(6))
-        w.way_time[()] = gains.dt
+    w.way_time[()] += gains.dt
     if w.way_time[()] > w.way_duration[()]:
         w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = 0.0
         return
@@ -197,20 +225,17 @@ def take_reference(
         interpolate: Whether to interpolate references that jump.
 
     Returns:
-        Whether R is a rotation and all numbers are finite; otherwise nothing is written.
+        Whether this can be a motion (`_is_motion`); otherwise nothing is written.
     """
     if not _is_motion(R, p, v, a):
         return False
     way, is_sample = np.zeros(6), False
-    if interpolate and not math.isnan(w.x_sent[3, 0]) and _differs(w, R, p, v, a):
+    rests = interpolate and not (math.isnan(w.x_sent[3, 0]) or _differs(w, R, p, v, a))
+    if interpolate and not (rests or math.isnan(w.x_sent[3, 0])):
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
         is_sample = _leaps(way, v, gains.dt)
     if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference
         put_rows(w.x_origin, w.x_sent)
-        for k in range(6):
-            fill(w.way[k], 0.0)
-        put(w.way[1], w.v_sent)
-        put(w.way[2], w.a_sent / 2.0)
     put_rows(w.x_sent, R.T)
     put(w.x_sent[3], p)
     put(w.v_sent, v)
@@ -221,7 +246,12 @@ def take_reference(
     if w.way_duration[()] > 0.0:
         _continue_way(gains, w)
     if w.way_duration[()] == 0.0:
+        for k in range(6):
+            fill(w.way[k], 0.0)
+        if not rests:
+            put(w.way[1], v)
+            put(w.way[2], a / 2.0)
         put_rows(w.x_ref, w.x_sent)
-        put(w.v_ref, w.v_sent)
-        put(w.a_ref, w.a_sent)
+        put(w.v_ref, w.way[1])
+        put(w.a_ref, 2.0 * w.way[2])
     return True

@@ -41,30 +41,46 @@ class Measurement(NamedTuple):
     state at rest."""
 
 
+def numbers(name: str, values: Any, *sizes: int) -> Array:
+    """An array of floats from values that a user sends; masked ones become NaN.
+
+    Raises:
+        MeasurementError: They are no real numbers, or not as many as one of the sizes.
+    """
+    try:
+        found = np.asarray(np.ma.filled(values, np.nan))
+        found = found.astype(float, casting="same_kind", copy=False)
+    except (TypeError, ValueError):
+        found = None
+    if found is None or found.shape not in [(size,) for size in sizes]:
+        raise MeasurementError(f"{name} must be {sizes[0]} numbers, was {values!r}")
+    return found
+
+
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats.
 
     Raises:
-        MeasurementError: A field is not an array of the right number of values; the message names
-            the field.
+        MeasurementError: The value is no `Measurement`, or a field is not an array of the right
+            number of values; the message names the field.
     """
+    if not isinstance(measurement, Measurement):
+        raise MeasurementError(
+            f"measured must be a Measurement({', '.join(Measurement._fields)}), was "
+            f"{type(measurement).__name__}"
+        )
     for each, shapes in zip(measurement, model.reading_shapes, strict=True):
         if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
             break
     else:
         return measurement
-    found = dict[str, Array]()
     fields = zip(Measurement._fields, measurement, model.reading_shapes, strict=True)
-    for name, each, shapes in fields:
-        try:
-            array = np.asarray(each, dtype=float)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape not in shapes:
-            size = shapes[0][0]
-            raise MeasurementError(f"measurement.{name} must be {size} numbers, was {each!r}")
-        found[name] = array
-    return measurement._replace(**found)
+    return Measurement(
+        *[
+            numbers(f"measurement.{name}", each, *[size for (size,) in shapes])
+            for name, each, shapes in fields
+        ]
+    )
 
 
 def is_finite(measurement: Measurement) -> bool:
@@ -442,17 +458,19 @@ class RobotState:
         self._compile()
 
     def _compile(self) -> None:
-        """Make a separate pinocchio model if it differs from the shared one."""
-        self.pin = self.model.pin
-        if self._factor == 1.0 and self._load.mass == 0.0:
-            return
-        self.pin = self.model.pin.copy()
-        for joint in range(2, self.pin.njoints):  # 1 is the planar joint of the base
-            Y = self.model.pin.inertias[joint]
-            scaled = pin.Inertia(self._factor * Y.mass, Y.lever, self._factor * Y.inertia)
-            self.pin.inertias[joint] = scaled
-        if self._load.mass > 0.0:
-            self.pin.inertias[self.pin.njoints - 1] += self._load
+        """Make a separate pinocchio model if it differs from the shared one.
+
+        A step in another thread uses the former model until the new one is complete.
+        """
+        made = shared = self.model.pin
+        if self._factor != 1.0 or self._load.mass > 0.0:
+            made = shared.copy()
+            for joint in range(2, made.njoints):  # 1 is the planar joint of the base
+                Y = shared.inertias[joint]
+                scaled = pin.Inertia(self._factor * Y.mass, Y.lever, self._factor * Y.inertia)
+                made.inertias[joint] = scaled
+            made.inertias[made.njoints - 1] += self._load
+        self.pin = made
 
     def update(self, measurement: Measurement) -> None:
         """Recompute all arrays from a measurement: Algorithm 2, line 2 (UpdateKinematics)."""
