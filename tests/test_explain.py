@@ -239,7 +239,7 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
 @pytest.mark.parametrize(
     ("near", "controller", "part"),
     [
-        ("nothing", "dbb", "Nothing is near: the "),
+        ("nothing", "dbb", "Nothing is inside the buffer: the "),
         ("nothing", "none", "Avoidance is off."),
         ("base", "none", "avoidance is off: nothing gives way"),
         ("above", "dbb", "base's top (buffer 15 cm), where base motion cannot help"),

@@ -168,7 +168,7 @@ READINGS = {
     "no base velocity": (lambda: lambda k, m: m._replace(base_velocity=NAN[:2]), {"velocity"}),
     "base velocity in mm/s": (
         lambda: lambda k, m: m._replace(base_velocity=1000 * m.base_velocity),
-        {"velocity"},
+        {"velocity", "jump"},  # slow motions look like possible ones
     ),
 }
 
@@ -409,7 +409,8 @@ def test_no_reference_makes_a_fast_or_far_motion(
         w = loop.controller.last
         ways.append([w.x_ref[3, 1] - start.translation[1], w.v_ref[1], w.a_ref[1]])
     way, speed, acceleration = np.array(ways).T
-    assert -0.01 < way.min() < way.max() < 0.31
+    assert way.min() > -0.01
+    assert way.max() < 0.31
     assert np.abs(speed).max() < 1.05 * Config().task.ee_speed
     assert np.abs(np.diff(way)).max() < 0.00105 * Config().task.ee_speed
     assert np.abs(acceleration).max() < 50.0

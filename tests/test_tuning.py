@@ -340,6 +340,27 @@ def test_a_refused_value_is_told_to_its_sender_and_set_back(desk, path, value):
     for _ in range(3):
         desk.update()
     assert desk.handle(path).value == tunable(path).default
+
+
+def test_a_logarithmic_slider_and_its_number_show_the_same_value(desk):
+    for path in (path for path in NUMBERS if parameter(path).log):
+        widget = desk.panels[0].widgets[path]
+        put(widget.exponent, math.log10(parameter(path).high) - 0.5, Person())
+        value = desk.tuning.config.value(path)
+        assert math.log10(value) == pytest.approx(math.log10(parameter(path).high) - 0.5, abs=0.005)
+        desk.update()
+        assert widget.handle.value == value
+        desk.tuning.set(path, parameter(path).low)
+        desk.update()
+        assert widget.exponent.value == pytest.approx(math.log10(parameter(path).low), abs=0.006)
+
+
+@pytest.mark.parametrize("power", [1e9, -1e9, math.inf, math.nan])
+def test_an_exponent_out_of_range_is_refused(desk, power):
+    path = next(path for path in NUMBERS if parameter(path).log)
+    before, sender = desk.tuning.config.value(path), Person()
+    put(desk.panels[0].widgets[path].exponent, power, sender)
+    assert desk.tuning.config.value(path) == before
     assert len(sender.notes) == 1
     assert parameter(path).allowed in sender.notes[0]
     assert (desk.tuning.config, desk.sink.commands) == (Config(), [])

@@ -199,9 +199,8 @@ def _nearest_within(
 
     The optimum is x itself if x satisfies the limits. With a_i = L⁻¹ C_iᵀ, scaled to length one,
     and z = Lᵀ (q̈ - x), the solution is z = Σ y_i a_i. The multipliers y solve l ≤ K y ≤ u with
-    K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound, ≤ 0 at an upper bound and 0 between. The
-    most violated row is brought to its bound while the active rows stay at theirs; an active row
-    whose multiplier becomes 0 on the way becomes inactive. Then the next row follows.
+    K = a aᵀ + diag(compliances), y_i ≥ 0 at a lower bound, ≤ 0 at an upper bound and 0 between.
+    A pass brings the most violated row to its bound; active rows stay at theirs or become inactive.
 
     Args:
         x: (n,) the free optimum.

@@ -51,9 +51,7 @@ HISTORY = 128
 """Largest age of a reading in periods over which the motion can be predicted."""
 _MAX_AGE = 0.1  # [s] largest time without a new reading before the fallback command
 _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
-_FARTHEST = (
-    10.0  # [-] multiple of a top speed above which a velocity is impossible, or a pose jumps
-)
+_FARTHEST = 10.0  # [-] multiple of a top speed above which a motion is impossible
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _AGREED = 2  # intervals that must agree with the first one on a ratio other than 1

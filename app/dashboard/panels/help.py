@@ -60,7 +60,8 @@ _STEP = (SHOW, NEXT, CLOSE)
 CARDS = {
     "welcome": Card(
         "This robot keeps its base out of its own arm's way",
-        "A person guides the arm towards the base: the base drives away before the arm touches it.",
+        "A person guides the arm towards the base: the base drives away before the arm touches it. "
+        "Without avoidance the base would stay, and the arm would hit it.",
         (WATCH, PULL),
     ),
     "watch": Card(

@@ -161,7 +161,7 @@ class ComparePanel(Panel):
         super().__init__(viewer)
         gui = self._gui
         gui.add_markdown(
-            "Run other controllers on the same pull, as ghosts; hqp slows all of them down."
+            "Run other controllers on the same pull, as ghosts. hqp takes much computing time."
         )
         self._choices = [
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))

@@ -93,7 +93,7 @@ class TuningPanel(Panel):
     def _show_advanced(self) -> None:
         advanced = self._all.value
         for each in self.widgets.values():
-            each.handle.visible = advanced or each.is_marked or not each.about.advanced
+            each.show(visible=advanced or each.is_marked or not each.about.advanced)
 
     def _save(self, event: Any) -> None:
         name = self._name.value.strip()
@@ -132,7 +132,7 @@ def file_name(name: str) -> str:
 
 
 class ParameterWidget(Panel):
-    """Widget of one parameter.
+    """Widget of one parameter; a range of several powers of ten has a second one, its exponent.
 
     A refused value changes nothing: its sender gets a message, and the widget is reset. A typed
     value arrives when it is complete.
@@ -146,12 +146,32 @@ class ParameterWidget(Panel):
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
         self.handle = _widget(self._gui, self.about, self._title, self._tuning.config.value(path))
         self.on_update(self.handle, self._set)
+        self.exponent = _exponent(self._gui, self.about, self.handle.value)
+        """The slider of the value's power of ten, or None."""
+        if self.exponent is not None:
+            self.on_update(self.exponent, self._set_power)
 
     def update(self, moment: Moment) -> None:
         value = self._tuning.config.value(self.about.path)
         self.follow(self.handle, value)
         self.is_marked = value != self._tuning.usual.value(self.about.path)
         self.handle.label = self._title + (MARK if self.is_marked else "")
+        if self.exponent is not None:
+            self.follow(self.exponent, _power_of(value))
+
+    def show(self, *, visible: bool) -> None:
+        """Show or hide the widget."""
+        for handle in filter(None, (self.handle, self.exponent)):
+            handle.visible = visible
+
+    def _set_power(self, event: Any) -> None:
+        # The range of the parameter refuses exponents beyond those of a double, and NaN.
+        power = event.target.value
+        value = float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
+        try:
+            self._tuning.set(self.about.path, value)
+        finally:
+            self.follow(self.exponent, _power_of(self._tuning.config.value(self.about.path)))
 
     def _set(self, event: Any) -> None:
         try:
@@ -171,6 +191,20 @@ def _widget(gui: viser.GuiApi, about: Parameter | Choice, title: str, value: flo
         handle = gui.add_slider(title, low, high, slider_step(low, high), float(value), hint=hint)
     handle.precision = DECIMALS
     return handle
+
+
+def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any:
+    """Create the slider of the power of ten of a value, or return None."""
+    if isinstance(about, Choice) or not about.log:
+        return None
+    low, high = math.log10(about.low), math.log10(about.high)
+    marks = ((low, f"{about.low:g}"), (high, f"{about.high:g}"))
+    first, hint = _power_of(value), f"{about.help} {about.allowed}"
+    return gui.add_slider(f"{about.label}, 10ˣ", low, high, 0.01, first, marks=marks, hint=hint)
+
+
+def _power_of(value: float | str) -> float:
+    return round(math.log10(float(value)), 2)
 
 
 def unbroken(title: str) -> str:

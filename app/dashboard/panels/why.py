@@ -153,7 +153,8 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     name, _, d, *_ = snapshot.nearest
     a, _, b = name.partition("-")
     buffer = words.length(snapshot.d_b)
-    text = f"Nothing is near: {_the(b, why)} is {_beside(d, snapshot)} from {_the(a, why)}"
+    text = f"{_the(b, why)} is {_beside(d, snapshot)} from {_the(a, why)}"
+    text = f"Nothing is inside the buffer: {text}"
     if why.controller == "none":
         return f"{text}. Avoidance is off."
     text += f" (buffer {buffer})"

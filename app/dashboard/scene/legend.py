@@ -79,7 +79,7 @@ class Legend(NamedTuple):
         title, unit = {
             "determinant": (measure.title, measure.unit),
             "reachability": ("Reachability by the arm, R (9)", ""),
-            "score": ("How well the base gives way, score S (10)", measure.unit),
+            "score": ("How well the base gives way: score S of (10)", measure.unit),
         }[quantity]
         return cls(pair, title, unit, d_b, low, high, drawn, len(values), top)
 
