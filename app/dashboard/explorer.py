@@ -33,16 +33,11 @@ class Explorer:
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
         """Start with the posture of a snapshot."""
-        pairs = [(Pair(*pair.name.split("-")), pair.mobile) for pair in snapshot.pairs]
-        found = LinkPairs(
-            tuple(pair for pair, mobile in pairs if mobile),
-            tuple(pair for pair, mobile in pairs if not mobile),
-            never=(),
-            rates={},
-            least_distance_m={},
-            samples=0,
-            seed=0,
+        mobile, manipulator = (
+            tuple(Pair(*pair.name.split("-")) for pair in snapshot.pairs if pair.mobile == kind)
+            for kind in (True, False)
         )
+        found = LinkPairs(mobile, manipulator, (), {}, {}, samples=0, seed=0)
         data = BorderData(found, dict(clouds), "cache")
         self._model = model
         self._session = Session(model, data, snapshot.config, physics="kinematic")
@@ -52,12 +47,7 @@ class Explorer:
 
     def ask(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
         """Return a snapshot of the robot in `posture`; other values are those of `snapshot`."""
-        asked = (
-            posture.base_pose.tobytes(),
-            posture.q_m.tobytes(),
-            snapshot.config,
-            snapshot.controller,
-        )
+        asked = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
         if asked != self._asked:
             session = self._session
             if session.config != snapshot.config:

@@ -19,6 +19,7 @@ from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] largest base coordinate
+_HEADING = "heading", 180.0, "°"
 
 
 class ExplorerPanel(Panel):
@@ -39,11 +40,7 @@ class ExplorerPanel(Panel):
             self._begin = self.button("Pause and pose the arm", self._enter, viser.Icon.STRETCHING)
             self._sliders = [
                 self._slider(f"base {axis}", -most, most, 0.01 if unit == "m" else 0.5, unit)
-                for axis, most, unit in (
-                    ("x", FARTHEST, "m"),
-                    ("y", FARTHEST, "m"),
-                    ("heading", 180.0, "°"),
-                )
+                for axis, most, unit in (("x", FARTHEST, "m"), ("y", FARTHEST, "m"), _HEADING)
             ]
             for i, name in enumerate(model.description.arm.joints):
                 low, high = np.array([model.q_lower[i], model.q_upper[i]]) * self._scale[i]

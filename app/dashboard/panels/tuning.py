@@ -93,7 +93,8 @@ class TuningPanel(Panel):
     def _show_advanced(self) -> None:
         advanced = self._all.value
         for each in self.widgets.values():
-            each.show(visible=advanced or each.is_marked or not each.about.advanced)
+            for handle in filter(None, (each.handle, each.exponent)):
+                handle.visible = advanced or each.is_marked or not each.about.advanced
 
     def _save(self, event: Any) -> None:
         name = self._name.value.strip()
@@ -159,19 +160,11 @@ class ParameterWidget(Panel):
         if self.exponent is not None:
             self.follow(self.exponent, _power_of(value))
 
-    def show(self, *, visible: bool) -> None:
-        """Show or hide the widget."""
-        for handle in filter(None, (self.handle, self.exponent)):
-            handle.visible = visible
-
     def _set_power(self, event: Any) -> None:
         # The range of the parameter refuses exponents beyond those of a double, and NaN.
         power = event.target.value
         value = float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
-        try:
-            self._tuning.set(self.about.path, value)
-        finally:
-            self.follow(self.exponent, _power_of(self._tuning.config.value(self.about.path)))
+        self._tuning.set(self.about.path, value)
 
     def _set(self, event: Any) -> None:
         try:
@@ -198,9 +191,8 @@ def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any
     if isinstance(about, Choice) or not about.log:
         return None
     low, high = math.log10(about.low), math.log10(about.high)
-    marks = ((low, f"{about.low:g}"), (high, f"{about.high:g}"))
-    first, hint = _power_of(value), f"{about.help} {about.allowed}"
-    return gui.add_slider(f"{about.label}, 10ˣ", low, high, 0.01, first, marks=marks, hint=hint)
+    label, ends = f"{about.label}, 10ˣ", ((low, f"{about.low:g}"), (high, f"{about.high:g}"))
+    return gui.add_slider(label, low, high, 0.01, _power_of(value), marks=ends, hint=about.help)
 
 
 def _power_of(value: float | str) -> float:
