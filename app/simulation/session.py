@@ -138,7 +138,7 @@ class Session:
         Raises:
             TargetError: A joint is beyond its limits.
         """
-        _check_within_limits(self.model, q_m)
+        check_within_limits(self.model, q_m)
         self.t = 0.0
         """[s] simulated time since the last reset."""
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
@@ -392,7 +392,7 @@ class VelocityTracking:
         return self._qd.copy()
 
 
-def _check_within_limits(model: RobotModel, q_m: Array) -> None:
+def check_within_limits(model: RobotModel, q_m: Array) -> None:
     """Check that joint positions (n_m,) are within their limits, beyond which a plant would push.
 
     Raises:

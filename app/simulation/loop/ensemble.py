@@ -15,7 +15,7 @@ from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
 from app.simulation.scenarios.leading import SHORTEST, Driver, Scenario, Setting, StepInput
 from app.simulation.scenarios.pulled import PullEvent
-from app.simulation.session import DT, Session, Step
+from app.simulation.session import DT, Session, Step, check_within_limits
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
 from app.simulation.trace.snapshot import GhostReading, Score
@@ -258,6 +258,7 @@ class Ensemble:
 
     def _enter(self, setting: Setting, scenario: Scenario | None) -> None:
         """Move the robot and its ghosts to the start of a setting."""
+        check_within_limits(setting.model, setting.q_m)  # before any session changes
         setting = setting._replace(config=self._adapted(scenario))
         session = self._session_for(setting)
         others = self._other_sessions(setting)
