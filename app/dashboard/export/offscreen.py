@@ -340,7 +340,7 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
     near = nearness(shown)
     way = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     tracks = shown.mode == "tracking"
-    off = f"the hand tracks a line, {millimetres(shown.ee_error)} off"
+    off = f"task: a line for the hand; it is {millimetres(shown.ee_error)} off"
     return [
         method.capitalize(),
         (off if tracks else "a person pulls the hand", PERSON),
