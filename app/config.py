@@ -349,10 +349,10 @@ class Config(Strict):
 
 
 def slowed(config: Config) -> Config:
-    """The gains of the same closed loops, with time stretched by the factor `base_time_scale`.
+    """The configuration whose closed loops are slower by the factor `task.base_time_scale`.
 
-    The stretch divides stiffnesses by the square of the factor, and damping and rates by the
-    factor. Velocity limits have the approach rate of position limits.
+    Stiffnesses and k_p are divided by the square of the factor; damping, k_v, rates and the largest
+    separation speed by the factor. `velocity_rate` gets the slower `position_rate`.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
     s = task.base_time_scale

@@ -428,7 +428,7 @@ def open_standard_files() -> None:
 
 
 def find_folders() -> None:
-    """Set a writable temporary folder and an existing home for this program and its children.
+    """Set a writable temporary folder and a home for this program and its children, if missing.
 
     On a read-only file system, for example in a container, shared memory is the only writable
     place. A user that the system does not know has no home, and browsers need a home to start.

@@ -249,15 +249,15 @@ def mean_nearest(
     placed: Array,
     blend: float,
 ) -> Array:
-    """(k, 4, 3) of `Nearest`, as in `SmoothPoints`.
+    """The points (k, 4, 3) of `Nearest`, computed as in `SmoothPoints`.
 
     Args:
-        rows: (P, 16) of the `Shapes` of all bodies, one body after the other.
-        triangles: (T, 4, 3) of them.
-        nodes: (K, 4) [m] of all bodies, and their radii.
-        firsts: (bodies + 1, 2) index of the first shape and the first node of each.
+        rows: (P, 16) rows of `Shapes` of all bodies, one body after the other.
+        triangles: (T, 4, 3) triangles of these shapes.
+        nodes: (K, 4) [m] core points of all bodies, each with its radius.
+        firsts: (bodies + 1, 2) index of the first shape and of the first node of each body.
         sought: (k, 4) bodies `a` and `b`; first and end index of the relevant shapes of `a`.
-        placed: (4 bodies, 3) axes as R (3, 3) and origin (3,) [m] of each body in the world.
+        placed: (4 bodies, 3) pose of each body in the world: three rows of R, then the origin [m].
         blend: [m] τ.
     """
     found, most = np.empty((len(sought), 4, 3)), len(nodes) * (1 + len(rows))

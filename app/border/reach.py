@@ -109,13 +109,15 @@ class Chain:
 
 
 def _moving_joints(model: RobotModel, body: str) -> list[int]:
-    """Pinocchio's indices of the arm's joints between the base and a body's point."""
+    """Pinocchio's indices of the arm's joints between the base and a body's reference frame."""
     return [joint for joint in model.pin.supports[_carrier(model, body)[0]] if joint > 1]
 
 
 def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
-    """Pinocchio's index of the joint that moves a body's point, and the pose of the point's frame
-    in the joint's frame.
+    """Pinocchio's index of the joint that moves a body's reference frame, and the frame's pose.
+
+    The pose is in the joint's frame. The reference frame is the end-effector's for the body that
+    carries it, otherwise that of the body's first shape.
     """
     if model.description.arm.end_effector_link in model.description.body(body).covers:
         frame = model.pin.frames[model.ee_frame]

@@ -139,7 +139,7 @@ def study(
     ranges: Annotated[Given, from_record(StudyRange)],
     setup: options.SetupOptions,
     inside: Annotated[
-        options.Flag, tyro.conf.arg(help="Draw only cases inside the stated envelope of safety.")
+        options.Flag, tyro.conf.arg(help="Narrow all ranges to the safety envelope.")
     ] = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,

@@ -372,14 +372,18 @@ def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
     The function computes the smallest remainder of J_arm q̇ = -J_base ν within the joints' velocity
-    limits. If the orientation counts too, a lever of 0.3 m converts the angular part to metres. The
-    position is lost if its remainder exceeds a tenth of the linear motion. The pose is lost if the
-    remainder of one part exceeds a tenth of the larger part of the motion.
+    limits. The position is lost if the linear remainder, without the angular rows, exceeds a tenth
+    of the linear motion. The pose is lost if the position is lost, or if the linear or the angular
+    remainder exceeds a tenth of the larger one of linear and angular motion; a lever of 0.3 m
+    converts angular parts to metres.
 
     Args:
         J_arm: (6, n_m) Jacobian of the end-effector, linear above angular.
         moved: (6,) [m/s, rad/s] J_base ν, velocity of the end-effector with the arm at rest.
         qd_max: (n_m,) [rad/s or m/s] largest speeds of the joints.
+
+    Returns:
+        Whether the position is lost, and whether the pose is lost.
     """
     linear, angular = float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
     left = np.linalg.norm(_least(J_arm[:3], moved[:3], qd_max))

@@ -210,7 +210,7 @@ def register_base_kind(kind: type[BaseKind]) -> None:
     """Register a kind of base for descriptions: a record whose `kind` is a `Literal`.
 
     Raises:
-        DescriptionError: The `Literal` has not exactly one name, or a different kind has this name.
+        DescriptionError: The `Literal` does not have exactly one name, or a different kind has it.
     """
     names = get_args(kind.model_fields["kind"].annotation)
     if len(names) != 1:

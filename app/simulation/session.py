@@ -372,7 +372,7 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """Start in the steady state.
+        """Start as after a long motion with the constant velocities `qd` to the positions `q`.
 
         Args:
             q: (n,) [rad or m] positions.

@@ -60,8 +60,8 @@ class Unit(NamedTuple):
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Unit, ...]:
-    """Units for the base, for the fixed part of the arm, and for the links that each joint
-    moves.
+    """The units, which are rigid groups of links: the base, the fixed part of the arm, and one or
+    two for each joint.
     """
     wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
     rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)

@@ -321,7 +321,9 @@ class Contents(NamedTuple):
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The URDFs of a zip, by their path in it; no file remains.
+    """The names of links and joints in the URDFs of a zip, by the URDF's path in the zip.
+
+    Unreadable URDFs are left out. The unpacked files are deleted.
 
     Raises:
         RobotFileError: The zip is not safe, or no URDF in it can be read.

@@ -189,7 +189,7 @@ class BaseKind(Sourced, ABC):
         """Quality of the motion of a point, in place of the determinant of (7)."""
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """The measure at points; it is larger farther ahead, or constant.
+        """The value of `measure` at points, which grows with x or is constant, and its gradient.
 
         It replaces sign(x) det(J_c J_cᵀ) in (10).
 

@@ -46,7 +46,7 @@ class Pull(Command):
     """A person holds the robot and pulls it to `target`.
 
     A pull of the end-effector ends the motion of a scenario; a pull elsewhere disturbs this motion.
-    An open scenario continues and records all pulls.
+    A scenario in which people pull freely (`Scenario.open`) continues and records all pulls.
     """
 
     target: Point

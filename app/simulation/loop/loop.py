@@ -115,8 +115,8 @@ class SimulationLoop(LiveLoop):
 
         Args:
             make_session: Called once, in the loop's own thread, which then owns the session.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: the first
-                start, and a `Reset` without a posture.
+            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
+                starts, and after a `Reset` without a posture.
             kept: Largest number of snapshots in `history`.
         """
         super().__init__(kept)

@@ -56,8 +56,8 @@ class ProcessLoop(LiveLoop):
         Args:
             make_session: Called once in the child; must be picklable, such as
                 `functools.partial(Session, model, data, config)`.
-            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: the first
-                start, and a `Reset` without a posture.
+            q_start: (n_m,) [rad or m] joint positions of the arm at the free start: when the loop
+                starts, and after a `Reset` without a posture.
             child: A process of `loop_child`; default: a new process.
         """
         super().__init__()

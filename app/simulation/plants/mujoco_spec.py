@@ -153,7 +153,7 @@ class RobotSpec:
     def friction(self, limit: float) -> dict[str, Any]:
         """Options of a joint with dry friction up to `limit` [N or N m].
 
-        Friction below the limit stops the joint within one step.
+        If the friction that stops the joint within one step is within the limit, the joint stops.
         """
         return {
             "frictionloss": limit,

@@ -187,8 +187,8 @@ def run_experiments(
 ) -> Runs:
     """Run each experiment once, in parallel processes.
 
-    After each finished run, `on_progress` gets the sum of the simulated times [s] of the runs
-    finished so far.
+    The results arrive from the longest run to the shortest one. After each, `on_progress` gets the
+    sum of the simulated times [s] of all results so far.
 
     Raises:
         UnreachableError: The arm cannot reach the start of an experiment.

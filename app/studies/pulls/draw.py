@@ -116,8 +116,8 @@ def draw_start(
         rng: Source of random numbers.
 
     Returns:
-        The start, the arm's joint positions (n_m,) at the start, and the number of positions that
-        were drawn before and rejected.
+        The start, the arm's joint positions (n_m,) at the start, and the number of starts that were
+        drawn before and rejected.
 
     Raises:
         StudyError: The arm reaches no start at these heights.
