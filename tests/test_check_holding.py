@@ -27,7 +27,7 @@ def test_stretch_is_warned_of_along_its_wheels() -> None:
         pytest.skip("pip install '.[robots]'")
     row = holding_row(RobotModel(load_robot("stretch_se3")))
     assert row.outcome == "warned"
-    assert "while the base moves forward at 0.5 m/s (in 100% of poses" in row.text
+    assert "while the base moves forward at 0.5 m/s (in 100% of the poses" in row.text
     assert row.numbers["place_lost_v_share"] > 0.9
 
 

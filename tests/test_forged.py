@@ -131,7 +131,7 @@ def test_who_cancels_a_picture_that_does_not_come_has_not_to_wait_for_it(served)
 
 def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(served):
     with visitor(served) as (client, page):
-        slider = page.tuning_panel.widgets["border.d_b"].handles[0]
+        slider = page.tuning_panel.widgets["border.d_b"].handle
         served.loop.send(Pause(False))
         begin, before = time.monotonic(), served.loop.latest().t
         for i in range(FLOOD):

@@ -374,6 +374,7 @@ def test_of_all_kinds_that_viser_obeys_some_are_taken_and_the_others_are_known()
         _messages.GuiFormDirtyMessage,
         _messages.GuiFormSubmitMessage,
         _messages.SceneNodeClickMessage,
+        _messages.ScenePointerMessage,
         _messages.ShareUrlDisconnect,
         _messages.ShareUrlRequest,
     }

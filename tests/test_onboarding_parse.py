@@ -595,7 +595,7 @@ def test_a_mesh_of_a_package_is_suggested_where_its_name_is_nearly_right(
 ) -> None:
     mesh = mesh_in(tmp_path / "hand_support")
     mesh.rename(mesh.with_name("hands.stl"))
-    with pytest.raises(RobotFileError, match=r"did you mean 'hands\.stl'"):
+    with pytest.raises(RobotFileError, match=r"did you mean 'meshes/hands\.stl'"):
         meshes(meshed)
 
 

@@ -348,7 +348,7 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
     request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
     with (
         few_samples(tmp_path),
-        pytest.raises(RobotFileError, match=r"l1-lEE do not enclose .*--bodies than"),
+        pytest.raises(RobotFileError, match=r"l1-lEE do not enclose .*--bodies other than"),
     ):
         new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("too late"), ALONE)
 
@@ -650,7 +650,7 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
     assert narrowed == [k]
     assert -2.2 < limits.lower[k] < -1.4
     assert 1.4 < limits.upper[k] < 2.2
-    assert "lift to where upper comes to base" in limits.source["position_upper"]
+    assert "lift is limited before upper reaches base" in limits.source["position_upper"]
     monkeypatch.setattr(stops, "MARGIN", 1.0)  # as of a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]

@@ -186,7 +186,7 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     pairs = pairs_of(model)
     found = find_place(model, pairs, "guiding-lateral")
     np.testing.assert_allclose(found.move, (0.0, -0.325, 0.0), atol=1e-9)
-    assert "cannot start there" in find_place(model, pairs, "guiding-front")
+    assert "cannot start outside of its buffers" in find_place(model, pairs, "guiding-front")
 
 
 _figures: dict[tuple[Place, float], dict[str, Any]] = {}

@@ -254,7 +254,7 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         client.set_widget(own.fields["left"], FIND)
         wait_for(lambda: own.fields["left"].value == FIND)
         for number, words in (
-            (0.1, "needs “Half track”, and no “Left wheel”"),
+            (0.1, "needs “Half track”, and excludes “Left wheel”"),
             (0.001, "0.001 m is not within 0.01 to 1 m"),
             (-1.0, "not within"),
         ):

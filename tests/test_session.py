@@ -255,7 +255,7 @@ def test_a_robot_without_anything_to_avoid_is_refused_by_name(
 def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goes_on(
     make, monkeypatch, reading
 ):
-    session, spoiled = make(), range(60, 80)
+    session, spoiled = make(), range(60, 260)
     steps: list[Step] = []
 
     def sensed(measured: Measurement) -> Measurement:
@@ -264,9 +264,11 @@ def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goe
         return measured._replace(**{reading: values}) if len(steps) in spoiled else measured
 
     monkeypatch.setattr(session._disturbances, "sensed", sensed)
-    while len(steps) < 120:
+    while len(steps) < 300:
         steps += pulled(session, 1)
     assert all(np.isfinite(step.control.u_cmd).all() for step in steps)
     assert all(np.isfinite(step.base_command).all() for step in steps)
-    assert [k for k, step in enumerate(steps) if not step.control.solved] == list(spoiled)
-    assert session.controller.last.failures == len(spoiled)
+    braked = [k for k, step in enumerate(steps) if not step.control.solved]
+    predicted = 100 if reading == "q_m" else len(spoiled)  # [ms] the base has the drive's model
+    assert braked == list(spoiled)[predicted:]
+    assert session.controller.last.failures == len(braked)

@@ -79,7 +79,15 @@ NAMES = {
 }
 """Functions of a module that exist on some systems only, or differ there. Names of `os` that start
 with `sched_` or `SCHED_` count too."""
-GUARD = {"select", "os.getpgid", "os.kill", "os.killpg", "signal.SIGHUP", "signal.SIGKILL"}
+GUARD = {
+    "ctypes",
+    "select",
+    "os.getpgid",
+    "os.kill",
+    "os.killpg",
+    "signal.SIGHUP",
+    "signal.SIGKILL",
+}
 FOR_A_REASON = {
     ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers",
     **{("app/jobs/guard.py", name): "it runs without this package" for name in GUARD},
