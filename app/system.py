@@ -40,7 +40,6 @@ _LOOK_EVERY = 0.02  # [s] time between two attempts to lock a folder
 _MAX_LINKS = 40  # [-] longest chain of links, as in the operating system
 _ARENA_MAX = -8  # [-] M_ARENA_MAX of mallopt(3)
 _NUMERIC = 1 << 4 if sys.platform == "darwin" else 1 << 1  # [-] LC_NUMERIC_MASK of newlocale(3)
-_PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
 def usable_cores() -> int:
@@ -123,13 +122,6 @@ def lead_group() -> None:
     """Make this process the leader of a new group of processes, which `end_group` can end."""
     with suppress(PermissionError):  # it already leads a group
         os.setsid()
-
-
-def wake_without_parent() -> None:
-    """Let the system resume this process if it is suspended when its parent ends."""
-    prctl = getattr(_c_library(), "prctl", None)
-    if prctl is not None:
-        prctl(_PARENT_DEATH, signal.SIGCONT)
 
 
 def end_when_closed(pipe: int) -> None:

@@ -359,8 +359,10 @@ def test_a_logarithmic_slider_and_its_number_show_the_same_value(desk):
 def test_an_exponent_out_of_range_is_refused(desk, power):
     path = next(path for path in NUMBERS if parameter(path).log)
     before, sender = desk.tuning.config.value(path), Person()
-    put(desk.panels[0].widgets[path].exponent, power, sender)
+    slider = desk.panels[0].widgets[path].exponent
+    put(slider, power, sender)
     assert desk.tuning.config.value(path) == before
+    assert slider.value == pytest.approx(math.log10(before), abs=0.006)
     assert len(sender.notes) == 1
     assert parameter(path).allowed in sender.notes[0]
     assert (desk.tuning.config, desk.sink.commands) == (Config(), [])

@@ -124,6 +124,8 @@ METHODS: Mapping[str, Mapping[str, Any]] = {
     "none": {},
 }
 """The terms that each compared controller adds to the tasks or to the limits."""
+MOVES_BASE = frozenset(name for name, terms in METHODS.items() if terms.get("moves_base"))
+"""Names of the controllers whose base gives way."""
 
 
 def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> Any:

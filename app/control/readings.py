@@ -24,7 +24,6 @@ import numpy as np
 from app.compiled import compiled
 from app.control.estimate import advance, estimate_arm, predicted_joint_acceleration
 from app.control.qp import times
-from app.robot.state import all_finite
 from app.strict import Array
 from app.structs import fill, put, put_rows
 
@@ -458,7 +457,7 @@ def take_readings(
     """
     fill(w.faults, 0.0)
     first, q, qd = math.isnan(w.q_posture[0]), q_m.copy(), qd_m.copy()
-    lost, velocity = not all_finite(q_m, q_m, q_m, q_m, drive), w.base_velocity.copy()
+    lost, velocity = not math.isfinite(q_m.sum() + drive.sum()), w.base_velocity.copy()
     w.faults[INVALID] = 1.0 if lost or not math.isfinite(base_pose.sum()) else 0.0
     if not lost:
         q = unwrap(q_m, w.q_last[1], robot.q_limits, first)

@@ -230,8 +230,9 @@ def take_reference(
     if not _is_motion(R, p, v, a):
         return False
     way, is_sample = np.zeros(6), False
-    rests = interpolate and not (math.isnan(w.x_sent[3, 0]) or _differs(w, R, p, v, a))
-    if interpolate and not (rests or math.isnan(w.x_sent[3, 0])):
+    follows = interpolate and not math.isnan(w.x_sent[3, 0])
+    rests = follows and not _differs(w, R, p, v, a)
+    if follows and not rests:
         way = pose_error(w.x_sent[3], w.x_sent[:3].T, p, R)
         is_sample = _leaps(way, v, gains.dt)
     if is_sample and w.way_duration[()] == 0.0:  # a polynomial continues the last reference

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 from app.control.explanation import NearPair
-from app.control.inputs import METHODS
+from app.control.inputs import MOVES_BASE
 from app.dashboard.phrases import AT_REST, SLIGHT
 from app.dashboard.scene.colours import CLEAR, CONTACT, NEAR, RESISTS, YIELDS, Rgb
 from app.simulation.trace.snapshot import PairReading, Snapshot
@@ -78,7 +78,7 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
         return "clear"
     if controller in ("none", "barrier") or (near is not None and base_cannot_help(near)):
         return "near"
-    if not pair.mobile or not METHODS.get(controller, {}).get("moves_base"):
+    if not pair.mobile or controller not in MOVES_BASE:
         return "resisting"
     return "giving way" if moves else "near"
 

@@ -20,6 +20,12 @@ from contextlib import contextmanager, suppress
 _PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
+def wake_without_parent() -> None:
+    """Let the system resume this process if it is suspended when its parent ends (Linux)."""
+    with suppress(AttributeError):
+        ctypes.CDLL(None).prctl(_PARENT_DEATH, signal.SIGCONT)
+
+
 @contextmanager
 def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int]:
     """Run a guard for this process during the `with`.
@@ -62,8 +68,7 @@ def main(heard: int, lives: int, pid: int, patience: float) -> None:
     """Wait for the announcement; kill the process if it still runs `patience` [s] later."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the guard ends with the process
-    with suppress(AttributeError):  # Linux: the process may end while the guard is suspended
-        ctypes.CDLL(None).prctl(_PARENT_DEATH, signal.SIGCONT)
+    wake_without_parent()
     while True:
         ready, _, _ = select.select([heard, lives], [], [])
         said = os.read(heard, 1) if heard in ready else b""

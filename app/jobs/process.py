@@ -23,14 +23,13 @@ from multiprocessing.pool import RemoteTraceback
 from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
-from app.jobs.guard import guarded
+from app.jobs.guard import guarded, wake_without_parent
 from app.system import (
     end_group,
     end_when_closed,
     interrupt_blocked,
     lead_group,
     lower_priority,
-    wake_without_parent,
 )
 
 Report = Callable[[str, float], None]

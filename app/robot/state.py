@@ -83,11 +83,6 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     )
 
 
-def is_finite(measurement: Measurement) -> bool:
-    """Whether all readings are finite numbers."""
-    return all_finite(*measurement)
-
-
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
     """The readings of a robot at rest; without `base_pose`, the base is at the origin."""
     pose = np.zeros(3) if base_pose is None else base_pose
@@ -113,11 +108,6 @@ def coordinates(
         q[4 + i] = q_m[i]
         qd[n_b + i] = v[3 + i] = qd_m[i]
     return qd, q, v
-
-
-@compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
-def all_finite(a: Array, b: Array, c: Array, d: Array, e: Array) -> bool:
-    return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum() + e.sum())
 
 
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")

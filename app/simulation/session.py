@@ -15,7 +15,7 @@ from app.config import Config, DisturbanceConfig, parameter
 from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.control_loop import ControlLoop
 from app.control.controller import Controller
-from app.control.inputs import METHODS
+from app.control.inputs import MOVES_BASE
 from app.control.quantities import ControlStep
 from app.control.tasks import Reference
 from app.errors import DescriptionError, TargetError
@@ -265,7 +265,7 @@ class Session:
         return self.state, self._distances.distances()
 
     def _look(self, control: ControlStep) -> BufferReading:
-        way = bool(METHODS[self.controller.name].get("moves_base"))
+        way = self.controller.name in MOVES_BASE
         return self._watch.update(self.state, control, DT, gives_way=way)
 
     def _disturb(self, config: DisturbanceConfig) -> None:

@@ -150,7 +150,7 @@ class ParameterWidget(Panel):
         self.exponent = _exponent(self._gui, self.about, self.handle.value)
         """The slider of the value's power of ten, or None."""
         if self.exponent is not None:
-            self.on_update(self.exponent, self._set_power)
+            self.on_update(self.exponent, self._set)
 
     def update(self, moment: Moment) -> None:
         value = self._tuning.config.value(self.about.path)
@@ -160,17 +160,13 @@ class ParameterWidget(Panel):
         if self.exponent is not None:
             self.follow(self.exponent, _power_of(value))
 
-    def _set_power(self, event: Any) -> None:
-        # The range of the parameter refuses exponents beyond those of a double, and NaN.
-        power = event.target.value
-        value = float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
-        self._tuning.set(self.about.path, value)
-
     def _set(self, event: Any) -> None:
+        sent, is_power = event.target.value, event.target is self.exponent
         try:
-            self._tuning.set(self.about.path, event.target.value)
+            self._tuning.set(self.about.path, _value_of(sent) if is_power else sent)
         finally:
-            event.target.value = self._tuning.config.value(self.about.path)
+            value = self._tuning.config.value(self.about.path)
+            event.target.value = _power_of(value) if is_power else value
 
 
 def _widget(gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str) -> Any:
@@ -193,6 +189,11 @@ def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any
     low, high = math.log10(about.low), math.log10(about.high)
     label, ends = f"{about.label}, 10ˣ", ((low, f"{about.low:g}"), (high, f"{about.high:g}"))
     return gui.add_slider(label, low, high, 0.01, _power_of(value), marks=ends, hint=about.help)
+
+
+def _value_of(power: float) -> float:
+    # The range of the parameter refuses powers beyond those of a double, and NaN.
+    return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 
 
 def _power_of(value: float | str) -> float:

@@ -7,6 +7,7 @@ import re
 import unicodedata
 from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
+from itertools import chain
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from urllib.parse import unquote
@@ -265,7 +266,7 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
         return
     for parent in (folder, *folder.parents):
         beside = (each.parent for each in parent.glob("*/package.xml"))
-        for each in (parent, parent / package, *beside):
+        for each in chain((parent, parent / package), beside):
             if isdir(each) and package in (each.name, _stated_name(each)):
                 yield each
     for top in _ros_folders():
