@@ -4,8 +4,6 @@ import logging
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
 from app.control.contract import JointOrder
@@ -138,7 +136,7 @@ class ControlLoop:
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
-        if np.count_nonzero(step.faults):
+        if self.controller.faulty:
             self._report(command)
         return command
 
