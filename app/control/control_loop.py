@@ -21,8 +21,8 @@ logger = logging.getLogger(__name__)
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below belong to the loop's last step; `copy.deepcopy(command)` stays
-    the same.
+    `step` and the properties below always refer to the loop's last step. A copy by `copy.deepcopy`
+    does not change in later steps.
     """
 
     u_a: Array
