@@ -499,7 +499,7 @@ def test_a_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
     parsed = parse(request(tmp_path, text))
     assert parsed.arm.joints[1].name == "upper_joint"
     assert parsed.wheels.left == ("left_wheel_joint",)
-    assert parsed.tree.robot.find("joint/mimic").get("joint") == "upper_joint"
+    assert parsed.tree.joints["grip"].mimic == ("upper_joint", 1.0, 0.0)
     made = robot_model(tmp_path, request(tmp_path, text))
     assert made.n_m == len(ARM_JOINTS)
 
@@ -513,6 +513,22 @@ def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Pat
         model.frames[model.getFrameId("finger")].placement
     )
     assert T.translation == pytest.approx([0.0, 0.015, 0.0])
+
+
+@pytest.mark.parametrize(("leader", "offset"), [("lift", 0.0), ("slide", 0.2)])
+def test_a_follower_keeps_its_relation_to_a_leader_without_zero_in_its_limits(
+    tmp_path: Path, leader: str, offset: float
+) -> None:
+    """A joint of the arm keeps its zero; another joint has a new zero at its nearest limit."""
+    limit = 'lower="0.1" upper="1" effort="5" velocity="1"'
+    text = re.sub(r'(name="lift".*?)<limit [^>]*>', rf"\1<limit {limit}/>", TOY)
+    slide = joint("slide", "prismatic", "hand", "finger", axis="0 1 0", limit=limit)
+    tip = joint("follower", "revolute", "finger", "tip")
+    tip = tip.replace("</joint>", f'<mimic joint="{leader}" multiplier="2"/></joint>')
+    text = text.replace("</robot>", link("finger") + link("tip") + slide + tip + "</robot>")
+    urdf = rebased_urdf(parse(request(tmp_path, text)), name="toy", header="test")
+    mimic = ElementTree.fromstring(urdf).find("joint[@name='follower']/mimic")
+    assert float(mimic.get("offset")) == pytest.approx(offset)
 
 
 def robot_model(folder: Path, asked: Request) -> RobotModel:
@@ -570,9 +586,8 @@ def mesh_in(folder: Path) -> Path:
 
 def meshes(path: Path, **changes: object) -> list[str]:
     given = {"urdf": str(path), "base": "base", "tip": "hand", "out": path.parent / "made"}
-    return [
-        str(m.get("filename")) for m in parse(Request(**given | changes)).tree.robot.iter("mesh")
-    ]
+    links = parse(Request(**given | changes)).tree.links.values()
+    return [str(mesh.get("filename")) for link in links for mesh in link.iter("mesh")]
 
 
 def test_a_package_is_found_upwards_by_ros_and_by_option_in_that_order(

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
@@ -20,7 +19,8 @@ from app.errors import DbbError, RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
-from app.onboarding import ROOT, SIDES
+from app.onboarding import SIDES
+from app.onboarding.compose import with_arm, with_distinct_names
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
@@ -48,7 +48,7 @@ from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.telescope import as_one_slide
-from app.onboarding.read.tree import ARM_ON_BASE, Arm, find_arm, make_tree
+from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import (
     find_drive,
     stands_on_floor,
@@ -69,7 +69,6 @@ from app.onboarding.write import (
     rebased_urdf,
     write_robot,
 )
-from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
@@ -79,10 +78,6 @@ _log = logging.getLogger(__name__)
 MEETING_SAMPLES = 6000
 """[-] smallest number of random poses in which the hulls of the links are compared."""
 _MAX_FITS = 3  # [-] fits of bodies if they miss a collision; each uses other random poses
-_OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
-_OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
-PREFIX = "arm_"
-"""Prefix for links and joints of the arm whose names also occur in the base."""
 _URDF = "robot.urdf"
 """Name of the new URDF in the robot's folder."""
 
@@ -120,7 +115,7 @@ def finish(
     with whole_folder(request.out) as folder, _one_message(lambda: doing):
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
-            path = open_package(Path(request.urdf), folder, request.file)
+            path = open_package(locate(request.urdf), folder, request.file)
             name = f"{Path(request.urdf).name}: {path.relative_to((folder / FOLDER).resolve())}"
             request = replace(request, urdf=str(path), source=name)
         border = partial(
@@ -196,8 +191,9 @@ def make_robot(
     """
     tell("reading the URDF")
     whole = _whole_robot(request)
+    size = mesh_bytes(whole.tree.links.values())
     try:
-        parsed, urdf = within_budget(_read, request, whole, folder, size=mesh_bytes(whole.robot))
+        parsed, urdf = within_budget(_read, request, whole, folder, size=size)
     except BudgetError as error:
         raise RobotFileError(f"{request.told}: its meshes: {error}") from None
     path = folder / _URDF
@@ -351,12 +347,8 @@ def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
 
 
 def _parsed(request: Request, whole: _Whole) -> Parsed:
-    robot, names = _with_distinct_names(whole.robot)
-    tip, left_out = whole.tip, whole.left_out
-    tip, base, mount = (names.get(str(n), n) for n in (tip, request.base, request.mount))
-    joined = as_one_slide(robot, str(base), str(tip))
-    tree = make_tree(robot)
-    arm = find_arm(tree, str(base), str(tip), mount)
+    tree, base, tip, mount, changes = whole
+    arm = find_arm(tree, base, tip, mount)
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
@@ -366,11 +358,11 @@ def _parsed(request: Request, whole: _Whole) -> Parsed:
             "the arm's links, or choose another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, str(base), str(tip), arm.joints[0].child)
+        arm = find_arm(tree, base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, (*left_out, *joined))
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, changes)
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
@@ -393,89 +385,35 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
 
 
 class _Whole(NamedTuple):
-    """A complete robot with its arm, before the checks."""
+    """A robot with its arm, before the shapes are read."""
 
-    robot: Element
+    tree: Tree
+    base: str
+    """The link of --base."""
     tip: str
-    """Name of the link of the end-effector."""
-    left_out: list[str]
-    """Sentences on shapes that are left out."""
+    """The link of --tip."""
+    mount: str | None
+    """The link of --mount, or None."""
+    changes: tuple[str, ...]
+    """Sentences on differences from the URDF: removed shapes, joined telescopes."""
 
 
 def _whole_robot(request: Request) -> _Whole:
+    """Read the robot from one or two files, with distinct names and joined telescopes."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
-    robot, left_out = read_robot(locate(request.urdf), packages, **arguments)
+    trees, said = [], []
+    for file in filter(None, (request.urdf, request.arm_urdf)):
+        robot, left_out = read_robot(locate(file), packages, **arguments)
+        trees.append(make_tree(robot))
+        said += left_out
+    tree, *arms = trees
     tip = request.tip
-    if request.arm_urdf is None:
-        return _Whole(robot, tip, left_out)
-    arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
-    for part in (robot, arm):  # each URDF has its own error messages
-        tree = make_tree(part)
-    tree.link(tip, "--tip")  # the tree is now that of the arm
-    names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
-    tip = PREFIX + tip if tip in names[0] & names[1] else tip
-    return _Whole(_composed(robot, arm, request), tip, left_out + also)
-
-
-def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
-    """The robot with distinct names, and the new names of links by the old ones.
-
-    `_joint` is added to a joint's name that is also a name of a link or of a library. `_link` is
-    added to a link's name that is also one of our own names. A URDF may contain such names, but
-    pinocchio and MuJoCo cannot distinguish them.
-    """
-    names = {tag: [str(e.get("name")) for e in robot.findall(tag)] for tag in ("link", "joint")}
-    links = _distinct(names["link"], _OWN_LINKS, {*names["link"], *names["joint"]}, "_link")
-    taken = {links.get(name, name) for name in names["link"]} | _OWN_JOINTS
-    joints = _distinct(names["joint"], taken, {*taken, *names["joint"]}, "_joint")
-    return _renamed(robot, {"joint": joints, "link": links}), links
-
-
-def _distinct(
-    names: Sequence[str], foreign: Collection[str], taken: set[str], end: str
-) -> dict[str, str]:
-    """New, unique names with a suffix for all names that are also in `foreign`."""
-    renamed = {}
-    for name in names:
-        if name and name in foreign and names.count(name) == 1:  # `make_tree` refuses duplicates
-            new = name + end
-            while new in taken:
-                new += "_"
-            taken.add(new)
-            renamed[name] = new
-    return renamed
-
-
-def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
-    """A copy with new names of links and joints, also in references to them."""
-    robot = deepcopy(robot)
-    for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
-        ends = [(each, "name") for each in robot.findall(tag)]
-        ends += [(end, tag) for role in roles for end in robot.iterfind(f"joint/{role}")]
-        for element, key in ends:
-            if (name := element.get(key)) in names[tag]:
-                element.set(key, names[tag][str(name)])
-    return robot
-
-
-def _composed(base: Element, arm: Element, request: Request) -> Element:
-    """One robot from two: the root of the arm is fixed to --base.
-
-    Names of the arm that also occur in the base get the prefix `arm_`. The inputs do not change.
-    """
-    taken = {
-        tag: [str(each.get("name")) for each in base.findall(tag)] for tag in ("link", "joint")
-    }
-    prefixed = {tag: {name: PREFIX + name for name in names} for tag, names in taken.items()}
-    robot, arm = deepcopy(base), _renamed(arm, prefixed)
-    root = make_tree(arm).root
-    known = {m.get("name") for m in base.findall("material")}
-    robot.extend(m for m in arm.findall("material") if m.get("name") not in known)
-    robot.extend([*arm.findall("link"), *arm.findall("joint")])
-    joint = SubElement(robot, "joint", name=ARM_ON_BASE, type="fixed")
-    SubElement(joint, "parent", link=request.base)
-    SubElement(joint, "child", link=root)
-    xyz, rpy = (" ".join(map(repr, each)) for each in (request.mount_xyz, request.mount_rpy))
-    SubElement(joint, "origin", xyz=xyz, rpy=rpy)
-    return robot
+    for arm in arms:
+        T = pin.SE3(pin.rpy.rpyToMatrix(*request.mount_rpy), np.array(request.mount_xyz))
+        tree, tip = with_arm(tree, arm, request.base, arm.link(tip, "--tip"), T)
+    tree, names = with_distinct_names(tree)
+    base, tip = (names.get(name, name) for name in (request.base, tip))
+    tree, joined = as_one_slide(tree, base, tip)
+    mount = request.mount and names.get(request.mount, request.mount)
+    return _Whole(tree, base, tip, mount, (*said, *joined))

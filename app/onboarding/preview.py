@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from trimesh.viewer.notebook import scene_to_html
 
 from app.onboarding.fit.units import moved
 from app.onboarding.warn import outside
-from app.robot.shapes import shape_mesh
+from app.robot.model import body_meshes
 
 if TYPE_CHECKING:
     from app.onboarding.record import NewRobot
@@ -46,9 +46,9 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
     return found
 
 
-def view_html(robot: NewRobot, placed: Sequence[pin.SE3]) -> str:
+def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
     """A page that shows the coloured links and the bodies over them in three dimensions."""
-    scene, bare = trimesh.Scene(), bare_links(robot, placed)
+    scene = trimesh.Scene()
     for mesh, colour, alpha in _meshes(robot, placed, bare):
         r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
         material = trimesh.visual.material.PBRMaterial(
@@ -62,16 +62,12 @@ def view_html(robot: NewRobot, placed: Sequence[pin.SE3]) -> str:
 
 
 def _meshes(
-    robot: NewRobot, placed: Sequence[pin.SE3], bare: dict[str, Bare]
+    robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]
 ) -> Iterator[tuple[trimesh.Trimesh, str, float]]:
-    model = robot.model
+    """The mesh, colour and opacity of each link and body."""
     for unit in robot.meetings.units:
         for part in unit.parts:
             hull = trimesh.convex.convex_hull(moved(part.corners, placed[unit.joint]))
             yield hull, COLOURS[bare.get(part.link)], 1.0
-    for body in robot.bodies:
-        shapes = model.description.body(body.name).shapes
-        for k, shape in zip(model.shape_ids[body.name], shapes, strict=True):
-            item = model.geometry.geometryObjects[k]
-            T = placed[item.parentJoint] * item.placement
-            yield shape_mesh(shape).copy().apply_transform(T.homogeneous), _BODY, 0.3
+    for _, mesh in body_meshes(robot.model, (0.0, 0.0, 0.0), robot.ready.q_m):
+        yield mesh, _BODY, 0.3

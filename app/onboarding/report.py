@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,8 +20,7 @@ from app.border.offset import offset_contours
 from app.border.score import radial_profile
 from app.onboarding.fit.units import moved
 from app.onboarding.preview import COLOURS, Bare, bare_links, view_html
-from app.robot.model import RobotModel
-from app.robot.shapes import shape_mesh
+from app.robot.model import RobotModel, body_meshes
 from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
@@ -50,7 +50,7 @@ def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
     placed = _placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
     pngs = bodies_png(robot, bare), border_png(robot, data), reach_png(robot)
-    return Pictures(*pngs, view_html(robot, placed), bare)
+    return Pictures(*pngs, view_html(robot, placed, bare), bare)
 
 
 def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
@@ -184,8 +184,9 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     Links that extend beyond their bodies have the colours of `COLOURS`.
     """
     model = robot.model
-    placed = _placements(model, robot.ready.q_m)
-    units = robot.meetings.units
+    placed, units = _placements(model, robot.ready.q_m), robot.meetings.units
+    bodies = body_meshes(model, (0.0, 0.0, 0.0), robot.ready.q_m)
+    colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
         spans = np.ptp(
@@ -197,15 +198,13 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
                 for part in unit.parts:
                     corners, colour = moved(part.corners, placed[unit.joint]), bare.get(part.link)
                     _fill(axes, corners, x, y, COLOURS[colour], 0.55)
-            for k, name in enumerate(model.body_names):
-                for corners in body_corners(model, placed, name):
-                    colour = BODY_COLOURS[k % len(BODY_COLOURS)]
-                    _fill(axes, corners, x, y, colour, 0.25, name if x == 0 and y == 2 else None)
+            for name, mesh in bodies:
+                _fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.25)
             axes.autoscale()
             across, up = (f"{'xyz'[k]} [m]" for k in (x, y))
             axes.set(aspect="equal", title=title, xlabel=across, ylabel=up)
             axes.locator_params(nbins=4)
-        _legend(figure, model.body_names)
+        _legend(figure, colours)
         return png_of(figure)
 
 
@@ -217,8 +216,8 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
     if not clouds:
         return None
     offset = offset_contours(model, d_b)
-    placed = _placements(model, robot.ready.q_m)
-    base = body_corners(model, placed, model.body_names[0])
+    meshes = body_meshes(model, (0.0, 0.0, 0.0), robot.ready.q_m)
+    base = [np.asarray(mesh.vertices) for name, mesh in meshes if name == model.body_names[0]]
     top = max(float(corners[:, 2].max()) for corners in base)
     heights = (0.5 * top, top + 0.5 * d_b)
     with styled():
@@ -266,39 +265,23 @@ def reach_png(robot: NewRobot) -> bytes | None:
         return png_of(figure)
 
 
-def body_corners(model: RobotModel, placed: Sequence[pin.SE3], name: str) -> list[Array]:
-    """Corners (N, 3) [m] of each shape of a body, with the base at the origin."""
-    corners = []
-    for shape, k in zip(model.description.body(name).shapes, model.shape_ids[name], strict=True):
-        item = model.geometry.geometryObjects[k]
-        T = placed[item.parentJoint] * item.placement
-        corners.append(moved(np.asarray(shape_mesh(shape).vertices), T))
-    return corners
-
-
 def _placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
     data = model.pin.createData()
     pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
     return [T.copy() for T in data.oMi]
 
 
-def _fill(
-    axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float, label: str | None = None
-) -> None:
+def _fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -> None:
     """Draw the projection of a convex body on the axes x and y."""
     flat = points[:, [x, y]]
-    ring = flat[
-        ConvexHull(flat, qhull_options="QJ").vertices
-    ]  # the projection of a plate can be a line
+    # The projection of a plate can be a line.
+    ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
-    axes.add_collection(PolyCollection([ring], label=label, linewidth=1.0, **style))
+    axes.add_collection(PolyCollection([ring], linewidth=1.0, **style))
 
 
-def _legend(figure: Figure, names: Sequence[str]) -> None:
-    patches = [
-        Patch(color=BODY_COLOURS[k % len(BODY_COLOURS)], alpha=0.5, label=name)
-        for k, name in enumerate(names)
-    ]
+def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
+    patches = [Patch(color=colour, alpha=0.5, label=name) for name, colour in colours.items()]
     kinds = {
         None: "enclosed links",
         "design": "beyond their body by design",

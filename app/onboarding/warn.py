@@ -15,11 +15,12 @@ from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
+from app.onboarding.compose import ARM_ON_BASE
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.travel import with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
-from app.onboarding.read.tree import ARM_ON_BASE, FREE
+from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs, sample_joints

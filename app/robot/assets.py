@@ -325,11 +325,14 @@ def xml_text(path: Path) -> str:
     """The text of a valid XML file in its declared encoding; without a declaration, in UTF-8.
 
     Raises:
-        RobotFileError: The file is a placeholder, cannot be decoded, or as for `refuse_entities`.
+        RobotFileError: The file is a placeholder, is too large or cannot be decoded, or as for
+            `refuse_entities`.
         OSError: The file cannot be read.
-        ValueError: The file is larger than any valid one.
     """
-    content = content_of(path)
+    try:
+        content = content_of(path)
+    except ValueError as error:
+        raise RobotFileError(f"{path}: {error}") from None
     refuse_placeholder(content, path)
     content = content.removeprefix(codecs.BOM_UTF8)
     declared = _DECLARED.match(content)
