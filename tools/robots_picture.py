@@ -17,13 +17,14 @@ from matplotlib.axes import Axes
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.onboarding.fit.units import moved, units_of_links
+from app.onboarding.preview import body_meshes
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.report import BODY_COLOURS, _fill, _placements
+from app.onboarding.report import BODY_COLOURS, fill, placements
 from app.robot.assets import urdf_path
 from app.robot.description import load_robot
-from app.robot.model import RobotModel, body_meshes
+from app.robot.model import RobotModel
 from app.studies.style import SOFT, new_figure, png_of, styled
 
 D_B = 0.15  # [m]
@@ -34,17 +35,16 @@ IN_A_ROW = 6  # [-] robots
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     """Draw the ready pose along an axis: the bodies over the grey hulls of the links."""
-    ready = np.array(model.description.arm.ready_position)
-    placed = _placements(model, ready)
+    placed = placements(model, np.array(model.description.arm.ready_position))
     path = urdf_path(model.description)
     geometry = read_geometry(make_tree(read_robot(path)[0]))
     for units in units_of_links(model, geometry).values():
         for unit in units:
             for part in unit.parts:
-                _fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.5)
+                fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.5)
     colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
-    for name, mesh in body_meshes(model, (0.0, 0.0, 0.0), ready):
-        _fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.3)
+    for name, mesh in body_meshes(model, placed):
+        fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.3)
     axes.set_aspect("equal")
     axes.autoscale()
 

@@ -18,7 +18,7 @@ _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR
 
 
 def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tree, str]:
-    """A tree whose link `base` carries the root of an arm, and the new name of the arm's link `tip`.
+    """A tree with the root of an arm fixed to the link `base`, and the new name of the arm's `tip`.
 
     Links and joints of the arm whose names also occur in `tree` get the prefix `arm_`. T is
     T_base_arm.

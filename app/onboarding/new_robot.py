@@ -1,4 +1,4 @@
-"""From a URDF to a robot's folder: all steps in order. Each number gets a source."""
+"""All steps from a URDF to a robot's folder."""
 
 from __future__ import annotations
 
@@ -76,10 +76,9 @@ from app.system import whole_folder, write_whole
 _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
-"""[-] smallest number of random poses in which the hulls of the links are compared."""
-_MAX_FITS = 3  # [-] fits of bodies if they miss a collision; each uses other random poses
-_URDF = "robot.urdf"
-"""Name of the new URDF in the robot's folder."""
+"""[-] smallest number of random poses in which the distances between hulls are computed."""
+_MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random poses
+_URDF = "robot.urdf"  # name of the new URDF in the robot's folder
 
 
 def finish(
@@ -91,12 +90,12 @@ def finish(
     sampling: SamplingConfig | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Create a robot and its border, and move the complete folder into place.
+    """Create a robot and its border, and write the complete folder or nothing.
 
-    `workers` do all parallel work except sampling the border: for this there are `processes`, by
-    default one for each usable core. A coarse border, with its own `sampling`, is sampled in this
-    process, because starting others takes longer. `tell` is called with the name of each step, and
-    `on_progress` with the finished share of a long step, 0 to 1: bodies, border, lines.
+    `workers` do all parallel work except sampling the border, for which there are `processes`; None
+    means one for each usable core. With `sampling`, the parameters of a coarse border, this process
+    samples alone, because starting others would take longer. `tell` is called with the name of each
+    step, and `on_progress` with the finished share, 0 to 1, of a long step: bodies, border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
@@ -134,7 +133,7 @@ def finish(
         # matplotlib.
         from app.onboarding.report import VIEW, draw, report_html
 
-        pictures = workers.map(draw, [(robot, data)])  # in the worker that finishes its line first
+        pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
         robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
@@ -146,7 +145,7 @@ def finish(
 
 @contextmanager
 def _one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert any exception of a library to a message of one line that names the step."""
+    """Convert any exception of a library to a `RobotFileError` of one line that names the step."""
     try:
         yield
     except DbbError:
@@ -155,8 +154,8 @@ def _one_message(doing: Callable[[], str]) -> Iterator[None]:
         _log.debug("%s", doing(), exc_info=True)
         why = " ".join(str(error).split())[:300] or "no reason stated"
         raise RobotFileError(
-            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; "
-            "check that check_urdf accepts the file, then report it with the URDF"
+            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; check "
+            "the file with check_urdf; if it is valid, report this error together with the URDF"
         ) from error
 
 
@@ -164,7 +163,7 @@ _UNWATCHED = {
     True: "chosen: some of its links are nearer than d_b by design",
     False: "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions",
 }
-"""Why a pair is not monitored: because of its links (True), or of its bodies alone (False)."""
+"""Why a pair is not monitored, by the value of `Verdict.unwatched`."""
 
 
 def make_robot(
@@ -176,18 +175,13 @@ def make_robot(
     tell: Callable[[str], None] = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Create a robot without lines for guiding and without a report, which `finish` adds.
+    """Create a robot and its border, without lines for guiding and warnings, which `finish` adds.
 
-    Args:
-        request: The input.
-        folder: Temporary folder for the URDF.
-        border: Returns the pairs and the clouds of border points of a model.
-        workers: Worker processes for random poses and reachability maps.
-        tell: As in `finish`.
-        on_progress: As in `finish`.
+    The new URDF and converted meshes are written into `folder`. `border` returns the pairs and the
+    clouds of border points of a model. `workers` compute random poses and reachability maps.
 
     Raises:
-        DbbError: As in `finish`.
+        DbbError: As in `finish`, except `OutputError` for an existing folder.
     """
     tell("reading the URDF")
     whole = _whole_robot(request)
@@ -195,7 +189,7 @@ def make_robot(
     try:
         parsed, urdf = within_budget(_read, request, whole, folder, size=size)
     except BudgetError as error:
-        raise RobotFileError(f"{request.told}: its meshes: {error}") from None
+        raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
@@ -226,8 +220,11 @@ def make_robot(
 def _lines(
     robot: NewRobot, data: BorderData, workers: Workers, on_progress: OnProgress
 ) -> Iterator[tuple[str, Place | str]]:
-    """For each scenario its line for guiding, or the reason for a missing line."""
-    # An arm that cannot hold its end-effector avoids the base by itself, on any line.
+    """Each scenario with its line for guiding, or with the reason why it has no line.
+
+    There is none if the arm and the base are no pair.
+    """
+    # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
     sides = [Side(name, robot.model, data, anyway=anyway) for name in names]
     return zip(names, workers.map(line_from, sides, on_progress, tells=True), strict=True)
@@ -268,9 +265,12 @@ def _embodied(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Embodied:
-    """Fit bodies around groups of links, again if they miss a collision in new random poses.
+    """Fit bodies around groups of links, up to three times if the bodies miss a collision.
 
-    The result is the fit whose bodies miss the fewest collisions of links.
+    The result is the fit whose bodies miss the fewest collisions of links in new random poses.
+
+    Raises:
+        RobotFileError: The bodies of a pair miss more than half of their links' collisions.
     """
     tell("sampling random poses")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -314,17 +314,15 @@ def _embodied(
 def _moving(
     request: Request, parsed: Parsed, model: RobotModel, ready: Ready
 ) -> tuple[Sourced, Sourced]:
-    """Numbers of the base, and numbers of the arm that depend on its bodies and masses."""
+    """Numbers of the base, and the ready pose and the damping of the arm, with their sources."""
     base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, parsed.steering)
     why = (
-        "chosen: as for the paper's robot, but smaller for a light joint, so that it is stable in "
+        "as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are stable"
     )
+    rule = RULE if request.ready is None else "given: --ready"
     return base, {
-        "ready_position": (
-            tuple(float(q) for q in ready.q_m),
-            RULE if request.ready is None else "given: --ready",
-        ),
-        "joint_damping": (damping(parsed.limits, parsed.arm, model), why + "steps of 1 ms"),
+        "ready_position": (tuple(float(q) for q in ready.q_m), rule),
+        "joint_damping": (damping(parsed.limits, parsed.arm, model), f"chosen: {why}"),
     }
 
 
@@ -340,9 +338,11 @@ def parse(request: Request) -> Parsed:
 
 
 def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
-    """The checked robot, and the text of its new URDF; it converts some meshes into `folder`."""
+    """The checked robot and the text of its new URDF; some meshes are converted into `folder`."""
     parsed = _parsed(request, whole)
-    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
+    header = (
+        f"Made by dbb new-robot from {request.shown_source}; its sources and licences: SOURCES.md"
+    )
     return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
 
 
@@ -366,7 +366,7 @@ def _parsed(request: Request, whole: _Whole) -> Parsed:
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
-    """Refuse a ready pose that would be invalid in the description."""
+    """Refuse a ready pose with a wrong number of joints, or outside of their limits."""
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):

@@ -1,4 +1,4 @@
-"""The files of a new robot: description, URDF with the root on the floor, list of sources."""
+"""The files of a new robot: description, new URDF and list of sources."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 def write_robot(robot: NewRobot, folder: Path) -> None:
     """Write the description, the URDF and the list of sources into a folder."""
     write_whole(folder / "robot.urdf", robot.urdf)
-    title = f"{robot.content['title']}, from {robot.request.told}"
+    title = f"{robot.content['title']}, from {robot.request.shown_source}"
     text = description_text(robot.content, title)
     write_whole(folder / "robot.toml", text)
     load_description(folder / "robot.toml")
@@ -59,7 +59,7 @@ def _sources_text(robot: NewRobot) -> str:
     """The text of `SOURCES.md`, which lists the files that the robot consists of."""
     request, lines = robot.request, []
     copied = "No mesh is copied: `robot.urdf` refers to the files of the installed packages."
-    for what, path in (("robot", request.told), ("arm", request.arm_urdf)):
+    for what, path in (("robot", request.shown_source), ("arm", request.arm_urdf)):
         if path is not None:
             lines.append(f"- URDF of the {what}: `{path}`")
     urdf = ElementTree.fromstring(robot.urdf)
@@ -71,7 +71,7 @@ def _sources_text(robot: NewRobot) -> str:
     lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in meshes if mesh[0] == "/"]
     folders = {mesh.partition("/")[0] for mesh in meshes if mesh not in installed}
     if FOLDER in folders:
-        lines.append(f"- Meshes of that package, in the folder `{FOLDER}` beside this file")
+        lines.append(f"- Meshes of the zip, in the folder `{FOLDER}` beside this file")
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
         lines.append(
@@ -185,7 +185,7 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
     """Add comments with the source of each number, up to its first colon.
 
-    A short source with several parts is a comment in full.
+    A source of less than 80 characters with a semicolon is a comment in full.
     """
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -202,13 +202,8 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     The root is a frame on the floor with x forward; below it are the base and all descendants of
     the base. A link without collision shapes gets its visual shapes as collision shapes. A
     continuous joint becomes a revolute joint with wide limits, and a planar or floating joint
-    becomes fixed, so that all libraries read the same robot.
-
-    Args:
-        parsed: The content of the old URDF.
-        name: Name of the robot.
-        header: Text of a comment at the beginning.
-        home: Folder of the new URDF, see `mesh_name`; None means unchanged addresses of meshes.
+    becomes fixed, so that all libraries read the same robot. `header` becomes a comment. `home` is
+    the folder of the new URDF; see `mesh_name`.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -274,8 +269,7 @@ def _copies(element: Element, *tags: str) -> list[Element]:
 
 
 def _colour_only(material: Element) -> Element:
-    """A material with only its name and its colour, because no part of this program draws textures.
-    """
+    """A material with its name and colour, without a texture: textures are never drawn."""
     kept = Element("material", name=material.get("name") or "unnamed")
     if (colour := rgba(material)) is not None:
         SubElement(kept, "color", rgba=_words(np.array(colour)))
@@ -337,15 +331,11 @@ def description(
 ) -> dict[str, Any]:
     """The content of a description; it refers to the URDF by name.
 
-    Without `bodies` and `moving` it is sufficient for kinematics and dynamics: the bodies are small
-    spheres, the numbers of the base are 1, and the ready pose is the middle of the joints' ranges.
-
-    Args:
-        request: The input.
-        parsed: The content of the URDF.
-        bodies: The fitted bodies.
-        moving: Numbers of the base and of the arm with their sources.
-        unwatched: Why a pair of bodies is not monitored, by the name of the pair.
+    `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
+    the base and missing efforts are 1, the damping is 0, and the ready pose is the middle of the
+    joints' ranges. Without `bodies`, the bodies are small spheres. Both are sufficient for
+    kinematics and dynamics. `unwatched` are the reasons why pairs of bodies are not monitored, by
+    the names of the pairs.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
@@ -393,8 +383,8 @@ def _body(body: FittedBody) -> dict[str, Any]:
     nested = "; nested: links that touch in most of the random poses" if body.nested else ""
     return {
         "name": body.name,
-        "source": f"fitted around the parts of the covered links that can meet other links: {over} "
-        f"times their volume, at most {out:.3f} m outside of their hulls{nested}",
+        "source": f"fitted around the covered links, or their parts that other links can reach: "
+        f"{over} times the volume of their hull, at most {out:.3f} m beyond it{nested}",
         "frame": body.frame,
         "covers": body.links,
         **({"nested": dict(body.nested)} if body.nested else {}),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -18,10 +18,6 @@ import pinocchio as pin
 from app.errors import DescriptionError
 from app.robot.assets import bare_urdf
 from app.robot.description import RobotDescription
-from app.robot.shapes import shape_mesh
-
-if TYPE_CHECKING:
-    import trimesh
 
 Array = np.ndarray
 Options = ParamSpec("Options")
@@ -234,20 +230,6 @@ def kept_per_model(
         return asked
 
     return keep
-
-
-def body_meshes(
-    model: RobotModel, base_pose: Sequence[float] | Array, q_m: Array
-) -> list[tuple[str, trimesh.Trimesh]]:
-    """The names and meshes of the convex bodies at a posture, in the world."""
-    data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
-    q = model.configuration(base_pose, q_m)
-    pin.updateGeometryPlacements(model.pin, data, model.geometry, placed, q)
-    return [
-        (body.name, shape_mesh(shape).copy().apply_transform(placed.oMg[i].homogeneous))
-        for body in model.description.bodies
-        for i, shape in zip(model.shape_ids[body.name], body.shapes, strict=True)
-    ]
 
 
 def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:

@@ -289,13 +289,7 @@ def read_inertias(
     """The inertia of the base and of each link below it; the keys are the names of the links.
 
     A link without an `<inertial>`, and all links of a joint that moves no mass, get masses by
-    volume.
-
-    Args:
-        tree: The robot.
-        arm: Its arm.
-        geometry: The shapes of all links.
-        assume: Whether the arm may have no mass in the URDF.
+    volume. `assume` means that the URDF may state no mass at all for the arm.
 
     Raises:
         RobotFileError: No link of the arm has a mass, or an inertia is impossible or probably in

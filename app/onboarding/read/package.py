@@ -152,14 +152,9 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
 
 
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
-    """Unpack a zip into a robot's folder; returns the path of its URDF.
+    """Unpack a zip into a robot's folder; returns its URDF, with relative paths of all meshes.
 
-    In this URDF, the addresses of all meshes become relative paths.
-
-    Args:
-        archive: The zip.
-        folder: Folder of the robot, which gets a folder `FOLDER`.
-        file: Path of the URDF in the zip; None is possible if the zip has only one URDF.
+    `file` is the path of the URDF in the zip; None is possible if the zip has only one URDF.
 
     Raises:
         RobotFileError: As for `unpack`, the zip does not have that URDF, or the URDF refers to a
@@ -199,15 +194,12 @@ def _urdfs(names: list[str]) -> list[str]:
 
 
 def _tie_meshes(path: Path, root: Path) -> None:
-    """Replace the addresses of meshes in a URDF by paths relative to the URDF.
-
-    An address whose format is not readable stays, and is checked when the robot is read.
-    """
+    """Replace the addresses of meshes in a URDF by paths relative to the URDF."""
     robot = read_source(path)
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         if Path(reference).suffix.lower() not in FORMATS:
-            continue
+            continue  # checked when the robot is read
         found = _inside(reference, path.parent, root)
         if found.suffix.lower() == ".dae":
             refuse_entities(found.read_bytes(), found)
@@ -241,10 +233,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """The bytes of a name in each of Python's encodings, because a zip may not state its encoding.
-
-    There are none for an ASCII name.
-    """
+    """The bytes of a name that is not ASCII in each of Python's encodings: a zip may state none."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)

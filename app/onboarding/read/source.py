@@ -62,16 +62,11 @@ def read_robot(
 ) -> tuple[Element, list[str]]:
     """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    Args:
-        path: The file.
-        packages: Folders of ROS packages by name; they have precedence over all other folders.
-        arguments: Arguments of the xacro by name.
-
-    Returns:
-        The robot, and a sentence on each removed shape.
+    `packages` are folders of ROS packages by name, which have precedence over all other folders;
+    `arguments` are those of a xacro. The second result has a sentence on each removed shape.
 
     Raises:
-        RobotFileError: As for `read_source`, or a mesh that is needed does not exist.
+        RobotFileError: As for `read_source`, or a required mesh does not exist.
     """
     robot = read_source(path, packages, **arguments)
     said = []
@@ -161,10 +156,8 @@ def _unexpanded(robot: Element) -> str:
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
     """The address of a mesh: `package://…` if its package is installed, otherwise its path.
 
-    Args:
-        reference: The address in the URDF; see `spellings` for the accepted forms.
-        folder: Folder of the URDF.
-        packages: Folders of ROS packages by name.
+    `reference` is its address in a URDF in `folder`, in one of the forms of `spellings`; `packages`
+    are folders of ROS packages by name.
 
     Raises:
         RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
@@ -183,10 +176,8 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
 
 
 def spellings(reference: str) -> list[str]:
-    """Possible meanings of an address in a URDF.
-
-    They are the address itself, without escapes such as `%20`, with slashes for backslashes, and
-    in Unicode's normal forms NFD and NFC.
+    """Possible meanings of an address: without escapes such as `%20`, with slashes for backslashes,
+    and in Unicode's normal forms NFD and NFC; the first one is the address itself.
     """
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
@@ -261,10 +252,7 @@ def _installed_address(path: Path) -> str | None:
 
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
-    """Where a missing package was searched, and the option that helps.
-
-    `inner` is a file of the package; the message names a folder above the URDF that has this file.
-    """
+    """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
     holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
     found = "FOLDER" if holder is None else f"{holder}, which contains a file of that path"
     return (
@@ -280,10 +268,8 @@ def _search(folder: Path, named: Mapping[str, Path]) -> Packages:
 
 
 def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -> Iterator[Path]:
-    """The named folder of a package alone, or all possible ones.
-
-    These are folders beside and above the URDF, in ROS's search paths, and of installed packages,
-    in this order.
+    """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
+    search paths, and of installed packages, in this order.
     """
     if package in named:
         yield named[package]
@@ -305,10 +291,7 @@ def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -
 
 
 def _stated_name(folder: Path) -> str:
-    """The package name in a folder's `package.xml`, or an empty string.
-
-    It can differ from the name of the folder, such as that of a download.
-    """
+    """The name in a folder's `package.xml`, or empty; that of a download's folder can differ."""
     try:
         with (folder / "package.xml").open("rb") as file:
             found = re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16))

@@ -28,15 +28,11 @@ _PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF.
-
-    The unit of positions is rad, or m for a prismatic joint. A limit that the URDF does not state
-    is None.
-    """
+    """One joint of a URDF, with positions in rad, or m if prismatic; None means no stated limit."""
 
     name: str
     kind: str
-    """The type of the joint in a URDF."""
+    """Type in the URDF."""
     parent: str
     child: str
     T_parent_child: pin.SE3

@@ -1,4 +1,4 @@
-"""A trace as an MCAP file: ROS 2 messages in CDR, and Protobuf messages by Foxglove's schemas.
+"""A trace as an MCAP file: ROS 2 messages in CDR, and Protobuf messages.
 
 | topic | schema | how often |
 |---|---|---|
@@ -9,11 +9,11 @@
 | `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
-| `/step` | `dbb.Step`, the columns of a log; names end in units, `-` is `_` | each row |
-| `/parameters` | `dbb.Config` | each change |
+| `/step` | `dbb.Step`, the columns of a CSV log; `_` replaces `-` and blanks | each row |
+| `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | start, each change |
 
-Rerun reads robots and named curves only from ROS messages. With `ros` the file has only the first
-three topics.
+The schemas `foxglove.…` and `dbb.…` are Protobuf, the others are ROS 2 messages, because Rerun
+reads robots and named curves only from these. A file of `--ros` has only the first three topics.
 """
 
 import io
@@ -71,12 +71,15 @@ _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
-    """Write a trace with snapshots completely or not at all; with `ros`, only its ROS 2 messages.
+    """Write a trace with snapshots completely or not at all.
+
+    With `ros`, the file has only the topics `/robot_description`, `/joint_states` and `/tf`.
 
     Raises:
         OutputError: The file cannot be written.
         AssetError: The robot's URDF is missing.
-        RobotFileError: A visual in the URDF is invalid.
+        DescriptionError: The robot's URDF cannot be read.
+        RobotFileError: A visual in the URDF is invalid; not with `ros`.
     """
     file = io.BytesIO()  # in memory, so that a writing error occurs only at the end
     log = _Log(file, profile="ros2" if ros else None)
@@ -133,7 +136,7 @@ class _Log:
 
 
 def _record_kind(name: str, example: Mapping[str, Any]) -> tuple[Any, foxglove.Schema]:
-    """The Protobuf type, and its schema, for records like an example."""
+    """The Protobuf type, and its schema, for records with the fields of an example."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
     kind = file.message_type.add(name=name)
     for number, (field, value) in enumerate(example.items(), 1):
@@ -189,7 +192,7 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """Names of columns, changed to valid and unique names for Protobuf."""
+    """The names of columns as valid and unique names of Protobuf fields."""
     found: dict[str, None] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
