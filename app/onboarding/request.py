@@ -53,8 +53,7 @@ class Request:
     kind: str = "differential"
     """Kind of the base: differential, holonomic or car-like; a holonomic base needs no wheels."""
     wheelbase: float | None = None
-    """[m] wheelbase of a car-like base; default: measured between its rear and its steered
-    wheels."""
+    """[m] wheelbase of a car-like base; default: measured from the rear to the steered wheels."""
     steering_limit: float | None = None
     """[rad] steering limit to either side; default: from the URDF."""
     steering_rate: float | None = None

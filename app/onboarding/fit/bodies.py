@@ -224,9 +224,7 @@ def _passed(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array
 
 
 def _grown(points: Array, axis: Array) -> Array:
-    """Points moved away from an axis through the origin, so that chords between sampled angles
-    become tangents.
-    """
+    """Points moved away from an axis through the origin: chords of its circles become tangents."""
     along = np.outer(points @ axis, axis)
     return along + (points - along) * _SAGITTA
 

@@ -33,8 +33,7 @@ ALWAYS = 0.6
 MARGIN = 0.015
 """[m] distance below which a point of a surface counts as reached by another unit."""
 BUILT_IN = 0.5
-"""[-] smallest share of the poses in which the hulls of two nested units touch, as in a telescope.
-"""
+"""[-] smallest share of the poses in which hulls of nested units touch, as in a telescope."""
 NESTED = BUILT_IN**2
 """[-] smallest share of random poses in which nested links touch. It is the product of two shares:
 the poses in which the units touch, and among these the poses in which the links touch."""
@@ -60,8 +59,7 @@ class Poses(NamedTuple):
     distances: Array
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether no close pair touches, except nested pairs; joint limits have to prevent the
-    other poses."""
+    """(N,) whether no close pair touches, except nested ones; joint limits prevent other poses."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +83,7 @@ class Meetings:
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """Close pairs that are nested, as in a telescope; their contacts do not count as
-        collisions.
-        """
+        """Close pairs that are nested, as in a telescope; their contacts are no collisions."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
@@ -181,9 +177,7 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units that touch in `_RARE` poses or more, and never overlap by more than
-    `_GRAZE`.
-    """
+    """Pairs of the arm's units that touch in `_RARE` poses or more, but at most `_GRAZE` deep."""
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
     return frozenset(

@@ -207,9 +207,7 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """Rotation (3, 3) with z along an axis, and x and y along the smallest rectangle around the
-    points.
-    """
+    """Rotation (3, 3) with z along an axis, x and y along the smallest rectangle around points."""
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])

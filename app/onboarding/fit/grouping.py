@@ -236,8 +236,7 @@ class Unseen(NamedTuple):
     poses: int
     """Number of poses in which hulls of links collide."""
     unseen: int
-    """Number of these poses in which the meshes of links collide, but no pair of bodies
-    overlaps."""
+    """Number of these poses in which meshes of links collide, but no pair of bodies overlaps."""
     watched: int
     """Collisions of links whose bodies are a pair, counted by pose and pair."""
     missed: int
@@ -245,8 +244,7 @@ class Unseen(NamedTuple):
     deepest: float
     """[m] largest distance of these bodies in a missed collision; 0 without one."""
     blind: tuple[str, ...]
-    """Pairs of bodies that miss more than half of their links' collisions, including searched rare
-    ones."""
+    """Pairs of bodies that miss more than half of their links' random and searched collisions."""
     worst: str
     """The two links that meet most often in the unseen poses, with their share of all random poses;
     `none` without unseen poses."""

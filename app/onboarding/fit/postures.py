@@ -46,8 +46,7 @@ class Ready(NamedTuple):
     nearest: str
     """Name of that pair; empty without a pair."""
     manipulability: float
-    """√det(J Jᵀ) of the end-effector's Jacobian J; only its linear part for less than six joints.
-    """
+    """√det(J Jᵀ) of the end-effector, or of its position alone with fewer than six joints."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
@@ -450,9 +449,7 @@ class _Guide:
         return q_m
 
     def _free_at(self, p: Array) -> Array | None:
-        """(n_m,) a free posture with the end-effector at p (3,) [m], near a known posture; or
-        None.
-        """
+        """(n_m,) a free posture near a known one, with the end-effector at p (3,) [m]; or None."""
         away = np.linalg.norm(self._hands - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
             return None

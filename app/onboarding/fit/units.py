@@ -148,8 +148,7 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
 
 
 Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
-"""A shape: the number of its joint in pinocchio, its pose in the joint's frame, and its
-geometry."""
+"""A shape: its joint's number in pinocchio, its pose in the joint's frame, its geometry."""
 
 
 def shape_distances(
@@ -255,9 +254,7 @@ def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
 
 
 def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
-    """A sphere around each shape: its joint (K,), its centre (K, 3) [m] in the joint's frame, and
-    its radius (K,) [m].
-    """
+    """Spheres around shapes: joints (K,), centres (K, 3) [m] in their frames, radii (K,) [m]."""
     centres, radii = [], []
     for shape in geometry.geometryObjects:
         shape.geometry.computeLocalAABB()

@@ -176,9 +176,7 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
 
 
 def spellings(reference: str) -> list[str]:
-    """Possible meanings of an address: without escapes such as `%20`, with slashes for backslashes,
-    and in Unicode's normal forms NFD and NFC; the first one is the address itself.
-    """
+    """Meanings of an address: unchanged, unescaped, with slashes, in normal forms NFD and NFC."""
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
     meant = (plain, unquote(plain), slashed, unquote(slashed))
