@@ -234,13 +234,13 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
         (
             "</robot>",
             2 * '<link name="floor_point"/>' + "</robot>",
-            "the link 'floor_point' stands",
+            "2 links have the name 'floor_point'",
         ),
         ('lower="-2.5"', 'lower="-inf"', "lower='-inf' should be a finite number; leave it out"),
         (
             '<child link="fore"/>',
             '<child link="fore"/><mimic joint="lift"/>',
-            "--tip: the joint 'elbow' of the arm follows another one (<mimic>)",
+            "--tip: the joint 'elbow' of the arm follows another joint (<mimic>)",
         ),
         (
             'type="continuous"',
@@ -413,7 +413,7 @@ def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_pla
         parse(asked)
     (tmp_path / "arm").mkdir()
     write(tmp_path / "arm", robot([*cart(), *arm()]), "arm.xacro")
-    with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which holds"):
+    with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which contains"):
         parse(asked)
     assert parse(replace(asked, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
 
@@ -461,6 +461,21 @@ def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
         )
 
 
+def test_names_of_an_arm_are_distinct_from_all_others(tmp_path: Path) -> None:
+    """Also with a name that has the prefix already, and with a joint of our own joint's name."""
+    plate = [link("plate"), joint("arm_on_base", "fixed", "base", "plate")]
+    alone = [part for part in arm() if 'name="mount"' not in part]
+    alone += [link("arm_base"), joint("more", "fixed", "hand", "arm_base")]
+    arm_file = write(tmp_path, robot(alone).replace('"column"', '"base"'), "arm.urdf")
+    base_file = str(write(tmp_path, robot([*cart(), *plate]), "cart.urdf"))
+    asked = Request(base_file, "base", "hand", tmp_path / "made", arm_urdf=str(arm_file))
+    tree = parse(asked).tree
+    ends = {name: (tree.joints[name].parent, tree.joints[name].child) for name in tree.joints}
+    assert ends["arm_on_base"] == ("base", "arm_base_")
+    assert ends["arm_on_base_joint"] == ("base", "plate")
+    assert ends["more"] == ("hand", "arm_base")
+
+
 def test_a_whole_robot_in_the_place_of_an_arm_shows_by_its_wheels(tmp_path: Path) -> None:
     names = {}
     base = str(write(tmp_path, robot(cart()), "cart.urdf"))
@@ -474,7 +489,7 @@ def test_a_whole_robot_in_the_place_of_an_arm_shows_by_its_wheels(tmp_path: Path
 def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:
     bad = TOY.replace('<mass value="30"/><inertia ixx="0.3"', '<mass value="30"/><inertia ixx="-3"')
     assert bad != TOY
-    with pytest.raises(RobotFileError, match="cannot be"):
+    with pytest.raises(RobotFileError, match="is impossible"):
         parse(request(tmp_path, bad))
 
 

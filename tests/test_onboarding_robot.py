@@ -153,8 +153,11 @@ def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
         assert str(made.request.out.parent) not in text
     assert not any("absolute path" in warning for warning in made.warnings)
     mesh.unlink()
-    with pytest.raises(AssetError, match="no mesh 'package/toy/meshes/m"):
-        resolved_urdf(load_robot("toy"))
+    urdf = tmp_path / "toy" / "robot.urdf"
+    for name in ("package/toy/meshes/m.stl", str(mesh)):
+        with pytest.raises(AssetError, match=f"no mesh '{name}'"):
+            resolved_urdf(load_robot("toy"))
+        urdf.write_text(urdf.read_text().replace(name, str(mesh)))
 
 
 def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(

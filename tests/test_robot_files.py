@@ -244,7 +244,7 @@ def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, 
     text = TOY.replace("</robot>", ABOVE.format(kind) + "</robot>")
     made = parsed(tmp_path, text)
     assert "map" not in rebased_urdf(made, name="toy", header="")
-    with pytest.raises(RobotFileError, match="is the base's own motion; give --base base"):
+    with pytest.raises(RobotFileError, match="moves the whole base; give --base base"):
         parsed(tmp_path, text, base="map")
 
 
@@ -456,6 +456,9 @@ def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> N
     assert "become one joint" in made.changes[0]
     held = filled(made.tree, made.geometry, made.arm.joints)["middle"].shapes[0].hull
     assert held.extents[2] == pytest.approx(0.3)
+    still = text.replace('joint="slide"/>', 'joint="slide" multiplier="-1"/>')
+    with pytest.raises(RobotFileError, match="'follower' of the arm follows another joint"):
+        parsed(tmp_path, still)  # its end never moves
 
 
 def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_taken(
