@@ -41,7 +41,6 @@ from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import Side
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -297,7 +296,7 @@ def test_processes_of_their_own_find_what_one_finds(
     made, data = finished
     options = {"samples": 300, "seed": 5, "d_b": 0.15}
     here = sample_meetings(made.model, made.meetings.units, **options)
-    side = Side("guiding-lateral", made.model, data, anyway=False)
+    side = ("guiding-lateral", made.model, data, False)
     with Workers(tuple, 2) as workers:
         there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
         shares: list[float] = []

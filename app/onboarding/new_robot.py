@@ -27,7 +27,6 @@ from app.onboarding.fit.postures import (
     RULE,
     Place,
     Ready,
-    Side,
     find_ready,
     judge_ready,
     line_from,
@@ -226,8 +225,8 @@ def _lines(
     """
     # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
-    sides = [Side(name, robot.model, data, anyway=anyway) for name in names]
-    return zip(names, workers.map(line_from, sides, on_progress, tells=True), strict=True)
+    jobs = [(name, robot.model, data, anyway) for name in names]
+    return zip(names, workers.map(line_from, jobs, on_progress, tells=True), strict=True)
 
 
 def _with_lines(

@@ -170,7 +170,7 @@ def check_request(request: Request) -> None:
     named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:
         raise ConfigError(
-            "--wheels: the description of a holonomic base has no wheels; remove the option"
+            "--wheels: a holonomic base has no wheels in its description; remove the option"
         )
     if request.wheel_radius is not None and (
         request.half_track is None or request.wheels is not None

@@ -256,16 +256,13 @@ def _link(
         source = "visual" if tag == "collision" and geometry.seen_only else tag
         for each in old.findall(source):
             part = SubElement(link, tag)
-            part.extend(_copies(each, "origin", "geometry"))
+            found = (each.find(name) for name in ("origin", "geometry"))
+            part.extend(deepcopy(own) for own in found if own is not None)
             for mesh in part.iter("mesh"):
                 mesh.set("filename", mesh_name(str(mesh.get("filename")), home, where))
             if tag == "visual" and (material := each.find("material")) is not None:
                 part.append(_colour_only(material))
     return link
-
-
-def _copies(element: Element, *tags: str) -> list[Element]:
-    return [deepcopy(found) for tag in tags if (found := element.find(tag)) is not None]
 
 
 def _colour_only(material: Element) -> Element:

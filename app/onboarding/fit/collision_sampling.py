@@ -120,7 +120,9 @@ def sample_meetings(
     `points`, `met` of the result has the points of surfaces that other units reach. `stopped` means
     that joint limits prevent the collisions of the pairs in `apart`; these are then not close.
     """
-    rng, pairs = np.random.default_rng(seed), _distant_pairs(model, units)
+    rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
+    distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
+    pairs = tuple((a.index, b.index) for a, b in distant)
     q_m, distances = np.zeros((0, model.n_m)), np.zeros((0, len(pairs)))
     while True:
         more = sample_joints(model, _MORE if len(q_m) else samples, rng)
@@ -148,14 +150,6 @@ def sample_meetings(
             met.update(masks)
         found = replace(found, met=met)
     return found
-
-
-def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int, int], ...]:
-    """Pairs of units that have shapes and are not neighbours, by the indices of the units."""
-    shaped = [unit for unit in units if unit.parts]
-    return tuple(
-        (a.index, b.index) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)
-    )
 
 
 def _built_near(

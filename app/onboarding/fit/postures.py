@@ -273,23 +273,17 @@ def gives_way(
     return moved >= GIVES_WAY
 
 
-class Side(NamedTuple):
-    """Input of `line_from`, for a separate process."""
-
-    name: str
-    """The scenario, one of `app.onboarding.SIDES`."""
-    model: RobotModel
-    data: BorderData
-    anyway: bool
-    """Whether to accept a line on which the base does not move away."""
-
-
-def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -> Place | str:
+def line_from(
+    _: object,
+    job: tuple[str, RobotModel, BorderData, bool],
+    on_progress: OnProgress = lambda _: None,
+) -> Place | str:
     """The result of `find_place` with the condition `gives_way`, for a worker process.
 
-    The search for lines and each possible run have equal shares of the progress.
+    The job is the scenario, the robot, its border, and `anyway`. The search for lines and each
+    possible run have equal shares of the progress.
     """
-    name, model, data, anyway = side
+    name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
     parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
     search = next(parts)

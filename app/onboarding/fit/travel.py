@@ -26,14 +26,10 @@ def filled(
     found = with_travel(tree, geometry, chain[-1].child)
     own = [joint.name for joint in chain]
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
-        other = [j.name for j in tree.children(slide.child) if not _is_part(slide, j)]
+        below = tree.children(slide.child)
+        other = [joint.name for joint in below if not (joint.moves and parallel(slide, joint))]
         found = with_travel(tree, found, slide.child, [*own, *other])
     return found
-
-
-def _is_part(slide: Joint, joint: Joint) -> bool:
-    """Whether a joint moves a part of a telescope along the direction of `slide`."""
-    return joint.moves and parallel(slide, joint)
 
 
 def with_travel(
