@@ -293,7 +293,7 @@ def holding_row(model: RobotModel) -> Row:
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warn if a person can push the arm against the base, whatever the controller does."""
+    """Warn if a person can push the arm against the base with any controller."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no part of the arm can meet the base", {})

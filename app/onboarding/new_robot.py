@@ -91,10 +91,11 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, and write the complete folder or nothing.
 
-    `workers` do all parallel work except sampling the border, for which there are `processes`; None
-    means one for each usable core. With `sampling`, the parameters of a coarse border, this process
-    samples alone, because starting others would take longer. `tell` is called with the name of each
-    step, and `on_progress` with the finished share, 0 to 1, of a long step: bodies, border, lines.
+    `workers` do all parallel work except sampling the border. The border is sampled by `processes`,
+    by default one for each usable core; with `sampling`, the parameters of a coarse border, this
+    process samples it alone, because starting others would take longer. `tell` is called with the
+    name of each step, and `on_progress` with the finished share, 0 to 1, of a long step: bodies,
+    border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.

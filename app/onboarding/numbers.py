@@ -93,7 +93,7 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits, in which each missing effort is a multiple of the gravity load of `model`."""
+    """The limits with a multiple of the gravity load of `model` for each missing effort."""
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits

@@ -250,7 +250,7 @@ class Unseen(NamedTuple):
     `none` without unseen poses."""
     left_out: int
     """Number of poses that a rule excludes: no pair of bodies overlaps, and only links meet that
-    are neighbours or close by design. In part extrapolated."""
+    are neighbours or close by design. It is extrapolated if more than 300 poses qualify."""
     rule: str
     """Up to four pairs of links of these poses, with their shares of all random poses; the most
     frequent ones are first."""
