@@ -40,7 +40,7 @@ class Request:
     """[rad] rotation of the root link of --arm-urdf in the frame of --base."""
     mount: str | None = None
     """Link at whose origin the arm starts; default: the parent link of the arm's first joint, or
-    its child link if the parent belongs to the base."""
+    the joint's child link if the parent belongs to the base."""
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
     """[m] position of the end-effector's frame in the frame of --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)
