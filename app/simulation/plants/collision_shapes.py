@@ -124,7 +124,10 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
 def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
     """The shapes of a URDF's links, whose joints are those of a model."""
-    loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    try:
+        loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    except ValueError as error:  # assimp reports exhausted memory like a damaged file
+        raise MemoryError if "bad_alloc" in str(error) else error from None
     return tuple(
         _shape(model.frames[each.parentFrame].name, each, piece)
         for each in loaded.geometryObjects
