@@ -13,6 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from app.border.mobile import bounds
 from app.errors import AssetError, RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.robot.assets import is_own, resolved_urdf
@@ -42,6 +43,15 @@ class CollisionShape(NamedTuple):
     """Pose of the shape in the joint's frame."""
     geometry: coal.CollisionGeometry | Array
     """The box, sphere, cylinder or capsule; or points (n, 3) [m] whose convex hull is the shape."""
+
+    @property
+    def lowest(self) -> float:
+        """[m] lowest z, in the joint's frame, of the box around the shape along its own axes."""
+        geometry, T = self.geometry, self.T
+        if isinstance(geometry, np.ndarray):
+            low, high = geometry.min(axis=0), geometry.max(axis=0)
+            geometry, T = coal.Box(*(high - low)), T * pin.SE3(np.eye(3), (low + high) / 2)
+        return float(bounds(geometry, T)[0][2])
 
 
 class CollisionShapes(NamedTuple):
