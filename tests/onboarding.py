@@ -10,12 +10,14 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from app.border.cache import BorderData
 from app.border.config import SamplingConfig
 from app.jobs.progress import OnProgress
 from app.onboarding import new_robot, numbers
 from app.onboarding.fit import postures
 from app.onboarding.fit.postures import Place
 from app.robot import assets
+from app.robot.model import RobotModel
 from app.simulation.scenarios import LINES
 
 INERTIAL = (
@@ -141,9 +143,12 @@ FAST_LINES = {name: line.changed(duration=4.0) for name, line in LINES.items()}
 """Twice as fast: half of the work to make a robot is to run its lines."""
 
 
-def line_without_a_run(_: object, side: postures.Side, on_progress: OnProgress) -> Place | str:
+def line_without_a_run(
+    _: object, job: tuple[str, RobotModel, BorderData, bool], on_progress: OnProgress
+) -> Place | str:
     """As `line_from` finds it, but for the runs on which the base has to give way."""
-    return postures.find_place(side.model, side.data.pairs, side.name, on_progress=on_progress)
+    name, model, data, _anyway = job
+    return postures.find_place(model, data.pairs, name, on_progress=on_progress)
 
 
 @contextmanager

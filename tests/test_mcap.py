@@ -29,8 +29,8 @@ from tests.logs import random_snapshots, trace_of
 
 PROJECT = Path(__file__).resolve().parent.parent
 TOPICS = {
-    "/tf": "foxglove.FrameTransforms",
-    "/joint_states": "foxglove.JointStates",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/joint_states": "sensor_msgs/msg/JointState",
     "/robot": "foxglove.SceneUpdate",
     "/bodies": "foxglove.SceneUpdate",
     "/markers": "foxglove.SceneUpdate",
@@ -74,9 +74,9 @@ def places(read: Read, k: int) -> dict[str, pin.SE3]:
     """T_world_link by the name of each link, at the k-th snapshot."""
     placed = {WORLD: pin.SE3.Identity()}
     for each in read["/tf"][k][1].transforms:
-        at, turn = each.translation, each.rotation
+        at, turn = each.transform.translation, each.transform.rotation
         step = pin.XYZQUATToSE3(np.array([at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w]))
-        placed[each.child_frame_id] = placed[each.parent_frame_id] * step
+        placed[each.child_frame_id] = placed[each.header.frame_id] * step
     return placed
 
 

@@ -89,7 +89,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     "nothing": ({"readme.txt": "hello"}, "no .urdf in it"),
     "two": ({"a.urdf": TOY, "b.urdf": TOY}, "name one by --file: a.urdf, b.urdf"),
     "hidden": ({"toy/.urdf": TOY, "__MACOSX/toy/a.urdf": TOY}, "no .urdf in it"),
-    "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can hold Python"),
+    "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can contain Python"),
     "laughs": ({"toy.urdf": TOY.replace("<robot", LAUGHS + "<robot")}, "the XML entity 'a'"),
     "file entity": (
         {
@@ -144,7 +144,7 @@ BAD_URDFS = {
     "mesh missing": (with_mesh(TOY, "meshes/none.stl"), "mesh meshes/none.stl: there is no"),
     "joint twice": (
         TOY.replace('<joint name="elbow"', '<joint name="lift"'),
-        "the joint 'lift' stands 2 times",
+        "2 joints have the name 'lift'",
     ),
     "square wheel": (
         robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()]),

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.border.mobile import bounds
 from app.errors import DbbError, RobotFileError
 from app.onboarding import new_robot
 from app.onboarding.new_robot import finish, parse
@@ -201,7 +200,7 @@ def test_wheels_of_two_sizes_are_not_guessed_between(tmp_path: Path) -> None:
 
 def test_a_joint_named_twice_is_refused(tmp_path: Path) -> None:
     twice = TOY.replace('<joint name="elbow"', '<joint name="lift"')
-    assert "the joint 'lift' stands 2 times" in refused(tmp_path, twice)
+    assert "2 joints have the name 'lift'" in refused(tmp_path, twice)
 
 
 def test_a_closed_chain_is_refused(tmp_path: Path) -> None:
@@ -235,13 +234,13 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
         (
             "</robot>",
             2 * '<link name="floor_point"/>' + "</robot>",
-            "the link 'floor_point' stands",
+            "2 links have the name 'floor_point'",
         ),
         ('lower="-2.5"', 'lower="-inf"', "lower='-inf' should be a finite number; leave it out"),
         (
             '<child link="fore"/>',
             '<child link="fore"/><mimic joint="lift"/>',
-            "--tip: the joint 'elbow' of the arm follows another one (<mimic>)",
+            "--tip: the joint 'elbow' of the arm follows another joint (<mimic>)",
         ),
         (
             'type="continuous"',
@@ -333,7 +332,7 @@ def test_millimetres_are_noticed(tmp_path: Path) -> None:
     [
         ({"base": "bse"}, "--base: the URDF has no link 'bse' (did you mean 'base'?)"),
         ({"tip": "hnd"}, "--tip: the URDF has no link 'hnd' (did you mean 'hand'?)"),
-        ({"base": "hand", "tip": "base"}, "--tip: 'base' does not hang on --base 'hand'"),
+        ({"base": "hand", "tip": "base"}, "--tip: 'base' is not a descendant of --base 'hand'"),
         ({"tip": "column"}, "--tip: no joint moves 'column'"),
         ({"mount": "upper"}, "--mount: 'upper' is not between"),
         ({"urdf": "none.urdf"}, "none.urdf: no such file"),
@@ -414,7 +413,7 @@ def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_pla
         parse(asked)
     (tmp_path / "arm").mkdir()
     write(tmp_path / "arm", robot([*cart(), *arm()]), "arm.xacro")
-    with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which holds"):
+    with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which contains"):
         parse(asked)
     assert parse(replace(asked, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
 
@@ -462,6 +461,21 @@ def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
         )
 
 
+def test_names_of_an_arm_are_distinct_from_all_others(tmp_path: Path) -> None:
+    """Also with a name that has the prefix already, and with a joint of our own joint's name."""
+    plate = [link("plate"), joint("arm_on_base", "fixed", "base", "plate")]
+    alone = [part for part in arm() if 'name="mount"' not in part]
+    alone += [link("arm_base"), joint("more", "fixed", "hand", "arm_base")]
+    arm_file = write(tmp_path, robot(alone).replace('"column"', '"base"'), "arm.urdf")
+    base_file = str(write(tmp_path, robot([*cart(), *plate]), "cart.urdf"))
+    asked = Request(base_file, "base", "hand", tmp_path / "made", arm_urdf=str(arm_file))
+    tree = parse(asked).tree
+    ends = {name: (tree.joints[name].parent, tree.joints[name].child) for name in tree.joints}
+    assert ends["arm_on_base"] == ("base", "arm_base_")
+    assert ends["arm_on_base_joint"] == ("base", "plate")
+    assert ends["more"] == ("hand", "arm_base")
+
+
 def test_a_whole_robot_in_the_place_of_an_arm_shows_by_its_wheels(tmp_path: Path) -> None:
     names = {}
     base = str(write(tmp_path, robot(cart()), "cart.urdf"))
@@ -475,7 +489,7 @@ def test_a_whole_robot_in_the_place_of_an_arm_shows_by_its_wheels(tmp_path: Path
 def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:
     bad = TOY.replace('<mass value="30"/><inertia ixx="0.3"', '<mass value="30"/><inertia ixx="-3"')
     assert bad != TOY
-    with pytest.raises(RobotFileError, match="cannot be"):
+    with pytest.raises(RobotFileError, match="is impossible"):
         parse(request(tmp_path, bad))
 
 
@@ -499,7 +513,7 @@ def test_a_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
     parsed = parse(request(tmp_path, text))
     assert parsed.arm.joints[1].name == "upper_joint"
     assert parsed.wheels.left == ("left_wheel_joint",)
-    assert parsed.tree.robot.find("joint/mimic").get("joint") == "upper_joint"
+    assert parsed.tree.joints["grip"].mimic == ("upper_joint", 1.0, 0.0)
     made = robot_model(tmp_path, request(tmp_path, text))
     assert made.n_m == len(ARM_JOINTS)
 
@@ -513,6 +527,22 @@ def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Pat
         model.frames[model.getFrameId("finger")].placement
     )
     assert T.translation == pytest.approx([0.0, 0.015, 0.0])
+
+
+@pytest.mark.parametrize(("leader", "offset"), [("lift", 0.0), ("slide", 0.2)])
+def test_a_follower_keeps_its_relation_to_a_leader_without_zero_in_its_limits(
+    tmp_path: Path, leader: str, offset: float
+) -> None:
+    """A joint of the arm keeps its zero; another joint has a new zero at its nearest limit."""
+    limit = 'lower="0.1" upper="1" effort="5" velocity="1"'
+    text = re.sub(r'(name="lift".*?)<limit [^>]*>', rf"\1<limit {limit}/>", TOY)
+    slide = joint("slide", "prismatic", "hand", "finger", axis="0 1 0", limit=limit)
+    tip = joint("follower", "revolute", "finger", "tip")
+    tip = tip.replace("</joint>", f'<mimic joint="{leader}" multiplier="2"/></joint>')
+    text = text.replace("</robot>", link("finger") + link("tip") + slide + tip + "</robot>")
+    urdf = rebased_urdf(parse(request(tmp_path, text)), name="toy", header="test")
+    mimic = ElementTree.fromstring(urdf).find("joint[@name='follower']/mimic")
+    assert float(mimic.get("offset")) == pytest.approx(offset)
 
 
 def robot_model(folder: Path, asked: Request) -> RobotModel:
@@ -570,9 +600,8 @@ def mesh_in(folder: Path) -> Path:
 
 def meshes(path: Path, **changes: object) -> list[str]:
     given = {"urdf": str(path), "base": "base", "tip": "hand", "out": path.parent / "made"}
-    return [
-        str(m.get("filename")) for m in parse(Request(**given | changes)).tree.robot.iter("mesh")
-    ]
+    links = parse(Request(**given | changes)).tree.links.values()
+    return [str(mesh.get("filename")) for link in links for mesh in link.iter("mesh")]
 
 
 def test_a_package_is_found_upwards_by_ros_and_by_option_in_that_order(
@@ -634,6 +663,6 @@ def test_the_groups_of_an_obj_are_hulls_of_their_own(tmp_path: Path) -> None:
     write(tmp_path, "\n".join(lines), "m.obj")
     model = robot_model(tmp_path, request(tmp_path, with_mesh(TOY, "m.obj")))
     shapes = [shape for shape in collision_shapes(model).shapes if shape.part == "hand"]
-    middles = sorted(float(bounds(s.geometry, s.T)[0][1]) for s in shapes)
+    middles = sorted(float(shape.T.act(shape.geometry.min(axis=0))[1]) for shape in shapes)
     assert middles == pytest.approx([-0.07, 0.05])
     assert compare_engines(model, poses=3).picture < SAME_PICTURE

@@ -41,7 +41,6 @@ from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import Side
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.fit.units import make_units, meshes_meet, units_of_links
 from app.onboarding.new_robot import compiled, description, finish, parse
@@ -153,8 +152,11 @@ def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
         assert str(made.request.out.parent) not in text
     assert not any("absolute path" in warning for warning in made.warnings)
     mesh.unlink()
-    with pytest.raises(AssetError, match="no mesh 'package/toy/meshes/m"):
-        resolved_urdf(load_robot("toy"))
+    urdf = tmp_path / "toy" / "robot.urdf"
+    for name in ("package/toy/meshes/m.stl", str(mesh)):
+        with pytest.raises(AssetError, match=f"no mesh '{name}'"):
+            resolved_urdf(load_robot("toy"))
+        urdf.write_text(urdf.read_text().replace(name, str(mesh)))
 
 
 def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
@@ -294,7 +296,7 @@ def test_processes_of_their_own_find_what_one_finds(
     made, data = finished
     options = {"samples": 300, "seed": 5, "d_b": 0.15}
     here = sample_meetings(made.model, made.meetings.units, **options)
-    side = Side("guiding-lateral", made.model, data, anyway=False)
+    side = ("guiding-lateral", made.model, data, False)
     with Workers(tuple, 2) as workers:
         there = sample_meetings(made.model, made.meetings.units, **options, workers=workers)
         shares: list[float] = []
@@ -768,12 +770,12 @@ def test_each_side_without_a_line_has_its_reason_and_one_that_both_share_is_said
     lacking = {"guiding-lateral": "too short", "guiding-front": "it stands still"}
     near = made.verdict._replace(always=("lm-lEE",), near=made.verdict.near | {"lm-lEE": 0.9})
     found = {
-        each.partition(": no line is written: ")[::2]
+        each.partition(": no line for guiding: ")[::2]
         for verdict in (made.verdict, near)
         for each in warnings_of(replace(made, lacking=lacking, verdict=verdict))
         if "no line" in each
     }
-    both = ", ".join(lacking), "lm-lEE is nearly always inside its buffer"
+    both = ", ".join(lacking), "nearly always inside the buffer: lm-lEE"
     assert found == {*lacking.items(), both}
 
 
@@ -785,15 +787,18 @@ def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRo
     assert told(made) == []
     down = np.array([0.0, 2.5, 0.5, 0.0, 0.0, 0.0])  # beside the base, past the floor
     [hand] = told(replace(made, ready=made.ready._replace(q_m=down)))[-1:]
-    assert re.match(r"hand is 0\.\d+ m below the floor in the ready pose: look at --ready$", hand)
+    assert re.match(r"links 0\.\d+ m below the floor in .*: hand; check --ready$", hand)
     arm = replace(made.request, arm_urdf="arm.urdf")
     [hand] = told(replace(made, request=arm, ready=made.ready._replace(q_m=down)))[-1:]
-    assert hand.endswith("look at --mount-xyz, --mount-rpy and --ready")
+    assert hand.endswith("check --mount-xyz, --mount-rpy and --ready")
     bodies = [body.model_dump() for body in made.model.description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
     bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # up to above the column
     column = told(replace(made, model=written(made, bodies=bodies)))
-    assert [each.partition(" is ")[0] for each in column] == ["column", "shoulder"]
+    assert [re.findall(r"\w+", each.partition(": ")[2])[0] for each in column] == [
+        "column",
+        "shoulder",
+    ]
 
 
 def test_an_arm_with_meshes_of_another_scale_than_its_joints_is_warned_of(made: NewRobot) -> None:

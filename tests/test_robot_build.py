@@ -21,8 +21,9 @@ from app.dashboard.robots import RobotBuild, RobotSwitch
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import ConfigError, LoopError, RobotFileError
 from app.jobs.process import Cancelled, run_in_process
-from app.onboarding.read.package import LARGEST_URDF, look_into
+from app.onboarding.read.package import look_into
 from app.onboarding.request import Request
+from app.strict import LARGEST_TEXT
 from tests.browser import wait_for
 from tests.dashboards import clouds, parts
 from tests.fakes import ScriptedLoop
@@ -129,7 +130,7 @@ def test_a_urdf_too_large_for_a_list_is_refused_before_anything_is_asked_of_its_
     tmp_path: Path, links: int, joints: int, words: str
 ) -> None:
     text = chain(links, joints)
-    assert len(text) < LARGEST_URDF
+    assert len(text) < LARGEST_TEXT
     begin = time.process_time()
     with pytest.raises(RobotFileError, match=words):
         look_into(zipped(tmp_path, {"long.urdf": text}))

@@ -244,7 +244,7 @@ def test_a_base_that_is_free_above_the_robot_is_the_base_itself(tmp_path: Path, 
     text = TOY.replace("</robot>", ABOVE.format(kind) + "</robot>")
     made = parsed(tmp_path, text)
     assert "map" not in rebased_urdf(made, name="toy", header="")
-    with pytest.raises(RobotFileError, match="is the base's own motion; give --base base"):
+    with pytest.raises(RobotFileError, match="moves the whole base; give --base base"):
         parsed(tmp_path, text, base="map")
 
 
@@ -298,7 +298,7 @@ def test_a_visual_mesh_that_is_not_needed_does_not_refuse_a_robot(
         ('xyz="0.15 0 0.1"', 'xyz="0.15, 0, 0.1"', ["3 numbers", "no commas"]),
         ('xyz="0.15 0 0.1"', 'xyz="1_5 0 0.1"', ["3 numbers"]),
         ('<mass value="2"/>', '<mass value="nan"/>', ["value='nan' should be a number"]),
-        ('effort="60"', 'effort="-60"', ["'pan'", "effort='-60'", "not below zero"]),
+        ('effort="60"', 'effort="-60"', ["'pan'", "effort='-60'", "must not be negative"]),
         ('velocity="2"', 'velocity="2,5"', ["'pan'", "no commas"]),
         ('length="0.34"', 'height="0.34"', ["link 'upper'", "its cylinder has no length"]),
         ('type="revolute"', 'type="Revolute"', ["(did you mean 'revolute'?)"]),
@@ -453,9 +453,12 @@ def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> N
     slide = made.tree.joints["slide"]
     assert (slide.child, slide.upper, slide.effort, slide.velocity) == ("end", 0.2, 3.0, 2.0)
     assert slide.T_parent_child.translation.tolist() == pytest.approx([0.0, 0.0, 0.01])
-    assert "slide as one" in made.changes[0]
+    assert "become one joint" in made.changes[0]
     held = filled(made.tree, made.geometry, made.arm.joints)["middle"].shapes[0].hull
     assert held.extents[2] == pytest.approx(0.3)
+    still = text.replace('joint="slide"/>', 'joint="slide" multiplier="-1"/>')
+    with pytest.raises(RobotFileError, match="'follower' of the arm follows another joint"):
+        parsed(tmp_path, still)  # its end never moves
 
 
 def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_taken(

@@ -7,6 +7,7 @@ If one row is too short for all robots, the picture has only the view from the s
 """
 
 import sys
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,11 @@ from matplotlib.axes import Axes
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.onboarding.fit.units import moved, units_of_links
+from app.onboarding.preview import body_meshes
 from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.report import BODY_COLOURS, _fill, _placements, body_corners
+from app.onboarding.report import BODY_COLOURS, fill, placements
 from app.robot.assets import urdf_path
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -33,16 +35,16 @@ IN_A_ROW = 6  # [-] robots
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     """Draw the ready pose along an axis: the bodies over the grey hulls of the links."""
-    placed = _placements(model, np.array(model.description.arm.ready_position))
+    placed = placements(model, np.array(model.description.arm.ready_position))
     path = urdf_path(model.description)
-    geometry = read_geometry(make_tree(read_robot(path)))
+    geometry = read_geometry(make_tree(read_robot(path)[0]))
     for units in units_of_links(model, geometry).values():
         for unit in units:
             for part in unit.parts:
-                _fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.5)
-    for k, name in enumerate(model.body_names):
-        for corners in body_corners(model, placed, name):
-            _fill(axes, corners, x, y, BODY_COLOURS[k % len(BODY_COLOURS)], 0.3)
+                fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.5)
+    colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
+    for name, mesh in body_meshes(model, placed):
+        fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.3)
     axes.set_aspect("equal")
     axes.autoscale()
 

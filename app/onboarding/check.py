@@ -1,4 +1,4 @@
-"""`dbb check-robot`: the checks of a description against its URDF and meshes."""
+"""`dbb check-robot`: checks of a description, its URDF and its meshes."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ _log = logging.getLogger(__name__)
 Array = np.ndarray
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
-_STATES = 20  # [-] random states for comparing the dynamics
-_AGREE = 1e-6  # [-] tolerance relative to the largest entry
+_STATES = 20  # [-] number of random states for comparing the dynamics
+_AGREE = 1e-6  # [-] largest difference of the dynamics, relative to the largest entry
 _FASTEST = 20.0  # [rad/s or m/s] largest plausible speed of a joint
-_STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a revolute, [N] of a prismatic joint
+_STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m], [N] largest plausible effort of a joint
 _MARGIN = 0.02  # [-] smallest margin of the ready pose to a limit, relative to the joint's range
 _OUT_OF_BASE = 0.01  # [m] largest distance by which a mesh of the base may extend beyond l_m
 _LAYER = 0.05  # [m] height of a layer of the border
-_NEAR_POSES = 1000  # [-] random poses for the share inside of a buffer
+_NEAR_POSES = 1000  # [-] number of random poses for the share inside of a buffer
 _MANY = 500  # [-] smallest number of points inside the border in a layer that the arm reaches
-_FEW = 10  # [-] smallest number of border points in a layer that is not empty
+_FEW = 10  # [-] smallest number of border points in a layer that does not count as empty
 _TOUCHED = {
     "contacts": "arm and base",
     "arm_contacts": "the arm and itself",
@@ -67,7 +67,7 @@ class Row(NamedTuple):
     """passed, warned, failed, or "nothing to show" if the check has no case that tests it."""
     text: str
     numbers: dict[str, float]
-    """The measured values; each key ends in its unit."""
+    """The measured values by their names."""
 
 
 def check_robot(
@@ -80,11 +80,11 @@ def check_robot(
 ) -> Iterator[Row]:
     """All checks of a description; each row follows as soon as its check ends.
 
-    If a check is not possible, it fails with the reason, and the checks that depend on it are left
-    out. The checks use the robot's own parameters.
+    If a check is not possible, it fails with the reason. Without a model or a border, the checks
+    that need it are left out. The checks use the robot's own parameters.
 
     Args:
-        description: The description, which is readable.
+        description: The description.
         runs: Whether to guide the end-effector in runs, which takes most of the time.
         tell: Called with the name of each check before it begins.
         processes: Number of processes that sample the border; None means all cores.
@@ -129,7 +129,7 @@ def check_robot(
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
-    """The row of a check; the check fails on any exception of a library."""
+    """The row of a check; an exception of a library becomes a row with the outcome failed."""
     try:
         return check()
     except DbbError as error:
@@ -140,7 +140,7 @@ def _done(name: str, check: Callable[[], Row]) -> Row:
 
 
 def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
-    """Compare M and C q̇ + g of pinocchio with those of an engine, in random states."""
+    """Compare M and C q̇ + g of pinocchio with those of a physics engine, in random states."""
     if not find_spec(name):
         return Row(name, "warned", f"{name} is not installed; try: pip install {name}", {})
     from app.simulation.plants.planar import planar_plant
@@ -166,14 +166,10 @@ def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
 
 
 def engines_row(model: RobotModel) -> Row:
-    """Compare the pictures and the contacts of both engines in random poses."""
+    """Compare depth pictures and contacts of pybullet and MuJoCo in random poses."""
     if not find_spec("pybullet"):
-        return Row(
-            "engines",
-            "warned",
-            "pybullet is not installed, so there is no second engine for a comparison",
-            {},
-        )
+        text = "pybullet is not installed, so there is no second engine for a comparison"
+        return Row("engines", "warned", text, {})
     from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 
     found = compare_engines(model)
@@ -217,7 +213,7 @@ def limits_row(model: RobotModel) -> Row:
 
 
 def nested_row(model: RobotModel) -> Row:
-    """Check that nested links touch in many poses, because plants ignore their contacts."""
+    """Check that nested links touch in many random poses, because plants ignore their contacts."""
     touches = nested_touches(model, _geometry(model))
     least = min(touches.values())
     seldom = [f"{a} and {b} in {share:.0%}" for (a, b), share in touches.items() if share < NESTED]
@@ -229,7 +225,7 @@ def nested_row(model: RobotModel) -> Row:
 
 
 def base_row(model: RobotModel) -> Row:
-    """Check that l_m encloses all points above the floor of the meshes of its links."""
+    """Check that l_m encloses its links: the corners of their hulls above the floor."""
     unit = units_of_links(model, _geometry(model))[model.body_names[0]]
     points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
     points = points[points[:, 2] > 0.0]
@@ -242,7 +238,7 @@ def base_row(model: RobotModel) -> Row:
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Check that the bodies enclose their links, and that a pair sees each collision of links."""
+    """Check that bodies overlap when their links collide, and that a pair sees each collision."""
     found = unseen_collisions(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.poses),
@@ -276,6 +272,7 @@ def arm_row(model: RobotModel) -> Row:
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
+    """The geometry of the robot's URDF over the whole motion of fingers and telescopes."""
     tree = make_tree(read_robot(urdf_path(model.description))[0])
     chain = [tree.joints[name] for name in model.description.arm.joints]
     return filled(tree, read_geometry(tree), chain)
@@ -296,7 +293,7 @@ def holding_row(model: RobotModel) -> Row:
 
 
 def push_row(model: RobotModel, data: BorderData) -> Row:
-    """Warn if a person can push the arm against the base, with any controller."""
+    """Warn if a person can push the arm against the base with any controller."""
     borne = borne_push(model, data.pairs.mobile)
     if not len(borne):
         return Row("push", "passed", "no part of the arm can meet the base", {})
@@ -306,9 +303,7 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check that pairs exist, that bodies of L_m have a reachability, and that no pair is always
-    near.
-    """
+    """Check pairs: their bodies have a reachability, and no pair is always inside its buffer."""
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
@@ -348,14 +343,13 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
 def border_row(model: RobotModel, data: BorderData) -> Row:
     """Check that the border of each pair of L_m has points at all heights between its ends.
 
-    At its lowest and highest heights, the arm may not reach the border, and a pair that is rarely
-    near may have no points at all. The exact offset of l_m replaces missing points, and the row
-    reports where.
+    The arm possibly does not reach the border at its lowest and highest heights, and a pair that is
+    rarely near possibly has no points at all. The exact offset of l_m replaces these points, and
+    the row reports where.
     """
     if not data.clouds:
-        return Row(
-            "border", "warned", "no part of the arm can meet the base, so there is no border", {}
-        )
+        text = "no part of the arm can meet the base, so there is no border"
+        return Row("border", "warned", text, {})
     border, top = model.description.config.border, float(MobileBody(model).upper[2])
     empty, ends, numbers = [], [], {}
     for name, cloud in data.clouds.items():
@@ -387,9 +381,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """Guide the end-effector towards the base, and compare with a run without avoidance.
 
-    If the description has its own lines, only these are used. If the arm cannot start on the line,
-    the row has a warning. If the end-effector does not enter the inner half of the buffer even
-    without avoidance, the outcome is "nothing to show".
+    The outcome is `warned` if the arm cannot start on the line. If the arm does not come nearer to
+    the base than half of d_b even without avoidance, and nothing fails, it is "nothing to show".
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of

@@ -1,18 +1,17 @@
-"""From a URDF to a robot's folder: all steps in order. Each number gets a source."""
+"""All steps from a URDF to a robot's folder."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
-from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
@@ -20,14 +19,14 @@ from app.errors import DbbError, RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
-from app.onboarding import ROOT, SIDES
+from app.onboarding import SIDES
+from app.onboarding.compose import with_arm, with_distinct_names
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
     RULE,
     Place,
     Ready,
-    Side,
     find_ready,
     judge_ready,
     line_from,
@@ -48,7 +47,7 @@ from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.telescope import as_one_slide
-from app.onboarding.read.tree import ARM_ON_BASE, Arm, find_arm, make_tree
+from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import (
     find_drive,
     stands_on_floor,
@@ -69,7 +68,6 @@ from app.onboarding.write import (
     rebased_urdf,
     write_robot,
 )
-from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
@@ -77,14 +75,9 @@ from app.system import whole_folder, write_whole
 _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
-"""[-] smallest number of random poses in which the hulls of the links are compared."""
-_MAX_FITS = 3  # [-] fits of bodies if they miss a collision; each uses other random poses
-_OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
-_OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
-PREFIX = "arm_"
-"""Prefix for links and joints of the arm whose names also occur in the base."""
-_URDF = "robot.urdf"
-"""Name of the new URDF in the robot's folder."""
+"""[-] smallest number of random poses in which the distances between hulls are computed."""
+_MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random poses
+_URDF = "robot.urdf"  # name of the new URDF in the robot's folder
 
 
 def finish(
@@ -96,12 +89,13 @@ def finish(
     sampling: SamplingConfig | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Create a robot and its border, and move the complete folder into place.
+    """Create a robot and its border, and write the complete folder or nothing.
 
-    `workers` do all parallel work except sampling the border: for this there are `processes`, by
-    default one for each usable core. A coarse border, with its own `sampling`, is sampled in this
-    process, because starting others takes longer. `tell` is called with the name of each step, and
-    `on_progress` with the finished share of a long step, 0 to 1: bodies, border, lines.
+    `workers` do all parallel work except sampling the border. The border is sampled by `processes`,
+    by default one for each usable core; with `sampling`, the parameters of a coarse border, this
+    process samples it alone, because starting others would take longer. `tell` is called with the
+    name of each step, and `on_progress` with the finished share, 0 to 1, of a long step: bodies,
+    border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
@@ -120,7 +114,7 @@ def finish(
     with whole_folder(request.out) as folder, _one_message(lambda: doing):
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
-            path = open_package(Path(request.urdf), folder, request.file)
+            path = open_package(locate(request.urdf), folder, request.file)
             name = f"{Path(request.urdf).name}: {path.relative_to((folder / FOLDER).resolve())}"
             request = replace(request, urdf=str(path), source=name)
         border = partial(
@@ -139,7 +133,7 @@ def finish(
         # matplotlib.
         from app.onboarding.report import VIEW, draw, report_html
 
-        pictures = workers.map(draw, [(robot, data)])  # in the worker that finishes its line first
+        pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
         robot = _with_lines(robot, data, folder, dict(lines))
         say("writing the report")
         write_robot(robot, folder)
@@ -151,7 +145,7 @@ def finish(
 
 @contextmanager
 def _one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert any exception of a library to a message of one line that names the step."""
+    """Convert any exception of a library to a `RobotFileError` of one line that names the step."""
     try:
         yield
     except DbbError:
@@ -160,8 +154,8 @@ def _one_message(doing: Callable[[], str]) -> Iterator[None]:
         _log.debug("%s", doing(), exc_info=True)
         why = " ".join(str(error).split())[:300] or "no reason stated"
         raise RobotFileError(
-            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; "
-            "check that check_urdf accepts the file, then report it with the URDF"
+            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; check "
+            "the file with check_urdf; if it is valid, report this error together with the URDF"
         ) from error
 
 
@@ -169,7 +163,7 @@ _UNWATCHED = {
     True: "chosen: some of its links are nearer than d_b by design",
     False: "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions",
 }
-"""Why a pair is not monitored: because of its links (True), or of its bodies alone (False)."""
+"""Why a pair is not monitored, by the value of `Verdict.unwatched`."""
 
 
 def make_robot(
@@ -181,25 +175,21 @@ def make_robot(
     tell: Callable[[str], None] = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[NewRobot, BorderData]:
-    """Create a robot without lines for guiding and without a report, which `finish` adds.
+    """Create a robot and its border, without lines for guiding and warnings, which `finish` adds.
 
-    Args:
-        request: The input.
-        folder: Temporary folder for the URDF.
-        border: Returns the pairs and the clouds of border points of a model.
-        workers: Worker processes for random poses and reachability maps.
-        tell: As in `finish`.
-        on_progress: As in `finish`.
+    The new URDF and converted meshes are written into `folder`. `border` returns the pairs and the
+    clouds of border points of a model. `workers` compute random poses and reachability maps.
 
     Raises:
-        DbbError: As in `finish`.
+        DbbError: As in `finish`, except `OutputError` for an existing folder.
     """
     tell("reading the URDF")
     whole = _whole_robot(request)
+    size = mesh_bytes(whole.tree.links.values())
     try:
-        parsed, urdf = within_budget(_read, request, whole, folder, size=mesh_bytes(whole.robot))
+        parsed, urdf = within_budget(_read, request, whole, folder, size=size)
     except BudgetError as error:
-        raise RobotFileError(f"{request.told}: its meshes: {error}") from None
+        raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
@@ -230,11 +220,14 @@ def make_robot(
 def _lines(
     robot: NewRobot, data: BorderData, workers: Workers, on_progress: OnProgress
 ) -> Iterator[tuple[str, Place | str]]:
-    """For each scenario its line for guiding, or the reason for a missing line."""
-    # An arm that cannot hold its end-effector avoids the base by itself, on any line.
+    """Each scenario with its line for guiding, or with the reason why it has no line.
+
+    There is none if the arm and the base are no pair.
+    """
+    # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
     anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
-    sides = [Side(name, robot.model, data, anyway=anyway) for name in names]
-    return zip(names, workers.map(line_from, sides, on_progress, tells=True), strict=True)
+    jobs = [(name, robot.model, data, anyway) for name in names]
+    return zip(names, workers.map(line_from, jobs, on_progress, tells=True), strict=True)
 
 
 def _with_lines(
@@ -272,9 +265,12 @@ def _embodied(
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Embodied:
-    """Fit bodies around groups of links, again if they miss a collision in new random poses.
+    """Fit bodies around groups of links, up to three times if the bodies miss a collision.
 
-    The result is the fit whose bodies miss the fewest collisions of links.
+    The result is the fit whose bodies miss the fewest collisions of links in new random poses.
+
+    Raises:
+        RobotFileError: The bodies of a pair miss more than half of their links' collisions.
     """
     tell("sampling random poses")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -318,17 +314,15 @@ def _embodied(
 def _moving(
     request: Request, parsed: Parsed, model: RobotModel, ready: Ready
 ) -> tuple[Sourced, Sourced]:
-    """Numbers of the base, and numbers of the arm that depend on its bodies and masses."""
+    """Numbers of the base, and the ready pose and the damping of the arm, with their sources."""
     base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, parsed.steering)
     why = (
-        "chosen: as for the paper's robot, but smaller for a light joint, so that it is stable in "
+        "as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are stable"
     )
+    rule = RULE if request.ready is None else "given: --ready"
     return base, {
-        "ready_position": (
-            tuple(float(q) for q in ready.q_m),
-            RULE if request.ready is None else "given: --ready",
-        ),
-        "joint_damping": (damping(parsed.limits, parsed.arm, model), why + "steps of 1 ms"),
+        "ready_position": (tuple(float(q) for q in ready.q_m), rule),
+        "joint_damping": (damping(parsed.limits, parsed.arm, model), f"chosen: {why}"),
     }
 
 
@@ -344,19 +338,17 @@ def parse(request: Request) -> Parsed:
 
 
 def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
-    """The checked robot, and the text of its new URDF; it converts some meshes into `folder`."""
+    """The checked robot and the text of its new URDF; some meshes are converted into `folder`."""
     parsed = _parsed(request, whole)
-    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
+    header = (
+        f"Made by dbb new-robot from {request.shown_source}; its sources and licences: SOURCES.md"
+    )
     return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
 
 
 def _parsed(request: Request, whole: _Whole) -> Parsed:
-    robot, names = _with_distinct_names(whole.robot)
-    tip, left_out = whole.tip, whole.left_out
-    tip, base, mount = (names.get(str(n), n) for n in (tip, request.base, request.mount))
-    joined = as_one_slide(robot, str(base), str(tip))
-    tree = make_tree(robot)
-    arm = find_arm(tree, str(base), str(tip), mount)
+    tree, base, tip, mount, changes = whole
+    arm = find_arm(tree, base, tip, mount)
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
@@ -366,15 +358,15 @@ def _parsed(request: Request, whole: _Whole) -> Parsed:
             "the arm's links, or choose another --tip"
         )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, str(base), str(tip), arm.joints[0].child)
+        arm = find_arm(tree, base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, (*left_out, *joined))
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, changes)
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
-    """Refuse a ready pose that would be invalid in the description."""
+    """Refuse a ready pose with a wrong number of joints, or outside of their limits."""
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):
@@ -393,89 +385,35 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
 
 
 class _Whole(NamedTuple):
-    """A complete robot with its arm, before the checks."""
+    """A robot with its arm, before the shapes are read."""
 
-    robot: Element
+    tree: Tree
+    base: str
+    """The link of --base."""
     tip: str
-    """Name of the link of the end-effector."""
-    left_out: list[str]
-    """Sentences on shapes that are left out."""
+    """The link of --tip."""
+    mount: str | None
+    """The link of --mount, or None."""
+    changes: tuple[str, ...]
+    """Sentences on differences from the URDF: removed shapes, joined telescopes."""
 
 
 def _whole_robot(request: Request) -> _Whole:
+    """Read the robot from one or two files, with distinct names and joined telescopes."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
-    robot, left_out = read_robot(locate(request.urdf), packages, **arguments)
+    trees, said = [], []
+    for file in filter(None, (request.urdf, request.arm_urdf)):
+        robot, left_out = read_robot(locate(file), packages, **arguments)
+        trees.append(make_tree(robot))
+        said += left_out
+    tree, *arms = trees
     tip = request.tip
-    if request.arm_urdf is None:
-        return _Whole(robot, tip, left_out)
-    arm, also = read_robot(locate(request.arm_urdf), packages, **arguments)
-    for part in (robot, arm):  # each URDF has its own error messages
-        tree = make_tree(part)
-    tree.link(tip, "--tip")  # the tree is now that of the arm
-    names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
-    tip = PREFIX + tip if tip in names[0] & names[1] else tip
-    return _Whole(_composed(robot, arm, request), tip, left_out + also)
-
-
-def _with_distinct_names(robot: Element) -> tuple[Element, dict[str, str]]:
-    """The robot with distinct names, and the new names of links by the old ones.
-
-    `_joint` is added to a joint's name that is also a name of a link or of a library. `_link` is
-    added to a link's name that is also one of our own names. A URDF may contain such names, but
-    pinocchio and MuJoCo cannot distinguish them.
-    """
-    names = {tag: [str(e.get("name")) for e in robot.findall(tag)] for tag in ("link", "joint")}
-    links = _distinct(names["link"], _OWN_LINKS, {*names["link"], *names["joint"]}, "_link")
-    taken = {links.get(name, name) for name in names["link"]} | _OWN_JOINTS
-    joints = _distinct(names["joint"], taken, {*taken, *names["joint"]}, "_joint")
-    return _renamed(robot, {"joint": joints, "link": links}), links
-
-
-def _distinct(
-    names: Sequence[str], foreign: Collection[str], taken: set[str], end: str
-) -> dict[str, str]:
-    """New, unique names with a suffix for all names that are also in `foreign`."""
-    renamed = {}
-    for name in names:
-        if name and name in foreign and names.count(name) == 1:  # `make_tree` refuses duplicates
-            new = name + end
-            while new in taken:
-                new += "_"
-            taken.add(new)
-            renamed[name] = new
-    return renamed
-
-
-def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
-    """A copy with new names of links and joints, also in references to them."""
-    robot = deepcopy(robot)
-    for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
-        ends = [(each, "name") for each in robot.findall(tag)]
-        ends += [(end, tag) for role in roles for end in robot.iterfind(f"joint/{role}")]
-        for element, key in ends:
-            if (name := element.get(key)) in names[tag]:
-                element.set(key, names[tag][str(name)])
-    return robot
-
-
-def _composed(base: Element, arm: Element, request: Request) -> Element:
-    """One robot from two: the root of the arm is fixed to --base.
-
-    Names of the arm that also occur in the base get the prefix `arm_`. The inputs do not change.
-    """
-    taken = {
-        tag: [str(each.get("name")) for each in base.findall(tag)] for tag in ("link", "joint")
-    }
-    prefixed = {tag: {name: PREFIX + name for name in names} for tag, names in taken.items()}
-    robot, arm = deepcopy(base), _renamed(arm, prefixed)
-    root = make_tree(arm).root
-    known = {m.get("name") for m in base.findall("material")}
-    robot.extend(m for m in arm.findall("material") if m.get("name") not in known)
-    robot.extend([*arm.findall("link"), *arm.findall("joint")])
-    joint = SubElement(robot, "joint", name=ARM_ON_BASE, type="fixed")
-    SubElement(joint, "parent", link=request.base)
-    SubElement(joint, "child", link=root)
-    xyz, rpy = (" ".join(map(repr, each)) for each in (request.mount_xyz, request.mount_rpy))
-    SubElement(joint, "origin", xyz=xyz, rpy=rpy)
-    return robot
+    for arm in arms:
+        T = pin.SE3(pin.rpy.rpyToMatrix(*request.mount_rpy), np.array(request.mount_xyz))
+        tree, tip = with_arm(tree, arm, request.base, arm.link(tip, "--tip"), T)
+    tree, names = with_distinct_names(tree)
+    base, tip = (names.get(name, name) for name in (request.base, tip))
+    tree, joined = as_one_slide(tree, base, tip)
+    mount = request.mount and names.get(request.mount, request.mount)
+    return _Whole(tree, base, tip, mount, (*said, *joined))

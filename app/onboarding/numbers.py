@@ -1,7 +1,4 @@
-"""The numbers of a description with their sources: limits, damping, base and reachability.
-
-A value that the URDF does not state is measured, counted or assumed; its source says which.
-"""
+"""The numbers of a description with their sources: limits, damping, base and reachability."""
 
 from __future__ import annotations
 
@@ -28,17 +25,17 @@ Sourced = Mapping[str, tuple[Any, str]]
 """Values with their sources, by the field of the description."""
 
 _TURN = np.pi  # [rad] assumed limit in both directions of a joint without limits
-_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
-_LARGEST = 1000.0  # [rad] or [m] a larger limit means that there is no limit
-_DEGREES = 4 * np.pi  # [rad] a larger limit of a joint of the arm is in degrees
-_TOO_FAR = 5.0  # [m] largest plausible limit of a slide
-_FASTEST = 20.0  # [rad/s] or [m/s] a larger speed means that there is no limit
+_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed speed limits
+_LARGEST = 1000.0  # [rad] or [m] position limit from which a joint counts as unlimited
+_DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
+_TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
+_FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
+_MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N] smallest assumed effort
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
-_STRONG = 30.0  # [N m] effort of a strong joint
+_STRONG = 30.0  # [N m] smallest effort of a strong joint
 _STABLE = 3e-3  # [s] smallest stable ratio of a joint's inertia to its damping: three steps
-_SAMPLES = 400  # [-] random poses for gravity loads and inertias
+_SAMPLES = 400  # [-] number of random poses for gravity loads and inertias
 
 
 def with_source(
@@ -69,11 +66,11 @@ class Limits(NamedTuple):
 
 
 def read_limits(arm: Arm) -> Limits:
-    """The limits in the URDF; an effort of 0 means that it is missing.
+    """The limits in the URDF, or assumed ones; an effort of 0 means that it is missing.
 
     Raises:
-        RobotFileError: The limits of some joints are empty, or not in radians and metres; the
-            message names all of these joints.
+        RobotFileError: Position limits are missing (prismatic joint), empty, or probably in another
+            unit; the message names all of these joints.
     """
     _check_ranges(arm.joints)
     ranges = [_range(joint) for joint in arm.joints]
@@ -96,10 +93,7 @@ def read_limits(arm: Arm) -> Limits:
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
-    """The limits; an effort that the URDF does not state is a multiple of the gravity load.
-
-    The gravity load depends on the masses of `model`, but not on its efforts.
-    """
+    """The limits with a multiple of the gravity load of `model` for each missing effort."""
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
@@ -114,14 +108,14 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
 def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     """(n_m,) [N m s/rad or N s/m] damping D of the joints while a person guides the arm.
 
-    It is the damping of the paper's robot, but at most m/(3 dt), which pybullet simulates stably.
-    m is the smallest inertia of the joint in random poses, and dt the step of 1 ms.
+    It is the damping of the paper's robot, but at most m/(3 dt), which pybullet simulates stably. m
+    is the smallest inertia of the joint in random poses, with the other joints free, and dt = 1 ms.
     """
 
     def lightness(q: Array) -> Array:
         M = pin.crba(model.pin, model.pin.createData(), q)
         M = np.triu(M) + np.triu(M, 1).T
-        return np.diag(np.linalg.inv(M))[3:]  # inverse inertia of each joint with the others free
+        return np.diag(np.linalg.inv(M))[3:]  # 1/m
 
     least = 1.0 / largest_of_poses(model, lightness)
     wanted = [
@@ -159,7 +153,7 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
     for joint in joints:
         limits = _range(joint)
         if limits is None:
-            why = "slide without limits; give each a <limit>" if joint.kind == "prismatic" else ""
+            why = "are prismatic without limits; give each a <limit>" * (joint.kind == "prismatic")
         elif limits == (0.0, 0.0):
             why = "have limits of 0, as some exporters write; write those of the real joints, as "
             why += '<limit lower="-3.14" upper="3.14" effort="50" velocity="1"/>'
@@ -168,10 +162,8 @@ def _check_ranges(joints: Sequence[Joint]) -> None:
         elif joint.kind == "prismatic" and max(map(abs, limits)) > _TOO_FAR:
             why = "have limits of many metres, which are probably millimetres; write metres"
         elif joint.kind == "revolute" and max(map(abs, limits)) > _DEGREES:
-            why = (
-                "have limits of more than two turns, which are probably degrees; write radians (90 "
-            )
-            why += 'degrees are 1.5708), or type="continuous" for a joint without limits'
+            why = "have limits of more than two turns, which are probably degrees; write radians "
+            why += '(90 degrees are 1.5708), or type="continuous" for a joint without limits'
         else:
             why = ""
         stated = f" ({limits[0]:g} to {limits[1]:g})" if limits else ""
@@ -222,7 +214,10 @@ def base_numbers(
     half_track: float | None,
     steering: Steering | None = None,
 ) -> Sourced:
-    """Numbers of the base, for the ready pose q_m (n_m,); None means a measured half track [m]."""
+    """Numbers of the base with their sources; q_m (n_m,) is the ready pose.
+
+    `half_track` [m] is the stated one; None means the measured one.
+    """
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
     mass, yaw = float(M[0, 0]), float(M[2, 2])
@@ -268,7 +263,7 @@ def base_numbers(
 def _geometry(
     kind: str, wheels: Wheels, half_track: float | None, steering: Steering | None
 ) -> dict[str, tuple[Any, str]]:
-    """Wheel radius, half track and steering, for the kinds that have them."""
+    """The wheel radius, and the half track or the steering; none for a holonomic base."""
     how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
@@ -286,11 +281,11 @@ def _geometry(
 
 
 SHARE = 0.5
-"""[-] share of the peak above which (9) is fitted, because the tails are no parabola."""
+"""[-] share of the peak above which (9) is fitted, because the tails are not parabolic."""
 COUNTED_POSES = 20_000
 """[-] random joint positions for counting a reachability."""
-_REACH_SAMPLES = 2000  # [-] random poses for an assumed reachability
-_WIDTH = 3.0  # [-] standard deviations of ρ at which an assumed reachability is zero
+_REACH_SAMPLES = 2000  # [-] number of random poses for an assumed reachability
+_WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
 _MIN_WIDTH = 0.1  # [m] smallest half width of an assumed reachability
 
 
@@ -304,6 +299,7 @@ class Reach(NamedTuple):
     counted: ReachMap | None
     """The counted map, or None for assumed coefficients."""
     fit: ReachFit | None
+    """The fit of the counted map, or None."""
 
     def content(self) -> dict[str, Any]:
         """The coefficients in the form of a description."""
@@ -312,11 +308,10 @@ class Reach(NamedTuple):
 
 
 def find_reach(model: RobotModel, workers: Workers) -> Iterator[tuple[str, Reach]]:
-    """The names and coefficients of all bodies that may come near the base.
+    """The names and coefficients of all bodies that are a candidate for a pair with l_m.
 
     `workers` start at once, so the caller can do other work before it reads the results. If fewer
-    than three joints move a body, or if (9) does not fit its map, the coefficients are assumed: a
-    parabola about the distances of the body in random poses.
+    than three joints move a body, or if (9) does not fit its map, the coefficients are assumed.
     """
     mobile = model.body_names[0]
     bodies = [pair.b for pair in candidate_pairs(model) if pair.a == mobile]
@@ -341,7 +336,9 @@ def _reach_of(_: object, job: tuple[RobotModel, str]) -> Reach:
 
 
 def _assumed(model: RobotModel, body: str, why: str) -> Reach:
-    """A parabola about the mean distance of the body's first shape from the mount."""
+    """Assumed coefficients: a parabola whose peak is at the mean distance of the body's first shape
+    from the mount in random poses.
+    """
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
     rho = []

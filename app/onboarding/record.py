@@ -29,7 +29,7 @@ class Parsed:
     limits: Limits
     steering: Steering | None = None
     changes: tuple[str, ...] = ()
-    """Sentences on differences from the URDF: shapes that are left out, joined telescopes."""
+    """Sentences on differences from the URDF: removed shapes, joined telescopes."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
-"""The report of a new robot: a page with pictures, tables and warnings."""
+"""The report of a new robot: a page with warnings, pictures and tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,9 +19,8 @@ from app.border.dbb import construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import radial_profile
 from app.onboarding.fit.units import moved
-from app.onboarding.preview import COLOURS, Bare, bare_links, view_html
+from app.onboarding.preview import COLOURS, Bare, bare_links, body_meshes, view_html
 from app.robot.model import RobotModel
-from app.robot.shapes import shape_mesh
 from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
@@ -31,30 +31,34 @@ Array = np.ndarray
 
 
 class Pictures(NamedTuple):
-    """Pictures of a new robot in PNG format."""
+    """Pictures of a new robot: PNG files, and a page with a 3D view."""
 
     bodies: bytes
+    """PNG of the bodies."""
     border: bytes | None
-    """The border, or None for a robot without a border."""
+    """PNG of the border, or None for a robot without a border."""
     reach: bytes | None
-    """The reachability, or None without a counted reachability."""
+    """PNG of the reachability, or None without a counted reachability."""
     view: str
-    """Text of a separate page, which shows the bodies in three dimensions."""
+    """HTML text of the page `VIEW`."""
     bare: dict[str, Bare]
-    """Links that extend beyond their bodies, by design or by mistake."""
+    """Names of the links that extend beyond their bodies, and whether by design or by mistake."""
 
 
 def draw(_: object, job: tuple[NewRobot, BorderData]) -> Pictures:
-    """The pictures of a robot and its border; they do not depend on the lines for guiding."""
+    """The pictures of a robot and its border, for a worker process.
+
+    They do not depend on the lines for guiding.
+    """
     robot, data = job
-    placed = _placements(robot.model, robot.ready.q_m)
+    placed = placements(robot.model, robot.ready.q_m)
     bare = bare_links(robot, placed)
     pngs = bodies_png(robot, bare), border_png(robot, data), reach_png(robot)
-    return Pictures(*pngs, view_html(robot, placed), bare)
+    return Pictures(*pngs, view_html(robot, placed, bare), bare)
 
 
 def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
-    """The report of a robot and its border, as a page without external files."""
+    """The HTML text of the report; the page needs no other file."""
     more = (("Border", pictures.border), ("Reachability", pictures.reach))
     parts = [
         Part("Warnings", points=robot.warnings or ["none"]),
@@ -63,7 +67,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
             png=pictures.bodies,
             tables=[_bodies(robot)],
             points=_bare(pictures.bare),
-            note=f"The file {VIEW} in the same folder shows the bodies in three dimensions.",
+            note=f"The file {VIEW} in the same folder shows links and bodies in three dimensions.",
         ),
         Part("Pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
         *(Part(title, png=png) for title, png in more if png is not None),
@@ -71,22 +75,26 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
         Part("Base and arm", tables=[_numbers(robot)]),
     ]
     arm = f" and its arm from {robot.request.arm_urdf}" if robot.request.arm_urdf else ""
-    lead = f"Made by dbb new-robot from {robot.request.told}{arm}."
+    lead = f"Made by dbb new-robot from {robot.request.shown_source}{arm}."
     return page_html(f"New robot: {robot.content['title']}", lead, parts)
 
 
 VIEW = "bodies.html"
-"""Name of the page that shows the bodies in three dimensions."""
+"""Name of the file that shows links and bodies in three dimensions."""
 
 
 def _bare(bare: dict[str, Bare]) -> list[str]:
     """Sentences on the links that extend beyond their bodies."""
     whys = {
-        "design": "extend beyond their bodies by design: no monitored body can reach these parts",
-        "mistake": "extend beyond their bodies by mistake: a monitored body can reach these parts",
+        "design": "by design: no link of a body that is not a neighbour can reach these parts",
+        "mistake": "by mistake: a link of a body that is not a neighbour can reach these parts",
     }
     links = {why: [link for link, each in bare.items() if each == why] for why in whys}
-    return [f"{', '.join(links[why])} {text}" for why, text in whys.items() if links[why]]
+    return [
+        f"extending beyond their bodies {text}: {', '.join(links[why])}"
+        for why, text in whys.items()
+        if links[why]
+    ]
 
 
 def _bodies(robot: NewRobot) -> Grid:
@@ -126,18 +134,25 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
         for pair in each
     ]
     return Grid(
-        ("pair", "set", "in collision", "smallest distance [m]", f"within {robot.request.d_b:g} m"),
+        ("pair", "set", "overlap", "smallest distance [m]", f"within {robot.request.d_b:g} m"),
         rows,
     )
 
 
 def _verdict(robot: NewRobot) -> list[str]:
-    verdict, ready, share = robot.verdict, robot.ready, robot.unseen.share
-    return [
-        f"share of the colliding random poses that no pair sees: {share:.1%}",
-        f"share of the free random poses in which bodies of a pair overlap: {verdict.false:.1%}",
-        f"ready pose: the nearest pair {ready.nearest} is {ready.clearance:+.3f} m from its buffer",
+    ready, share = robot.ready, robot.unseen.share
+    points = [
+        f"links collide, but no pair of bodies overlaps: {share:.1%} of the colliding random poses",
+        f"a pair of bodies overlaps, but no links collide: {robot.verdict.false:.1%} of the free "
+        "random poses",
     ]
+    if ready.nearest:
+        where = "outside of" if ready.clearance >= 0.0 else "inside"
+        points.append(
+            f"in the ready pose, the nearest pair {ready.nearest} is {abs(ready.clearance):.3f} m "
+            f"{where} its buffer"
+        )
+    return points
 
 
 def _reach(robot: NewRobot) -> Grid:
@@ -165,7 +180,7 @@ def _numbers(robot: NewRobot) -> Grid:
         rows.append(
             (name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}", place.source)
         )
-    return Grid(("", "number", "value", "source"), rows)
+    return Grid(("part", "number", "value", "source"), rows)
 
 
 def _text(value: object) -> str:
@@ -181,11 +196,12 @@ _VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
 def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     """The bodies over the hulls of the links in the ready pose, from three sides.
 
-    Links that extend beyond their bodies have the colours of `COLOURS`.
+    The links have the colours of `COLOURS`.
     """
     model = robot.model
-    placed = _placements(model, robot.ready.q_m)
-    units = robot.meetings.units
+    placed, units = placements(model, robot.ready.q_m), robot.meetings.units
+    bodies = [*body_meshes(model, placed)]
+    colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
         spans = np.ptp(
@@ -196,36 +212,37 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
             for unit in units:
                 for part in unit.parts:
                     corners, colour = moved(part.corners, placed[unit.joint]), bare.get(part.link)
-                    _fill(axes, corners, x, y, COLOURS[colour], 0.55)
-            for k, name in enumerate(model.body_names):
-                for corners in body_corners(model, placed, name):
-                    colour = BODY_COLOURS[k % len(BODY_COLOURS)]
-                    _fill(axes, corners, x, y, colour, 0.25, name if x == 0 and y == 2 else None)
+                    fill(axes, corners, x, y, COLOURS[colour], 0.55)
+            for name, mesh in bodies:
+                fill(axes, np.asarray(mesh.vertices), x, y, colours[name], 0.25)
             axes.autoscale()
             across, up = (f"{'xyz'[k]} [m]" for k in (x, y))
             axes.set(aspect="equal", title=title, xlabel=across, ylabel=up)
             axes.locator_params(nbins=4)
-        _legend(figure, model.body_names)
+        _legend(figure, colours)
         return png_of(figure)
 
 
 def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
-    """The border of each pair of L_m at half the base's height and above its top, or None."""
+    """The border of each pair of L_m at two heights, or None without border points.
+
+    The heights are half the height of l_m, and d_b / 2 above its top.
+    """
     model, d_b = robot.model, robot.request.d_b
     eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
     if not clouds:
         return None
     offset = offset_contours(model, d_b)
-    placed = _placements(model, robot.ready.q_m)
-    base = body_corners(model, placed, model.body_names[0])
+    meshes = body_meshes(model, placements(model, robot.ready.q_m))
+    base = [np.asarray(mesh.vertices) for name, mesh in meshes if name == model.body_names[0]]
     top = max(float(corners[:, 2].max()) for corners in base)
     heights = (0.5 * top, top + 0.5 * d_b)
     with styled():
         figure = new_figure(5.2)
         for axes, z in zip(figure.subplots(1, 2), heights, strict=True):
             for corners in base:
-                _fill(axes, corners, 0, 1, SOFT, 0.5)
+                fill(axes, corners, 0, 1, SOFT, 0.5)
             for k, piece in enumerate(offset.contours(z)):
                 label = "exact offset" if k == 0 else None
                 axes.plot(*piece.T, color=INK, linewidth=1.0, label=label)
@@ -246,7 +263,10 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
 
 def reach_png(robot: NewRobot) -> bytes | None:
-    """The counted reachability as means over shells, with the fit of (9), or None."""
+    """Counted reachabilities as means over spherical shells, with their fits (9).
+
+    The result is None if no reachability was counted.
+    """
     counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
     if not counted:
         return None
@@ -266,39 +286,23 @@ def reach_png(robot: NewRobot) -> bytes | None:
         return png_of(figure)
 
 
-def body_corners(model: RobotModel, placed: Sequence[pin.SE3], name: str) -> list[Array]:
-    """Corners (N, 3) [m] of each shape of a body, with the base at the origin."""
-    corners = []
-    for shape, k in zip(model.description.body(name).shapes, model.shape_ids[name], strict=True):
-        item = model.geometry.geometryObjects[k]
-        T = placed[item.parentJoint] * item.placement
-        corners.append(moved(np.asarray(shape_mesh(shape).vertices), T))
-    return corners
-
-
-def _placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
+def placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
+    """The poses of the joints in a pose q_m (n_m,), with the base at the origin."""
     data = model.pin.createData()
     pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
     return [T.copy() for T in data.oMi]
 
 
-def _fill(
-    axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float, label: str | None = None
-) -> None:
-    """Draw the projection of a convex body on the axes x and y."""
+def fill(axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float) -> None:
+    """Draw the hull of points (N, 3) [m], projected on the coordinates number x and y."""
     flat = points[:, [x, y]]
-    ring = flat[
-        ConvexHull(flat, qhull_options="QJ").vertices
-    ]  # the projection of a plate can be a line
+    ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]  # QJ: a plate can become a line
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
-    axes.add_collection(PolyCollection([ring], label=label, linewidth=1.0, **style))
+    axes.add_collection(PolyCollection([ring], linewidth=1.0, **style))
 
 
-def _legend(figure: Figure, names: Sequence[str]) -> None:
-    patches = [
-        Patch(color=BODY_COLOURS[k % len(BODY_COLOURS)], alpha=0.5, label=name)
-        for k, name in enumerate(names)
-    ]
+def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
+    patches = [Patch(color=colour, alpha=0.5, label=name) for name, colour in colours.items()]
     kinds = {
         None: "enclosed links",
         "design": "beyond their body by design",

@@ -1,4 +1,4 @@
-"""The input of `dbb new-robot`, and checks of this input before any file is read."""
+"""The input of `dbb new-robot`, and its checks before any file is read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 @dataclass(frozen=True)
 class Request:
-    """Input for a new robot; missing numbers and names are determined automatically."""
+    """Input for a new robot; numbers and names that are None are determined automatically."""
 
     urdf: str
     """A URDF or xacro file, package://PACKAGE/PATH for a file of an installed package, or a zip
@@ -39,7 +39,8 @@ class Request:
     mount_rpy: Vector3 = (0.0, 0.0, 0.0)
     """[rad] rotation of the root link of --arm-urdf in the frame of --base."""
     mount: str | None = None
-    """Link at whose origin the arm starts; default: the parent link of the arm's first joint."""
+    """Link at whose origin the arm starts; default: the parent link of the arm's first joint, or
+    the joint's child link if the parent belongs to the base."""
     tip_xyz: Vector3 = (0.0, 0.0, 0.0)
     """[m] position of the end-effector's frame in the frame of --tip."""
     tip_rpy: Vector3 = (0.0, 0.0, 0.0)
@@ -52,8 +53,7 @@ class Request:
     kind: str = "differential"
     """Kind of the base: differential, holonomic or car-like; a holonomic base needs no wheels."""
     wheelbase: float | None = None
-    """[m] wheelbase of a car-like base; default: measured between its rear and its steered
-    wheels."""
+    """[m] wheelbase of a car-like base; default: measured from the rear to the steered wheels."""
     steering_limit: float | None = None
     """[rad] steering limit to either side; default: from the URDF."""
     steering_rate: float | None = None
@@ -63,7 +63,7 @@ class Request:
     bodies: int | None = None
     """Number of bodies of the arm; default: four, or another number if four are not sufficient."""
     assume_inertia: bool = False
-    """Compute masses from volumes if the URDF states no mass at all for the arm."""
+    """Compute masses from volumes if the URDF states no mass for any link of the arm."""
     title: str | None = None
     """Displayed title of the robot; default: its name."""
     licence: str | None = None
@@ -75,7 +75,7 @@ class Request:
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None
-    """Displayed source of the robot; None means `urdf`."""
+    """Displayed source of the robot; default: `urdf`."""
     package: tuple[str, ...] = ()
     """Folders of ROS packages, as NAME=FOLDER. The program searches for other packages in the
     folders above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed
@@ -84,8 +84,8 @@ class Request:
     """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
 
     @property
-    def told(self) -> str:
-        """The displayed source of the robot: the URDF, or the zip that contains the URDF."""
+    def shown_source(self) -> str:
+        """The displayed source of the robot: `source`, or `urdf` if `source` is None."""
         return self.source or self.urdf
 
     @property
@@ -105,12 +105,13 @@ class Request:
 
 
 class Bounds(NamedTuple):
-    """Bounds of an optional number in `unit`; only bases of `kind` have the number."""
+    """Bounds of an optional number in `unit`."""
 
     low: float
     high: float
     unit: str = ""
     kind: str = ""
+    """The only kind of base that has the number; empty for all kinds."""
 
 
 BOUNDS = {
@@ -122,7 +123,7 @@ BOUNDS = {
     "bodies": Bounds(1, 8),
 }
 """Bounds by the field of `Request`."""
-_FARTHEST = 10.0  # [m] or [rad] largest coordinate; a larger one is a typing error
+_FARTHEST = 10.0  # [m] or [rad] largest coordinate of a position or rotation
 
 
 def option(field: str) -> str:
@@ -146,8 +147,8 @@ def check_request(request: Request) -> None:
     for field in ("mount_xyz", "mount_rpy"):
         if request.arm_urdf is None and any(getattr(request, field)):
             raise ConfigError(
-                f"{option(field)}: is for an arm with its own URDF; add --arm-urdf, or remove "
-                f"{option(field)}: in a single URDF a joint sets the place of the arm"
+                f"{option(field)}: places an arm with its own URDF; add --arm-urdf, or remove "
+                f"{option(field)}: in a single URDF a joint places the arm"
             )
     # Imported here: coal and pinocchio would delay the start of `dbb --help`.
     from app.robot.description import KINDS
@@ -169,34 +170,34 @@ def check_request(request: Request) -> None:
     named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:
         raise ConfigError(
-            "--wheels: a holonomic base is described without wheels; remove the option"
+            "--wheels: a holonomic base has no wheels in its description; remove the option"
         )
     if request.wheel_radius is not None and (
         request.half_track is None or request.wheels is not None
     ):
-        raise ConfigError("--wheel-radius: needs --half-track, and excludes --wheels")
+        raise ConfigError("--wheel-radius: give --half-track with it, and no --wheels")
 
 
-def package_folders(given: Sequence[str]) -> dict[str, Path]:
-    """The folders of packages by their names, from `NAME=FOLDER`.
+def package_folders(entries: Sequence[str]) -> dict[str, Path]:
+    """The absolute folders of packages by their names, from entries of the form `NAME=FOLDER`.
 
     Raises:
         ConfigError: An entry has another form, or its folder does not exist.
     """
-    folders = named("--package", given, "FOLDER")
+    folders = named("--package", entries, "FOLDER")
     if lost := [folder for folder in folders.values() if not Path(folder).is_dir()]:
         raise ConfigError(f"--package: there is no folder {lost[0]}")
     return {name: Path(folder).resolve() for name, folder in folders.items()}
 
 
-def named(option: str, given: Sequence[str], what: str) -> dict[str, str]:
-    """The values of an option by name, from entries of the form `NAME=…`.
+def named(option: str, entries: Sequence[str], what: str) -> dict[str, str]:
+    """The values of an option by name, from entries of the form `NAME=…`; `what` is for the error.
 
     Raises:
         ConfigError: An entry has another form.
     """
     found = {}
-    for each in given:
+    for each in entries:
         name, _, value = each.partition("=")
         if not (name and value):
             raise ConfigError(f"{option}: {each!r} is not of the form NAME={what}")

@@ -15,11 +15,12 @@ from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
+from app.onboarding.compose import ARM_ON_BASE
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.travel import with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
-from app.onboarding.read.tree import ARM_ON_BASE, FREE
+from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs, sample_joints
@@ -36,11 +37,11 @@ _IN_FLOOR = 0.005  # [m] largest depth below the floor
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
 _TOO_LARGE = 5.0  # [-] largest ratio of link lengths to joint offsets; a telescope has 3
 _FITTED = 0.6  # [-] smallest R² of (9) over the counted reachability; the paper's arm has 0.9
-_POSES, _SAMPLES = 100, 2000
+_POSES, _SAMPLES = 100, 2000  # [-] number of poses near the base, and of random poses to find them
 _NEAR = 0.30  # [m] largest distance of the arm to the base in a pose near the base
 _LEFT = 0.10  # [-] largest share of the base's motion that the arm does not compensate
 _LEVER = 0.3  # [m] lever that converts a rotation to a translation
-_NOTHING = 1e-6  # [m/s or rad/s] largest remainder that counts as zero
+_NOTHING = 1e-6  # [m/s or rad/s] largest residual that counts as zero
 _OUT = 0.005  # [m] largest distance by which a link may extend beyond its body
 _OFTEN = 0.25  # [-] share of poses above which a warning is given
 
@@ -67,7 +68,7 @@ def _places(robot: NewRobot) -> Iterator[str]:
     """Parts of the arm that are below the floor or inside the base in the ready pose."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
     own = robot.request.arm_urdf is None
-    look = f"look at {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
+    look = f"check {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
     state.update_kinematics(at_rest(robot.model, robot.ready.q_m))
     for unit in robot.meetings.units:
         if unit.index in robot.bodies[0].units or not unit.parts:
@@ -77,11 +78,11 @@ def _places(robot: NewRobot) -> Iterator[str]:
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
         fixed = unit.index == 1  # no pose moves it
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
-            yield f"{names} is {deep:.3g} m below the floor in the ready pose: {look}"
+            yield f"links {deep:.3g} m below the floor in the ready pose: {names}; {look}"
         elif (base.distance(corners) <= 0.0).all():
-            where = "the base's body, so nothing can meet it" if fixed else "the base's body"
-            look = "" if fixed and own else f" in the ready pose: {look}"
-            yield f"{names} is completely inside of {where}{look}"
+            where = "the base's body" + ", so no link can meet them" * fixed
+            advice = "" if fixed and own else f", in the ready pose; {look}"
+            yield f"links completely inside of {where}: {names}{advice}"
 
 
 def _poses(robot: NewRobot) -> Iterator[str]:
@@ -93,16 +94,16 @@ def _poses(robot: NewRobot) -> Iterator[str]:
         )
     for name in robot.verdict.always:
         yield (
-            f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of random "
-            f"poses (more than {ALWAYS:.0%}): its task is nearly always active; try a smaller "
+            f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of the free "
+            f"random poses (limit {ALWAYS:.0%}): its task is nearly always active; try a smaller "
             "--buffer-distance, or another number of --bodies"
         )
-    near_for_good = ", ".join(robot.verdict.always)
-    always = f"{near_for_good} is nearly always inside its buffer" if near_for_good else ""
+    always = ", ".join(robot.verdict.always)
+    always = f"nearly always inside the buffer: {always}" if always else ""
     whys = {name: always or why for name, why in robot.lacking.items()}
     for why in dict.fromkeys(whys.values()):
         names = ", ".join(name for name, each in whys.items() if each == why)
-        yield f"{names}: no line is written: {why}"
+        yield f"{names}: no line for guiding: {why}"
 
 
 def _bodies(robot: NewRobot) -> Iterator[str]:
@@ -202,7 +203,7 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 def held_still(parsed: Parsed) -> Iterator[str]:
     """Joints that are fixed in the model: suspensions, and joints of another arm, a head or legs.
 
-    Wheels and casters are not reported: they turn without limits.
+    Joints of the base without limits, such as wheels and casters, are not reported.
     """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
@@ -232,7 +233,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 
 
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
-    """Distances by which moving links beside the arm's chain can leave their bodies."""
+    """Distances by which moving links outside of the arm's chain can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
     chain = [joint.name for joint in arm.joints]
     roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
@@ -327,12 +328,12 @@ def _base(robot: NewRobot) -> Iterator[str]:
 
 
 class Carried(NamedTuple):
-    """Share of poses in which the arm cannot hold the end-effector while the base moves."""
+    """Shares of poses in which the arm cannot hold the end-effector while the base moves."""
 
     axis: Axis
     """Axis of the base's motion."""
     speed: float
-    """[m/s or rad/s] commanded speed."""
+    """[m/s or rad/s] speed of the base."""
     place: float
     """[-] share of the poses in which the arm cannot hold the end-effector's position."""
     pose: float
@@ -349,8 +350,8 @@ class Carried(NamedTuple):
 def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
     """Shares of poses in which the arm cannot hold its end-effector, for each axis of the base.
 
-    The arm is then too slow, or lacks a joint. The poses are random poses near the base without
-    contact. The base moves along one axis at its largest commanded speed; see `lost_hand`.
+    In these poses the arm is too slow or lacks a joint, see `lost_hand`. The poses are those of
+    `_near_poses`; the base moves along one axis at its largest commanded speed.
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
@@ -371,10 +372,10 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
 def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
     """Whether the arm cannot hold the end-effector's position, or its pose, while the base moves.
 
-    The function computes the smallest remainder of J_arm q̇ = -J_base ν within the joints' velocity
-    limits. The position is lost if the linear remainder, without the angular rows, exceeds a tenth
-    of the linear motion. The pose is lost if the position is lost, or if the linear or the angular
-    remainder exceeds a tenth of the larger one of linear and angular motion; a lever of 0.3 m
+    The criterion is the smallest residual of J_arm q̇ = -J_base ν within the joints' velocity
+    limits. The position is lost if the residual of the linear rows alone exceeds a tenth of the
+    linear motion. The pose is lost if the position is, or if the linear or the angular residual of
+    all rows exceeds a tenth of the larger one of linear and angular motion; a lever of 0.3 m
     converts angular parts to metres.
 
     Args:
@@ -396,7 +397,7 @@ def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
 
 
 def _least(J: Array, moved: Array, qd_max: Array) -> Array:
-    """The smallest remainder of J q̇ = -moved with |q̇| ≤ q̇_max."""
+    """The smallest residual J q̇ + `moved` with |q̇| ≤ `qd_max`."""
     from scipy.optimize import lsq_linear
 
     found = lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls")
@@ -408,13 +409,13 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
     often = [each for each in carried if each.place > _OFTEN]
     if not often:
         return ""
-    ways = ", or while it ".join(
+    motions = ", or while it ".join(
         f"{each.text} (in {each.place:.0%} of the poses near the base; in {each.pose:.0%} if the "
         "orientation counts too)"
         for each in often
     )
     return (
-        f"the arm cannot hold its end-effector in place while the base {ways}; during avoidance "
+        f"the arm cannot hold its end-effector in place while the base {motions}; during avoidance "
         "the base moves less in these directions"
     )
 
@@ -422,8 +423,8 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
 def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     """(N,) [N] largest push on the arm towards the base that the joint torques can resist.
 
-    There is one value for each of N random poses at rest near the base: `force_bound` of the
-    nearest pair of L_m.
+    Each value is the `force_bound` of the nearest pair at rest in one of the poses of
+    `_near_poses`; `pairs` are the pairs of L_m. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
     for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
@@ -438,7 +439,10 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
 
 
 def push_warning(borne: Array) -> str:
-    """A warning of an arm that a person can push against the base, or empty."""
+    """A warning of an arm that a person can push against the base, or empty.
+
+    `borne` is the result of `borne_push`.
+    """
     person = PersonConfig().f_max
     weak = float((borne < person).mean()) if len(borne) else 0.0
     if weak <= _OFTEN:
@@ -451,9 +455,10 @@ def push_warning(borne: Array) -> str:
 
 
 def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
-    """(N, n_m) random poses without contact and with the arm near the base.
+    """(N, n_m) up to 100 random poses without contact in which the arm is near the base.
 
-    If too few of these exist, the poses may be anywhere.
+    If fewer than 25 of these are found, the arm may be anywhere; if no pose is without contact, the
+    result is the pose at the lower limits.
     """
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))

@@ -1,4 +1,4 @@
-"""The files of a new robot: description, URDF with the root on the floor, list of sources."""
+"""The files of a new robot: description, new URDF and list of sources."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
-from app.onboarding.read.tree import FREE, MOVING, Joint, Tree
+from app.onboarding.read.tree import FREE, Joint
 from app.robot.assets import followed
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
@@ -42,13 +42,13 @@ if TYPE_CHECKING:
 
 MESH_FOLDER = "meshes"
 """Folder of the converted meshes within a robot's folder."""
-_ENDLESS = "1e6"  # [rad] limit of a joint that turns without limits
+_ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
     """Write the description, the URDF and the list of sources into a folder."""
     write_whole(folder / "robot.urdf", robot.urdf)
-    title = f"{robot.content['title']}, from {robot.request.told}"
+    title = f"{robot.content['title']}, from {robot.request.shown_source}"
     text = description_text(robot.content, title)
     write_whole(folder / "robot.toml", text)
     load_description(folder / "robot.toml")
@@ -59,7 +59,7 @@ def _sources_text(robot: NewRobot) -> str:
     """The text of `SOURCES.md`, which lists the files that the robot consists of."""
     request, lines = robot.request, []
     copied = "No mesh is copied: `robot.urdf` refers to the files of the installed packages."
-    for what, path in (("robot", request.told), ("arm", request.arm_urdf)):
+    for what, path in (("robot", request.shown_source), ("arm", request.arm_urdf)):
         if path is not None:
             lines.append(f"- URDF of the {what}: `{path}`")
     urdf = ElementTree.fromstring(robot.urdf)
@@ -71,7 +71,7 @@ def _sources_text(robot: NewRobot) -> str:
     lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in meshes if mesh[0] == "/"]
     folders = {mesh.partition("/")[0] for mesh in meshes if mesh not in installed}
     if FOLDER in folders:
-        lines.append(f"- Meshes of that package, in the folder `{FOLDER}` beside this file")
+        lines.append(f"- Meshes of the zip, in the folder `{FOLDER}` beside this file")
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
         lines.append(
@@ -185,7 +185,7 @@ def description_text(content: Mapping[str, Any], title: str) -> str:
 def _comment(item: Any, content: Mapping[str, Any]) -> None:
     """Add comments with the source of each number, up to its first colon.
 
-    A short source with several parts is a comment in full.
+    A source of less than 80 characters with a semicolon is a comment in full.
     """
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -199,46 +199,37 @@ def _comment(item: Any, content: Mapping[str, Any]) -> None:
 def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = None) -> str:
     """The text of the new URDF.
 
-    Its root is on the floor with x forward; the base and all links below the base follow. If a link
-    has only a visual shape, this is its collision shape too. So that all libraries read the same
-    robot, a joint without limits becomes a revolute joint with wide limits, and a joint that is
-    free in space becomes fixed.
-
-    Meshes keep their files. Those in `home`, the folder of the new URDF, have relative paths.
+    The root is a frame on the floor with x forward; below it are the base and all descendants of
+    the base. A link without collision shapes gets its visual shapes as collision shapes. A
+    continuous joint becomes a revolute joint with wide limits, and a planar or floating joint
+    becomes fixed, so that all libraries read the same robot. `header` becomes a comment. `home` is
+    the folder of the new URDF; see `mesh_name`.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
     robot.append(ElementTree.Comment(f" {header.replace('--', '- -')} "))
-    for material in tree.robot.findall("material"):
-        if rgba(material) is not None:
-            robot.append(_colour_only(material))
+    robot.extend(_colour_only(each) for each in tree.materials if rgba(each) is not None)
     _add_inertial(SubElement(robot, "link", name=ROOT), pin.Inertia.Zero())
-    joint = SubElement(robot, "joint", name=f"{ROOT}_joint", type="fixed")
-    SubElement(joint, "parent", link=ROOT)
-    SubElement(joint, "child", link=base)
-    T = parsed.wheels.T_base_floor.inverse()
-    rpy = _words(pin.rpy.matrixToRpy(T.rotation))
-    SubElement(joint, "origin", xyz=_words(T.translation), rpy=rpy)
-    joints = {joint.get("name"): joint for joint in tree.robot.findall("joint")}
-    driven = {joint.name for joint in parsed.arm.joints}
+    root = Joint(f"{ROOT}_joint", "fixed", ROOT, base, parsed.wheels.T_base_floor.inverse())
+    rest = {name: held_at(joint) for name, joint in tree.joints.items()}
+    rest |= {joint.name: 0.0 for joint in parsed.arm.joints}
+    robot.append(_joint(root, {}))
     for link in tree.below(base):
         if link != base:
-            above = tree.joint_of[link]
-            robot.append(_joint(joints[above.name]))
-            if above.kind in MOVING and above.name not in driven:
-                _hold_within_limits(robot[-1], above)
-            _follow_from_rest(robot[-1], above, tree)
-        robot.append(_link(tree.links[link], parsed.geometry[link], parsed.inertias[link], home))
+            robot.append(_joint(tree.joint_of[link], rest))
+        shapes, inertia = parsed.geometry[link], parsed.inertias[link]
+        robot.append(_link(link, tree.links[link], shapes, inertia, home))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
 def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
-    """The name of a mesh in the new URDF.
+    """The address of a mesh in the new URDF, from its `address` in the old one.
 
-    It is a relative path for a mesh in `home`, because that folder may move; this has precedence
-    over `package://`. Otherwise it is `address`, an address of `mesh_address`. A mesh that
-    libraries read differently is first converted to STL in metres, in `home`.
+    For a mesh in `home`, the folder of the new URDF, this is a relative path, because the folder
+    may be moved. Otherwise it is `address`; without `home` it always is. A mesh for which
+    `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the link in
+    an error.
     """
     path = followed(mesh_path(address))
     if home is None:
@@ -254,8 +245,10 @@ def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     return path.relative_to(home).as_posix() if path.is_relative_to(home) else address
 
 
-def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None) -> Element:
-    link, where = Element("link", name=str(old.get("name"))), f"link {old.get('name')!r}"
+def _link(
+    name: str, old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None
+) -> Element:
+    link, where = Element("link", name=name), f"link {name!r}"
     if inertia.assumed:
         link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
     _add_inertial(link, inertia.inertia)
@@ -263,7 +256,8 @@ def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path
         source = "visual" if tag == "collision" and geometry.seen_only else tag
         for each in old.findall(source):
             part = SubElement(link, tag)
-            part.extend(_copies(each, "origin", "geometry"))
+            found = (each.find(name) for name in ("origin", "geometry"))
+            part.extend(deepcopy(own) for own in found if own is not None)
             for mesh in part.iter("mesh"):
                 mesh.set("filename", mesh_name(str(mesh.get("filename")), home, where))
             if tag == "visual" and (material := each.find("material")) is not None:
@@ -271,62 +265,43 @@ def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path
     return link
 
 
-def _copies(element: Element, *tags: str) -> list[Element]:
-    return [deepcopy(found) for tag in tags if (found := element.find(tag)) is not None]
-
-
 def _colour_only(material: Element) -> Element:
-    """A material without its texture, because textures are never drawn."""
+    """A material with its name and colour, without a texture: textures are never drawn."""
     kept = Element("material", name=material.get("name") or "unnamed")
     if (colour := rgba(material)) is not None:
         SubElement(kept, "color", rgba=_words(np.array(colour)))
     return kept
 
 
-def _joint(old: Element) -> Element:
-    kind = str(old.get("type"))
-    joint = Element("joint", name=str(old.get("name")), type="fixed" if kind in FREE else kind)
-    joint.extend(_copies(old, "parent", "child", "origin", "axis", "mimic"))
-    if joint.get("type") == "fixed":
-        return joint
-    limit = old.find("limit")
-    kept = dict(limit.attrib) if limit is not None else {}
-    if joint.get("type") == "continuous":
-        joint.set("type", "revolute")
-        kept |= {"lower": f"-{_ENDLESS}", "upper": _ENDLESS}
-    SubElement(joint, "limit", {"effort": "0", "velocity": "0", "lower": "0", "upper": "0"} | kept)
-    return joint
+def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
+    """A joint of the new URDF, whose zero is its position in `rest`, or its old zero.
 
-
-def _hold_within_limits(element: Element, joint: Joint) -> None:
-    """Shift the zero of a joint beside the arm to the limit nearest to zero, if zero is outside.
-
-    Libraries place a joint that does not move at zero; otherwise a finger could be inside of the
-    gripper.
+    `rest` has the positions of the joints at rest. Libraries place a joint that does not move at
+    zero, which can be outside of its limits: a finger would be inside of the gripper. The relation
+    of a mimic joint to its leader stays the same; without a leader, the joint is independent.
     """
-    low, high = joint.lower or 0.0, joint.upper or 0.0
-    if (at := held_at(joint)) == 0.0:
-        return
-    T = joint.motion(at)
-    found = element.find("origin")
-    origin = SubElement(element, "origin") if found is None else found
-    origin.set("xyz", _words(T.translation))
-    origin.set("rpy", _words(pin.rpy.matrixToRpy(T.rotation)))
-    limit = element.find("limit")
-    assert limit is not None
-    limit.attrib |= {"lower": f"{low - at:.9g}", "upper": f"{high - at:.9g}"}
-
-
-def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
-    """Adapt a mimic joint to the shifted zeros; remove the mimic if its leader does not exist."""
-    if (mimic := element.find("mimic")) is None or joint.mimic is None:
-        return
-    leader, multiplier, offset = joint.mimic
-    if leader not in tree.joints:
-        element.remove(mimic)
-        return
-    offset += multiplier * held_at(tree.joints[leader]) - held_at(joint)
-    mimic.attrib |= {"multiplier": f"{multiplier:.9g}", "offset": f"{offset:.9g}"}
+    kind = "fixed" if joint.kind in FREE else joint.kind
+    at = rest.get(joint.name, 0.0)
+    T, endless = joint.motion(at), kind == "continuous"
+    element = Element("joint", name=joint.name, type="revolute" if endless else kind)
+    SubElement(element, "parent", link=joint.parent)
+    SubElement(element, "child", link=joint.child)
+    rpy = _words(pin.rpy.matrixToRpy(T.rotation))
+    SubElement(element, "origin", xyz=_words(T.translation), rpy=rpy)
+    if kind == "fixed":
+        return element
+    SubElement(element, "axis", xyz=_words(joint.axis))
+    leader, factor, offset = joint.mimic or ("", 0.0, 0.0)
+    if leader in rest:
+        offset += factor * rest[leader] - at
+        SubElement(
+            element, "mimic", joint=leader, multiplier=f"{factor:.12g}", offset=f"{offset:.12g}"
+        )
+    low, high = (-_ENDLESS, _ENDLESS) if endless else (joint.lower or 0.0, joint.upper or 0.0)
+    numbers = low - at, high - at, joint.effort or 0.0, joint.velocity or 0.0
+    keys = ("lower", "upper", "effort", "velocity")
+    SubElement(element, "limit", {k: f"{x:.12g}" for k, x in zip(keys, numbers, strict=True)})
+    return element
 
 
 def _add_inertial(link: Element, inertia: pin.Inertia) -> None:
@@ -339,7 +314,9 @@ def _add_inertial(link: Element, inertia: pin.Inertia) -> None:
 
 
 def _words(numbers: np.ndarray) -> str:
-    return " ".join(f"{value + 0.0:.9g}" for value in np.where(np.abs(numbers) < 1e-12, 0, numbers))
+    return " ".join(
+        f"{value + 0.0:.12g}" for value in np.where(np.abs(numbers) < 1e-12, 0, numbers)
+    )
 
 
 def description(
@@ -351,15 +328,11 @@ def description(
 ) -> dict[str, Any]:
     """The content of a description; it refers to the URDF by name.
 
-    Without `bodies` and `moving` it is sufficient for kinematics and dynamics: the bodies are small
-    spheres, the numbers of the base are 1, and the ready pose is the middle of the joints' ranges.
-
-    Args:
-        request: The input.
-        parsed: The content of the URDF.
-        bodies: The fitted bodies.
-        moving: Numbers of the base and of the arm with their sources.
-        unwatched: Why a pair of bodies is not monitored, by the name of the pair.
+    `moving` are numbers of the base and of the arm with their sources. Without them, the numbers of
+    the base and missing efforts are 1, the damping is 0, and the ready pose is the middle of the
+    joints' ranges. Without `bodies`, the bodies are small spheres. Both are sufficient for
+    kinematics and dynamics. `unwatched` are the reasons why pairs of bodies are not monitored, by
+    the names of the pairs.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
@@ -407,8 +380,8 @@ def _body(body: FittedBody) -> dict[str, Any]:
     nested = "; nested: links that touch in most of the random poses" if body.nested else ""
     return {
         "name": body.name,
-        "source": f"fitted around the parts of the covered links that can meet other links: {over} "
-        f"times their volume, at most {out:.3f} m outside of their hulls{nested}",
+        "source": f"fitted around the covered links, or their parts that other links can reach: "
+        f"{over} times the volume of their hull, at most {out:.3f} m beyond it{nested}",
         "frame": body.frame,
         "covers": body.links,
         **({"nested": dict(body.nested)} if body.nested else {}),

@@ -232,8 +232,7 @@ def resolved_urdf(description: HasUrdf) -> str:
     """
     tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
-        reference = mesh.get("filename", "")
-        if reference and not reference.startswith("/"):
+        if reference := mesh.get("filename"):
             mesh.set("filename", str(_mesh(reference, folder)))
     return ElementTree.tostring(tree, encoding="unicode")
 
@@ -253,8 +252,7 @@ def shown_urdf(description: HasUrdf) -> str:
             if (mesh := shape.find("geometry/mesh")) is not None:
                 reference = mesh.get("filename", "")
                 try:
-                    path = Path(reference) if isfile(reference) else _mesh(reference, folder)
-                    mesh.set("filename", path.resolve().as_uri())
+                    mesh.set("filename", _mesh(reference, folder).resolve().as_uri())
                 except AssetError:
                     link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
@@ -325,11 +323,14 @@ def xml_text(path: Path) -> str:
     """The text of a valid XML file in its declared encoding; without a declaration, in UTF-8.
 
     Raises:
-        RobotFileError: The file is a placeholder, cannot be decoded, or as for `refuse_entities`.
+        RobotFileError: The file is a placeholder, is too large or cannot be decoded, or as for
+            `refuse_entities`.
         OSError: The file cannot be read.
-        ValueError: The file is larger than any valid one.
     """
-    content = content_of(path)
+    try:
+        content = content_of(path)
+    except ValueError as error:
+        raise RobotFileError(f"{path}: {error}") from None
     refuse_placeholder(content, path)
     content = content.removeprefix(codecs.BOM_UTF8)
     declared = _DECLARED.match(content)
@@ -391,11 +392,22 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 
 
 def _mesh(reference: str, folder: Path) -> Path:
+    """The mesh of a package, at an absolute path, or below the folder of the URDF.
+
+    Raises:
+        AssetError: There is no such file.
+    """
     if "://" in reference:
         return resolve_package_uri(reference)
+    path = Path(reference)
+    if path.is_absolute() and isfile(path):
+        return path
     path = (folder / reference).resolve()
     if not isfile(path) or not path.is_relative_to(folder.resolve()):
-        raise AssetError(f"{folder.name}: no mesh {reference!r} in the folder of the URDF")
+        raise AssetError(
+            f"{folder.name}: no mesh {reference!r}; a relative path must stay in the folder of the "
+            "URDF"
+        )
     return path
 
 

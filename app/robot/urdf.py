@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
@@ -102,12 +102,12 @@ def mesh_path(address: str) -> Path:
     return resolve_package_uri(address) if address.startswith("package://") else Path(address)
 
 
-def mesh_bytes(robot: Element) -> int:
-    """[bytes] of all mesh files of a URDF, for the budget of reading them; 0 if it has none.
+def mesh_bytes(links: Iterable[Element]) -> int:
+    """[bytes] size of all mesh files of links, for the budget of reading them; 0 without a mesh.
 
     A mesh counts as large data at any size: a few bytes can encode millions of triangles.
     """
-    named = {mesh.get("filename", "") for mesh in robot.iter("mesh")} - {""}
+    named = {mesh.get("filename", "") for link in links for mesh in link.iter("mesh")} - {""}
     sizes = [path.stat().st_size for path in map(mesh_path, named) if path.is_file()]
     return max(SMALL + 1, sum(sizes)) if sizes else 0
 

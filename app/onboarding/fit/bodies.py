@@ -1,4 +1,4 @@
-"""Small convex bodies around groups of links, at least around the parts that can meet others."""
+"""Small convex bodies around groups of links: around the points that other links can reach."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class FittedBody(NamedTuple):
     units: tuple[int, ...]
     """Indices of its units."""
     fits: tuple[Fit, ...]
-    """Its shapes, with their excess volumes."""
+    """Its shapes, in `frame`."""
     points: Array
     """(N, 3) [m] the enclosed points, in `frame`."""
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
-    """For links of this body, the links of bodies nearer to the base that are nested with them."""
+    """For a link of this body, the links of bodies nearer to the base that are nested with it."""
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
-    """The body l_m around the units `mobile`, normally the whole base.
+    """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
 
     Raises:
         RobotFileError: The base has no shapes.
@@ -57,8 +57,7 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
     corners = [part.corners for k in mobile for part in units[k].parts]
     if not corners:
         raise RobotFileError(
-            f"--base: no link of {base.frame!r} has a shape; add a <collision>, or choose another "
-            "--base"
+            "--base: no link of the base has a shape; add a <collision>, or choose another --base"
         )
     everything = np.vstack(corners)
     fits = _split(fit_best(everything, BASE_WEIGHTS), corners)
@@ -96,7 +95,7 @@ def _merged(corners: Sequence[Array]) -> list[Fit]:
 
 
 class ArmFitter:
-    """Fits the bodies of an arm for several groupings of its units."""
+    """Fits the bodies of an arm for several groupings of its units; l_m has the units `mobile`."""
 
     def __init__(
         self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)
@@ -105,7 +104,14 @@ class ArmFitter:
         self._known: dict[bytes, tuple[tuple[Fit, ...], int, Array] | None] = {}
 
     def bodies(self, grouping: Sequence[Sequence[int]]) -> list[FittedBody]:
-        """The bodies l_1 … l_EE for groups of units, from the base outwards."""
+        """The bodies l_1 … l_EE for groups of units, from the base outwards.
+
+        Each body encloses the points that units of other bodies can reach, except neighbours; if
+        there are none, or too few for a volume, it encloses its links completely.
+
+        Raises:
+            RobotFileError: The links of a group have no shapes.
+        """
         names = [*(f"l{k}" for k in range(1, len(grouping))), "lEE"]
         result = []
         for k, group in enumerate(grouping):
@@ -134,10 +140,9 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int, Array] | None:
-        """The smallest fit in the frames of the joints, with its joint and its points, or None.
+        """The smallest fit in the frame of a joint, with this joint and the enclosed points.
 
-        Links without collisions at either end do not change the fit. None means that the points
-        have no volume.
+        `masks` select the points of the units. The result is None if these have no volume.
         """
         pieces: dict[tuple[int, int], Array] = {}  # by joint and link
         for unit, mask in zip(units, masks, strict=True):
@@ -169,20 +174,16 @@ class ArmFitter:
 
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles
-_PASSED = 256  # [-] cached results of `_passed`
+_PASSED = 256  # [-] number of cached results of `_passed`
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] circle's radius, relative to the distance of its chords
 
 
 def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
     """Corners (N, 3) [m] and volume [m³] of the hull that points sweep, in the frame of each joint.
 
-    All frames on one side of a joint see the same sweep of the points beyond the joint. Therefore
-    each joint is passed only once in each direction.
-
-    Args:
-        model: The robot.
-        points: Points (N, 3) [m] in the frame of a joint, by the number of the joint; the numbers
-            are consecutive.
+    `points` are points (N, 3) [m] by the number of the joint in whose frame they are; the numbers
+    are consecutive. All frames on one side of a joint see the same sweep of the points beyond this
+    joint, so each joint is passed only once in each direction.
     """
     first, last = min(points, default=0), max(points, default=0)
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
@@ -196,17 +197,17 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 
 
 def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) -> Array:
-    """Points beyond a joint, for all positions of the joint, in the frame before the joint.
+    """Corners of the sweep of points beyond a joint over its positions, in the frame before it.
 
-    With `outwards` False the directions are exchanged.
+    If `outwards` is False, the points are before the joint, and the result is in its own frame.
     """
     return _passed(model, points.tobytes(), joint, outwards) if len(points) else points
 
 
 @kept_per_model(_PASSED)
-def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array:
+def _passed(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
     """`_through` for the bytes of points, cached for other groupings with the same points."""
-    points, placement = np.frombuffer(told).reshape(-1, 3), model.pin.jointPlacements[joint]
+    points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
     axis, turns = _axis(model, joint)
     if turns:
@@ -223,7 +224,7 @@ def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array
 
 
 def _grown(points: Array, axis: Array) -> Array:
-    """Points with a larger distance from an axis through the origin: chords become tangents."""
+    """Points moved away from an axis through the origin: chords of its circles become tangents."""
     along = np.outer(points @ axis, axis)
     return along + (points - along) * _SAGITTA
 

@@ -29,22 +29,21 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 ALWAYS = 0.6
-"""[-] a pair that is inside its buffer in a larger share of the free poses is always near."""
+"""[-] share of the free poses above which a pair inside its buffer counts as always near."""
 MARGIN = 0.015
 """[m] distance below which a point of a surface counts as reached by another unit."""
 BUILT_IN = 0.5
-"""[-] close units whose hulls touch in this share of the poses or more are nested, as in a
-telescope."""
+"""[-] smallest share of the poses in which hulls of nested units touch, as in a telescope."""
 NESTED = BUILT_IN**2
 """[-] smallest share of random poses in which nested links touch. It is the product of two shares:
 the poses in which the units touch, and among these the poses in which the links touch."""
 _FEWEST = 50  # [-] smallest number of free poses for finding close pairs
-_MAX_LOOKS = 200  # [-] largest number of poses for each pair of units, for finding the points
+_MAX_LOOKS = 200  # [-] number of poses of a pair of units in which the touched points are searched
 _OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
-_RARE = 30  # [-] colliding random poses of a pair; with fewer, a search finds more
+_RARE = 30  # [-] number of colliding random poses of a pair below which more are searched
 ENOUGH = 600
-"""[-] poses with a collision that are sufficient for a share with an accuracy of half a percent."""
+"""[-] number of colliding poses that is sufficient for shares with an accuracy of 0.5 %."""
 _MORE, _MAX_POSES = 1000, 40_000  # [-] poses that are sampled at a time, and in total
 _PARTS = 4  # [-] parts of the random poses, for parallel processes
 _FAR = 0.3  # [m] smallest distance of two units above which no search is made
@@ -60,8 +59,7 @@ class Poses(NamedTuple):
     distances: Array
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether the pose is possible: no close pair touches, except nested pairs. Joint limits
-    have to prevent the other poses."""
+    """(N,) whether no close pair touches, except nested ones; joint limits prevent other poses."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +83,7 @@ class Meetings:
 
     @property
     def nested(self) -> frozenset[tuple[int, int]]:
-        """Close pairs that are nested, as in a telescope; their contacts do not count as
-        collisions.
-        """
+        """Close pairs that are nested, as in a telescope; their contacts are no collisions."""
         often = _touch_mostly(self.random.distances)
         return self.close.intersection(compress(self.pairs, often))
 
@@ -120,25 +116,18 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are not neighbours, in random poses.
 
-    Args:
-        model: The robot.
-        units: Its units.
-        samples: [-] smallest number of random poses.
-        seed: Seed of the random poses.
-        d_b: [m] buffer distance.
-        enough: [-] required number of poses with a collision; more poses are sampled until it is
-            reached, up to a maximum.
-        points: Whether to find the points of the surfaces that other units reach.
-        stopped: Whether joint limits prevent the collisions of close pairs in `apart`; these pairs
-            are then not close.
-        workers: Worker processes for the random poses.
+    There are `samples` poses, then more until `enough` poses have a collision, up to 40,000. With
+    `points`, `met` of the result has the points of surfaces that other units reach. `stopped` means
+    that joint limits prevent the collisions of the pairs in `apart`; these are then not close.
     """
-    rng, pairs = np.random.default_rng(seed), _distant_pairs(model, units)
+    rng, shaped = np.random.default_rng(seed), [unit for unit in units if unit.parts]
+    distant = [(a, b) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)]
+    pairs = tuple((a.index, b.index) for a, b in distant)
     q_m, distances = np.zeros((0, model.n_m)), np.zeros((0, len(pairs)))
     while True:
         more = sample_joints(model, _MORE if len(q_m) else samples, rng)
         q_m = np.vstack([q_m, more])
-        parts = [_Looked(model, units, pairs, part) for part in np.array_split(more, _PARTS)]
+        parts = [(model, units, pairs, part) for part in np.array_split(more, _PARTS)]
         distances = np.vstack([distances, *workers.map(_look, parts)])
         close, apart, barred = _built_near(units, pairs, distances, d_b, stopped)
         random = Poses(q_m, distances, np.all(distances[:, barred] > 0.0, axis=1))
@@ -163,14 +152,6 @@ def sample_meetings(
     return found
 
 
-def _distant_pairs(model: RobotModel, units: Sequence[Unit]) -> tuple[tuple[int, int], ...]:
-    """Pairs of units that have shapes and are not neighbours, by the indices of the units."""
-    shaped = [unit for unit in units if unit.parts]
-    return tuple(
-        (a.index, b.index) for a, b in combinations(shaped, 2) if not neighbours(model, a, b)
-    )
-
-
 def _built_near(
     units: Sequence[Unit], pairs: Pairs, distances: Array, d_b: float, stopped: bool
 ) -> tuple[frozenset[tuple[int, int]], frozenset[tuple[int, int]], list[int]]:
@@ -190,9 +171,7 @@ def _built_near(
 
 
 def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset[tuple[int, int]]:
-    """Pairs of the arm's units that touch in `_RARE` poses or more, and never overlap by more than
-    `_GRAZE`.
-    """
+    """Pairs of the arm's units that touch in `_RARE` poses or more, but at most `_GRAZE` deep."""
     depths = np.sort(-distances, axis=0)[-_RARE:]
     shallow = (depths[0] >= 0.0) & (depths[-1] <= _GRAZE)
     return frozenset(
@@ -200,16 +179,8 @@ def _grazing(units: Sequence[Unit], pairs: Pairs, distances: Array) -> frozenset
     )
 
 
-class _Looked(NamedTuple):
-    """Arguments of `hull_distances`, for a separate process."""
-
-    model: RobotModel
-    units: Sequence[Unit]
-    pairs: Pairs
-    q_m: Array
-
-
-def _look(_: object, part: _Looked) -> Array:
+def _look(_: object, part: tuple[RobotModel, Sequence[Unit], Pairs, Array]) -> Array:
+    """The result of `hull_distances` with the arguments `part`, in a worker process."""
     return hull_distances(*part)
 
 
@@ -221,9 +192,9 @@ def _touch_mostly(distances: Array) -> Array:
 def nested_links(model: RobotModel, found: Meetings, u: int, v: int) -> list[tuple[str, str]]:
     """Pairs of nested links of the units u and v; none if the units are not nested.
 
-    Units are nested according to the meetings, or if they are neighbours that touch as often. Two
-    of their links are nested if they touch in most of the poses in which the units touch; other
-    links of these units may still collide.
+    Units are nested if `found.nested` has them, or if they are neighbours that touch in at least
+    `BUILT_IN` of the poses. Two of their links are nested if they touch in at least `BUILT_IN` of
+    the poses in which the units touch. Contacts of other links of these units are collisions.
     """
     if (u, v) in found.pairs and (u, v) not in found.nested:
         return []
@@ -242,7 +213,7 @@ def nested_touches(
 ) -> dict[tuple[str, str], float]:
     """[-] share of random poses in which two nested links of a description touch, by the pair.
 
-    It is at least `NESTED` for links from `nested_links`, and 0 for a link without a shape.
+    `nested_links` finds only pairs with at least `NESTED`. For a link without a shape it is 0.
     """
     units = [unit for each in units_of_links(model, geometry).values() for unit in each]
     shapes = link_shapes(units)
@@ -263,10 +234,10 @@ def _rare_poses(
     close: frozenset[tuple[int, int]],
     seed: int,
 ) -> Array:
-    """(N, n_m) colliding poses of pairs that rarely collide in random poses.
+    """(N, n_m) colliding poses of pairs that collide in fewer than `_RARE` of the sampled poses.
 
-    A pair that collides in very few random poses often collides in variations of the random pose in
-    which it was nearest.
+    They are variations of the poses in which the pair was nearest. `sampled` are poses (N, n_m) and
+    distances (N, pairs) [m].
     """
     rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
     found = [np.zeros((0, model.n_m))]
@@ -289,6 +260,10 @@ def _rare_poses(
 
 
 def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
+    """Pairs that are within d_b [m] in more than `ALWAYS` of the free poses.
+
+    With very few free poses, all poses count.
+    """
     free = np.asarray((distances > 0.0).all(axis=1))
     if np.count_nonzero(free) < _FEWEST:
         free = np.ones(len(distances), dtype=bool)
@@ -297,7 +272,7 @@ def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[
 
 
 def _met(_: object, job: tuple[Meetings, RobotModel, int]) -> dict[tuple[int, int], Array]:
-    """The points of the surfaces of a pair that met; the job has the column of the pair."""
+    """`met` of one pair of units; the job has the index of the pair."""
     found, model, k = job
     data, units, (a, b) = model.pin.createData(), found.units, found.pairs[k]
     column = found.random.distances[:, k]

@@ -30,16 +30,14 @@ class Fit(NamedTuple):
     over_cover: float
     """[-] ratio of its volume to that of the points' hull."""
     protrusion: float
-    """[m] largest distance by which it extends beyond the points' hull."""
+    """[m] largest distance by which it extends beyond the points' hull, of 162 directions."""
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
-    """The shape with the smallest weighted volume around points.
+    """The shape with the smallest weighted volume around points (N, 3) [m].
 
-    Args:
-        points: (N, 3) [m]
-        weights: [-] weight of the volume, by the kind of shape.
-        volume: [m³] volume of the points' hull, if the points are the corners of the hull; or None.
+    `weights` [-] are the weights of the volumes by the kind of shape: capsule, box or hull. If the
+    points are the corners of their hull, `volume` is its volume [m³], otherwise None.
     """
     corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -55,9 +53,9 @@ def hull_corners(points: Array) -> Array:
 def lean_corners(points: Array) -> Array:
     """Corners (M, 3) of the convex hull; if there are many, corners of a polytope around the hull.
 
-    The polytope has a face for each of 642 directions. The directions are evenly spread after the
-    cloud is scaled to equal widths along its main axes. The polytope exceeds the hull by about half
-    a percent of the cloud's size along each main axis.
+    The polytope has a face for each of 642 directions, which are evenly spread after the points are
+    scaled to equal widths along their main axes. It exceeds the hull by about 0.5 % of the points'
+    extent along each main axis.
     """
     corners, D = hull_corners(points), directions(3)
     if len(corners) <= 2 * len(D):  # the polytope may have as many
@@ -71,7 +69,7 @@ def lean_corners(points: Array) -> Array:
 
 
 def _polytope(D: Array, reach: Array) -> Array:
-    """Corners (M, 3) [m] of the polytope whose support along D (K, 3) is `reach` (K,) [m]."""
+    """Corners (M, 3) [m] of the polytope of all x with D x ≤ `reach`, for D (K, 3); 0 is inside."""
     return HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections
 
 
@@ -108,8 +106,8 @@ def fit_capsule(points: Array) -> Capsule:
         },
     )
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
-    # Ends move onto the planes of the frame if this adds little volume: if the axis of the capsule
-    # meets that of a joint, distances have simple formulas.
+    # Coordinates that are small at both ends become zero if this adds little volume: distances have
+    # simple formulas if the axis of the capsule meets that of a joint.
     ends = np.array([found.start_m, found.end_m])
     snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
     return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
@@ -131,9 +129,9 @@ def fit_box(points: Array) -> Box:
 
 
 def fit_hull(points: Array) -> Hull | Box:
-    """A polytope that encloses the points, with one face for each of 42 evenly spread directions.
+    """A polytope around the points, with a face for each of 42 evenly spread directions.
 
-    Its frame is at the centre of the points' bounding box, with z along their longest axis. If the
+    Its frame is at the centre of the points' bounding box, with z along their main axis. If the
     polytope cannot be computed, the result is a box.
     """
     middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
@@ -157,9 +155,7 @@ def fit_hull(points: Array) -> Hull | Box:
 
 
 def support(shape: Shape, D: Array) -> Array:
-    """(K,) [m] support of a capsule, box or hull: its largest coordinate along each vector of D (K,
-    3).
-    """
+    """(K,) [m] largest coordinate of a capsule, box or hull along each vector of D (K, 3)."""
     if isinstance(shape, Capsule):
         ends = np.array([shape.start_m, shape.end_m])
         return (D @ ends.T).max(axis=1) + shape.radius_m
@@ -183,7 +179,10 @@ def hull_volume(points: Array) -> float:
 
 
 def hull(points: Array) -> tuple[Array, float]:
-    """Corners (M, 3) of the convex hull and its volume [m³]; for flat points, the points and 0."""
+    """Corners (M, 3) of the convex hull and its volume [m³]; for flat points, the points and 0.
+
+    Fewer than five points count as flat.
+    """
     points = np.asarray(points, dtype=float)
     if len(points) < 5:
         return points, 0.0
@@ -208,9 +207,7 @@ def directions(subdivisions: int) -> Array:
 
 
 def _tight_frame(points: Array, axis: Array) -> Array:
-    """Rotation (3, 3) whose z is an axis; x and y are along the smallest rectangle around the
-    points.
-    """
+    """Rotation (3, 3) with z along an axis, x and y along the smallest rectangle around points."""
     R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
     try:
         T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])
@@ -229,7 +226,7 @@ def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
 
 
 def _distinct(corners: Array) -> Array:
-    """Corners of the hull; of corners within a fraction of a millimetre only one remains."""
+    """Corners of the hull, rounded to 0.1 mm; of equal corners only one remains."""
     rounded = np.unique(np.round(corners, 4), axis=0)
     return rounded[ConvexHull(rounded).vertices]
 

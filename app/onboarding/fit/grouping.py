@@ -1,9 +1,10 @@
 """Grouping of links into bodies whose pairs detect collisions and do not react in free poses.
 
-The paper's bodies l_1 … l_EE join neighbouring links of a chain. Each division of the chain into
-groups is judged by the share of colliding poses that its pairs do not see, by the share of free
-poses in which its bodies overlap, and by pairs that are always inside their buffer. A pair whose
-links are always that close by design is not monitored, like a pair of neighbours.
+Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A division of the
+chain into groups is judged mainly by the share of colliding poses in which no pair of its bodies
+overlaps, by the share of free poses in which a pair overlaps, and by the pairs that are nearly
+always inside their buffer. If the links of such a pair are that close by design, the pair is not
+monitored, like a pair of neighbours.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-_PAPER = 4  # [-] bodies of the paper's arm; other numbers are tried if these are not sufficient
+_PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm
 _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
 MAX_UNSEEN = 0.01
@@ -43,7 +44,7 @@ UNSEEN_POSES = 4000
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
 _UNSEEN_SEED = 2**31  # [-] seed of these poses, which the fit does not use
-_MISSED = 0.1 * MAX_UNSEEN  # [-] largest share of colliding poses that a good grouping misses
+_MISSED = 0.1 * MAX_UNSEEN  # [-] largest share of colliding poses that a grouping may miss
 _BODY_COST = 0.03  # [-] cost of each body
 _MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
 _FALSE_COST = 2.0  # [-] cost of free poses in which bodies overlap, per share
@@ -64,9 +65,9 @@ class Verdict(NamedTuple):
     always: tuple[str, ...]
     """Pairs that are almost always inside their buffer."""
     unwatched: dict[str, bool]
-    """Pairs that are not monitored because they are almost always inside their buffer. The value is
-    True if some of the links are close by design. It is False if only the bodies are close, and
-    other pairs see their collisions."""
+    """Pairs that are not monitored because they are almost always inside their buffer; True if some
+    of their links are close by design, False if only the bodies are and other pairs see their
+    collisions."""
     near: dict[str, float]
     """[-] share of the free poses inside the buffer, by the pair's name."""
     cost: float
@@ -90,20 +91,16 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    A part that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If some
-    of its collisions are not seen by any pair of bodies, as for a mast, it belongs to l_m.
+    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If no
+    pair of bodies sees some of its collisions, as for a mast, it belongs to l_m.
 
-    Args:
-        model: The robot.
-        meetings: Distances and collisions of its units in random poses.
-        d_b: [m] buffer distance.
-        count: Number of bodies of the arm. None means four as in the paper; if four are not
-            sufficient, the best number from two to six. They are not sufficient if a pair is almost
-            always near, if only bodies but no links meet, or if too many collisions are missed.
-        on_progress: Called with the finished share of the judged groupings.
+    `count` is the number of bodies of the arm. None means four as in the paper or, if four are not
+    sufficient, the best number from two to six. They are not sufficient if a pair is almost always
+    inside its buffer, if bodies meet whose links never do, or if too many collisions are missed.
+    `on_progress` is called with the finished share of the judged groupings.
 
     Raises:
-        RobotFileError: The arm has fewer parts than `count`, or no part with a shape.
+        RobotFileError: The arm has fewer units with shapes than `count`, or none.
     """
     fixed = meetings.units[1]
     found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
@@ -115,9 +112,7 @@ def find_grouping(
 def with_nested(
     model: RobotModel, meetings: Meetings, bodies: Sequence[FittedBody]
 ) -> list[FittedBody]:
-    """The bodies, with the names of links that are nested with links of bodies nearer to the
-    base.
-    """
+    """The bodies with the field `nested`."""
     found = []
     for k, body in enumerate(bodies):
         inner = [unit for each in bodies[: max(0, k - 1)] for unit in each.units]
@@ -130,7 +125,7 @@ def with_nested(
 
 
 def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether pairs of bodies overlap in nearly all poses in which a unit meets another unit."""
+    """Whether monitored pairs overlap in nearly all poses in which a unit meets another one."""
     own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
     q_m = [
         poses.q_m[np.any(poses.distances[:, own] <= 0.0, axis=1) & poses.possible]
@@ -157,7 +152,7 @@ def _arm_grouping(
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
-        """The best of `found` and the most promising groupings into `counts` bodies."""
+        """The best of `found` and the most promising groupings into `counts` bodies, or None."""
         ranked = _ranked(units, counts, meetings, mobile, slides)[:_MAX_JUDGED]
         for k, (at_least, grouping) in enumerate(ranked):
             on_progress(k / len(ranked))
@@ -165,7 +160,7 @@ def _arm_grouping(
                 continue
             bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
-            if shapes in judged:  # only links without collisions differ, or it was judged before
+            if shapes in judged:  # the bodies of another grouping have the same shapes
                 continue
             judged.add(shapes)
             tried = Grouping(bodies, judge(model, bodies, meetings, d_b))
@@ -179,7 +174,7 @@ def _arm_grouping(
     if chosen is None:
         parts = sum(bool(meetings.units[unit].parts) for unit in units)
         raise RobotFileError(
-            f"--bodies: the arm has {parts} parts; choose a number from 1 to {parts}"
+            f"--bodies: the arm has {parts} groups of links; choose a number from 1 to {parts}"
         )
     return chosen
 
@@ -191,7 +186,7 @@ def _good(verdict: Verdict) -> bool:
 def judge(
     model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
 ) -> Verdict:
-    """The quality of bodies in the random poses of the meetings."""
+    """The quality of bodies in up to 600 colliding and 600 free random poses of the meetings."""
     possible, collides = meetings.random.possible, meetings.collides
     real = np.asarray(collides.any(axis=1))
     parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
@@ -231,10 +226,9 @@ def judge(
 
 
 class Unseen(NamedTuple):
-    """Unseen collisions of links, in random poses that the fit has not used.
+    """Collisions of links in random poses that the fit has not used, and the unseen ones.
 
-    A colliding pose is seen if the bodies of any pair overlap, because the avoidance of all pairs
-    excludes this pose.
+    A colliding pose is seen if the bodies of any pair overlap, because avoidance prevents this.
     """
 
     looked_at: int
@@ -242,25 +236,24 @@ class Unseen(NamedTuple):
     poses: int
     """Number of poses in which hulls of links collide."""
     unseen: int
-    """Number of these poses in which the meshes of links collide, but no pair of bodies
-    overlaps."""
+    """Number of these poses in which meshes of links collide, but no pair of bodies overlaps."""
     watched: int
     """Collisions of links whose bodies are a pair, counted by pose and pair."""
     missed: int
     """Number of these collisions in which the bodies of the pair do not overlap."""
     deepest: float
-    """[m] largest distance of these bodies in a missed collision."""
+    """[m] largest distance of these bodies in a missed collision; 0 without one."""
     blind: tuple[str, ...]
-    """Pairs of bodies that miss more than half of their links' collisions, including rare
-    collisions."""
+    """Pairs of bodies that miss more than half of their links' random and searched collisions."""
     worst: str
-    """The two links that meet most often in the unseen poses, with the share."""
+    """The two links that meet most often in the unseen poses, with their share of all random poses;
+    `none` without unseen poses."""
     left_out: int
-    """Number of poses that a rule excludes: only neighbouring links meet, or links that are close
-    by design, and no pair of bodies overlaps."""
+    """Number of poses that a rule excludes: no pair of bodies overlaps, and only links meet that
+    are neighbours or close by design. It is extrapolated if more than 300 poses qualify."""
     rule: str
-    """The links of these poses, with their shares of the random poses; the most frequent are
-    first."""
+    """Up to four pairs of links of these poses, with their shares of all random poses; the most
+    frequent ones are first."""
 
     @property
     def share(self) -> float:
@@ -274,11 +267,11 @@ def unseen_collisions(
     d_b: float,
     workers: Workers = ALONE,
 ) -> Unseen:
-    """The collisions of links that the bodies of a description do not see.
+    """The collisions of links in random poses, and those that the bodies of a description miss.
 
-    Links that may touch by design do not count, and links of the arm that are within d_b [m] of
-    each other by design do not count either. A link that is within d_b of the base by design counts
-    if it can meet the base. `workers` share the random poses.
+    Contacts that are allowed by design (`neighbours`) do not count, nor those of links of the arm
+    that are within d_b [m] of each other by design. A link that is within d_b of the base by design
+    counts if it can meet the base. `workers` share the random poses.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
@@ -335,10 +328,7 @@ def _left_out(
     pairs: Sequence[Pair],
     geometry: Mapping[str, LinkGeometry],
 ) -> tuple[int, str]:
-    """Number of poses in which only excluded links meet, and the names of these links.
-
-    Links that touch in most poses are nested and do not count here.
-    """
+    """`left_out` and `rule` of `Unseen`; nested links do not count."""
     units, q_m = met.units, met.random.q_m
     near = sorted(met.close - met.nested)
     distant = set(met.pairs)
@@ -374,7 +364,7 @@ def _left_out(
 def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], q_m: Array
 ) -> tuple[list[str], Array]:
-    """Names of the pairs of bodies that are not neighbours, and their distances (N, pairs) [m]."""
+    """Names of all pairs of bodies that are no neighbours, and their distances (N, pairs) [m]."""
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
     shapes = [
@@ -392,9 +382,9 @@ def _ranked(
     mobile: Sequence[int],
     slides: frozenset[int],
 ) -> list[tuple[float, list[list[int]]]]:
-    """All divisions of the chain into groups that have shapes, with lower bounds of their costs.
+    """All divisions of the chain into groups with shapes, with lower bounds of their costs.
 
-    The order is that of the costs of ideal bodies, which overlap exactly if their links overlap.
+    The cost of ideal bodies, which overlap exactly if their links do, determines the order.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -406,7 +396,7 @@ def _ranked(
             if any(shaped.isdisjoint(group) for group in groups):
                 continue
             if 1 in shaped and not slides.isdisjoint(next((g for g in groups if 1 in g), ())):
-                continue  # a part that is fixed to the base shares no body with a part that slides
+                continue  # a unit that is fixed to the base shares no body with one that slides
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]

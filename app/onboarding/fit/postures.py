@@ -29,9 +29,9 @@ RULE = (
     "(up to 0.15 m beyond the buffer), manipulability (relative to the best), an end-effector in "
     "front of or beside the base that points outwards or down, and joints near their middle"
 )
-_SAMPLES = 6000  # [-] random poses
+_SAMPLES = 6000  # [-] number of random poses
 _KEPT = 0.1  # [-] margin to both limits, relative to a joint's range
-_ENOUGH = 0.15  # [m] clearance beyond the buffer; more has no advantage
+_ENOUGH = 0.15  # [m] clearance beyond the buffer above which more has no advantage
 _FLOOR = 0.1  # [m] smallest distance between the arm and the floor
 _BAD = 1e3  # [-] offset that makes every quality positive, so that a pose is always chosen
 
@@ -42,15 +42,15 @@ class Ready(NamedTuple):
     q_m: Array
     """(n_m,) [rad or m]"""
     clearance: float
-    """[m] smallest distance of a pair beyond its buffer; negative inside the buffer."""
+    """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
     nearest: str
-    """Name of that pair."""
+    """Name of that pair; empty without a pair."""
     manipulability: float
-    """√det(J Jᵀ) of the end-effector's Jacobian J."""
+    """√det(J Jᵀ) of the end-effector, or of its position alone with fewer than six joints."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random poses according to `RULE`, for the monitored pairs."""
+    """The best of random poses according to `RULE`, for monitored pairs, rounded to 0.01."""
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready pose exceeds one turn
@@ -73,7 +73,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The distances and the manipulability in the pose q_m (n_m,)."""
+    """The smallest distance of the monitored pairs and the manipulability in a pose q_m (n_m,)."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -84,7 +84,7 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """The distances and the manipulability in a pose."""
+        """The smallest distance and the manipulability in a pose q_m (n_m,)."""
         m = self.manipulability(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
@@ -92,12 +92,12 @@ class _Judge:
         return Ready(q_m, float(clearance), self._names[i] if distances else "", m)
 
     def manipulability(self, q_m: Array) -> float:
-        """√det(J Jᵀ) of the end-effector; with fewer than six joints, of its position alone."""
+        """Move to a pose; returns `Ready.manipulability`."""
         self.search.place(q_m)
         return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
 
     def placed(self) -> float:
-        """[-] quality of the end-effector's pose: up to 1.2; -10 if it is unusable."""
+        """[-] quality of the present pose of the end-effector: up to 1.2; -10 if it is unusable."""
         at = self.search.state.T_world_ee
         out = at.translation - self._mount
         away = float(np.hypot(*out[:2]))
@@ -110,37 +110,42 @@ class _Judge:
 
 
 Point = tuple[float, float, float]
+_Start = tuple[Array, Array]
+"""The start of a line: x, y and the distance from the box around l_m (3,) [m], and the unit vector
+(3,) towards the base."""
 
 INNER = 0.4
-"""[-] share of d_b below which the distance has to fall on a line without avoidance."""
+"""[-] share of d_b below which the arm's distance to a base at rest has to fall on a line."""
 GIVES_WAY = 0.05
-"""[m] required motion of the base in a run on a line."""
+"""[m] required displacement of the base in a run on a line."""
 CLEARANCE = 0.03
-"""[m] required distance of the arm to the base in a run on a line."""
+"""[m] required distance between arm and base in a run on a line."""
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
-_MAX_STARTS = 40  # [-] largest number of searches; a failing search takes 0.1 to 0.2 s
+_MAX_STARTS = 40  # [-] largest number of searched start postures; a failure takes 0.1 to 0.2 s
 _OTHER = 0.1  # [m] smallest distance between the ends of two lines
-_FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start from the base, step
-_OUTSIDE = 0.05  # [m] smallest distance of a start beyond the buffer
+_FARTHEST, _NEARER = 0.425, 0.025  # [m] largest distance of a start from the base, and its step
+_OUTSIDE = 0.05  # [m] smallest distance of a start from the buffer
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] distances of the end of a line from a base at rest
 _STEP = 0.0125  # [m] step along a line
-_OVER_MOUNT = 0.4  # [m] largest height above the mount of a part of l_m that a line approaches
-_JUST_OVER = 0.025  # [m] height above a part of l_m if there is no line at another height
-_SAME_TOP = 0.1  # [m] difference below which the heights of two parts count as equal
+_OVER_MOUNT = 0.4  # [m] height above the mount to which the tops of l_m's parts are clipped
+_JUST_OVER = 0.025  # [m] height above the top of a part of l_m for the last lines
+_SAME_TOP = 0.1  # [m] difference below which the tops of two parts count as equal
 _SHARES = np.linspace(0.1, 1.0, 10)  # [-] steps of the path from a known posture
-_NEAR = 0.15  # [m] largest distance from a position to the end-effector in a known posture
+_NEAR = 0.15  # [m] largest distance of a position from the end-effector in a known posture
 _THERE = 1e-3  # [m] tolerance of the position
 _TRIES = 6  # [-] number of known postures that are tried
-_FEW = 2  # [-] tries of a quick search
+_FEW = 2  # [-] number of tries of a quick search
 _SINGULAR = 1e-9  # [m/(N s)] mobility that regularises a singular posture
 
 
 class Place(NamedTuple):
-    """A line for guiding [m], in the form of a scenario, with its source."""
+    """A line for guiding with its source."""
 
     start: Point
+    """[m] start in the frame of the base at the beginning."""
     move: Point
+    """[m] vector from the start to the end."""
     nearest: float
     """[m] smallest distance of the arm to a base at rest on this line."""
     source: str
@@ -163,20 +168,20 @@ def find_place(
 ) -> Place | str:
     """A line towards the side or the front of the base, or the reason why there is no line.
 
-    A line starts 0.425 m beside l_m, or nearer for a short arm. It ends 0.125 m beside l_m, as for
+    A line starts 0.425 m beside l_m, or nearer for a short arm, and ends 0.125 m beside l_m, as for
     the paper's robot, or nearer. Without avoidance, the arm on this line touches the base or comes
     nearer than `INNER` d_b. The order of preference is:
 
-    1. lines on which the arm would touch the base, then the lines that lead deepest;
+    1. lines on which the arm would touch the base, then lines on which it would come nearest;
     2. lines on which the arm best holds its end-effector while the base moves;
     3. far starts before near starts, and heights near 0.8 times the height of a part of l_m.
 
     Args:
         model: The robot.
-        pairs: The monitored pairs; at least one of them is a pair with l_m.
-        name: The scenario.
+        pairs: The monitored pairs; at least one of them has l_m.
+        name: The scenario, `guiding-front` or `guiding-lateral`.
         shows: Condition for a line, such as `gives_way`.
-        anyway: Whether to use a line that does not satisfy `shows` if no line satisfies it.
+        anyway: Whether to return the first tested line if no line satisfies `shows`.
         on_progress: Called with the finished share of starts and postures.
     """
     d_b = model.description.config.border.d_b
@@ -191,11 +196,6 @@ def find_place(
     return chosen(guide.lines(tried, on_progress), d_b, shows, anyway=anyway)
 
 
-_Start = tuple[Array, Array]
-"""The start of a line: (3,) [m] x, y and the distance from the box around l_m; and the unit vector
-(3,) towards the base."""
-
-
 def chosen(
     lines: Iterable[Place],
     d_b: float,
@@ -203,10 +203,10 @@ def chosen(
     *,
     anyway: bool = False,
 ) -> Place | str:
-    """The first line that comes nearer than `INNER` d_b and satisfies `shows`, or a reason.
+    """The first line that comes nearer than `INNER` d_b and satisfies `shows`.
 
-    Only a few lines are tested. If none of them satisfies `shows`, the result is the first of them
-    with `anyway`, otherwise the reason why there is no line.
+    At most three lines are tested. If none of them satisfies `shows`, the result is the first of
+    them with `anyway`, otherwise the reason why there is no line.
     """
     shallow: list[Place] = []
     tried: list[Place] = []
@@ -249,11 +249,10 @@ def gives_way(
 ) -> bool:
     """Whether in a run on a line the base moves away while the arm stays clear of base and floor.
 
-    The base moves by `GIVES_WAY` or more, and the arm stays farther than `CLEARANCE` from the base
-    and `_LOWEST` from the floor. The result is False if another part of the arm than the
-    end-effector meets the base first, or if the arm cannot hold its end-effector while the base
-    moves.
-    `on_progress` is called with the finished share of the run from time to time.
+    The base has to move by `GIVES_WAY`, and the arm to stay `CLEARANCE` away from the base and
+    `_LOWEST` from the floor. This fails if another part of the arm than the end-effector meets the
+    base first, or if the arm cannot hold its end-effector while the base moves. `on_progress` is
+    called with the finished share of the run.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -274,23 +273,17 @@ def gives_way(
     return moved >= GIVES_WAY
 
 
-class Side(NamedTuple):
-    """Input of `line_from`, for a separate process."""
+def line_from(
+    _: object,
+    job: tuple[str, RobotModel, BorderData, bool],
+    on_progress: OnProgress = lambda _: None,
+) -> Place | str:
+    """The result of `find_place` with the condition `gives_way`, for a worker process.
 
-    name: str
-    """The scenario, one of `app.onboarding.SIDES`."""
-    model: RobotModel
-    data: BorderData
-    anyway: bool
-    """Whether to accept a line on which the base does not move away."""
-
-
-def line_from(_: object, side: Side, on_progress: OnProgress = lambda _: None) -> Place | str:
-    """The line of `find_place` for a side; the base moves away on this line.
-
-    The search for lines and each possible run have equal shares of the progress.
+    The job is the scenario, the robot, its border, and `anyway`. The search for lines and each
+    possible run have equal shares of the progress.
     """
-    name, model, data, anyway = side
+    name, model, data, anyway = job
     ends = np.linspace(0.0, 1.0, 2 + _MAX_RUNS)
     parts = (part_of(on_progress, begin, end) for begin, end in pairwise(ends.tolist()))
     search = next(parts)
@@ -315,7 +308,8 @@ class _Candidate(NamedTuple):
     nearest: float
     """[m] smallest distance of the arm to a base at rest."""
     carried: float
-    """[-] mean share of the base's motion that the arm does not compensate inside the buffers."""
+    """[-] mean share of the base's motion that the arm does not compensate, on the part of the line
+    inside the buffers; 0 without one."""
 
     @property
     def move(self) -> Point:
@@ -329,9 +323,8 @@ class _Candidate(NamedTuple):
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Sort key: first the smallest distance, which is 0 for contact, then the best hold.
-
-        The values are rounded, so that small differences do not change the order.
+        """Sort key: the smallest distance, 0 for contact, then `carried`; both are rounded, so that
+        small differences do not change the order.
         """
         return round(max(self.nearest, 0.0), 3), round(self.carried, 1)
 
@@ -352,10 +345,10 @@ class _Guide:
     ) -> Iterator[Place]:
         """Lines from starts at heights [m]; the most promising lines are first.
 
-        A quick first step moves the arm to each start from a known posture. A second step, only for
-        requested lines, searches the posture with which a run starts. No two lines have nearly the
-        same end. A line that does not come nearer than `INNER` d_b is returned only if there is no
-        other line. `on_progress` is called with the finished share of starts and postures.
+        A quick first step moves the arm to each start from a known posture. A second step searches
+        the posture with which a run starts; it follows only when the caller requests the next line.
+        No two lines have nearly the same end. Lines on which the arm does not come nearer than
+        `INNER` d_b follow only if there is no other line.
         """
         found: list[_Candidate] = []
         most = len(tried) + _MAX_STARTS
@@ -385,7 +378,7 @@ class _Guide:
             yield Place(p, move, nearest, _LED.format(line.left, nearest))
 
     def _look(self, start: _Start, z: float) -> _Candidate | None:
-        """The end-effector's line from one start, to its end or to contact with the base.
+        """The line from a start at height z, which ends early if the arm touches the base.
 
         It is None if the arm cannot start there, or comes nearer than `_LOWEST` to the floor.
         """
@@ -411,14 +404,10 @@ class _Guide:
     def _led(
         self, q_m: Array, p: Array, inwards: Array, begin: float, end: float
     ) -> tuple[Array, float, list[float], float]:
-        """Move the arm along a line, without avoidance.
+        """Move the arm from the length `begin` [m] of a line to `end` [m], without avoidance.
 
-        Args:
-            q_m: (n_m,) posture at the start of the motion.
-            p: (3,) [m] start of the line.
-            inwards: (3,) direction of the line.
-            begin: [m] length at which the motion starts.
-            end: [m] length at which it ends.
+        `q_m` (n_m,) is the posture at `begin`. The line starts at p (3,) [m] and has the direction
+        `inwards` (3,).
 
         Returns:
             The posture (n_m,) at the end; the smallest distance [m] to the base; for each step
@@ -454,9 +443,7 @@ class _Guide:
         return q_m
 
     def _free_at(self, p: Array) -> Array | None:
-        """(n_m,) a free posture with the end-effector at p (3,) [m], near a known posture; or
-        None.
-        """
+        """(n_m,) a free posture near a known one, with the end-effector at p (3,) [m]; or None."""
         away = np.linalg.norm(self._hands - p, axis=1)
         if away.min(initial=np.inf) > _NEAR:
             return None
@@ -506,9 +493,9 @@ def _tops(body: MobileBody, most: float) -> list[float]:
 
 
 def _heights(tops: list[float]) -> list[float]:
-    """[m] heights of lines towards parts of l_m with these heights; the best lines are first."""
-    ways = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
-    return [share * top + over for share, over in ways for top in tops]
+    """[m] heights of lines towards parts of l_m with these tops; the best lines are first."""
+    rules = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
+    return [share * top + over for share, over in rules for top in tops]
 
 
 def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
@@ -519,13 +506,11 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
     return float(steps[met.argmax()]) if met.any() else 0.0
 
 
-def _lateral(
-    body: MobileBody, mount: Array, outs: Sequence[float]
-) -> Iterator[tuple[Array, Array]]:
+def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts of lines towards the sides of the base: left before right.
 
-    They are beside the mount or near an end of the base, because a base without sideways motion can
-    avoid least at its axle.
+    They are beside the mount or near an end of the base, because a base without sideways motion
+    hardly avoids a line towards its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
@@ -534,10 +519,8 @@ def _lateral(
                 yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
-def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[tuple[Array, Array]]:
-    """Starts of lines towards the front: beside the mount, near an edge, or straight ahead of the
-    mount.
-    """
+def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
+    """Starts of lines towards the front: beside the mount, near an edge, or ahead of the mount."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

@@ -1,8 +1,7 @@
-"""Stops: joint limits that prevent collisions of the arm with the base if no buffer can.
+"""Stops: joint limits that prevent collisions of links that are always within d_b of the base.
 
-The upper arm of a UR is always within d_b of the base, so avoidance cannot move it away. But its
-shoulder lift joint alone determines whether it meets the base, and a limit of this joint prevents
-the collision.
+Avoidance cannot move these links away from the base. An example is the upper arm of a UR: a limit
+of its shoulder lift joint alone prevents its collision with the base.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ Array = np.ndarray
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSES = 60  # [-] sampled poses of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
-_ALIKE = 0.05  # [-] resolution of the remaining share of a joint's range
+_ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
 
 def with_stops(
@@ -37,18 +36,12 @@ def with_stops(
     """Joint limits with which no link that is close to the base by design can reach the base.
 
     For each of these links, one joint between the base and the link gets narrower limits: the joint
-    that retains the largest share of its range. If the link touches the base in all positions of
-    every joint, the limits do not change, and the check of the bodies counts the collisions.
-
-    Args:
-        limits: The limits in the URDF.
-        model: The robot.
-        arm: Its arm.
-        meetings: Distances and collisions in random poses.
-        ready: (n_m,) [rad or m] ready pose, which has to stay within the limits.
+    that retains the largest share of its range. If no limit of a single joint prevents the contact,
+    the limits do not change, and the check of the bodies counts the collisions. `ready` (n_m,) is a
+    ready pose that stays within the limits, or None.
 
     Raises:
-        RobotFileError: In the ready pose, a link touches the base.
+        RobotFileError: No limits that include the pose `ready` prevent the contact.
     """
     lower, upper = np.array(limits.lower), np.array(limits.upper)
     stops = {}
@@ -59,7 +52,7 @@ def with_stops(
         if (gaps[within] > 0.0).all():
             continue
         poses = sample_joints(model, _POSES, np.random.default_rng(0)).clip(lower, upper)
-        ways = []
+        stopping = []
         for joint in range(b.joint - _ARM + 1):
             values = np.linspace(lower[joint], upper[joint], _VALUES)
             tried = np.repeat(poses[:, None], _VALUES, axis=1)
@@ -71,13 +64,15 @@ def with_stops(
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:
                     share = round((high - low) / (upper - lower)[joint] / _ALIKE)
-                    ways.append((share, -abs(low + high), joint, low, high))
-        if ways:
-            *_, joint, low, high = max(ways)
+                    stopping.append((share, -abs(low + high), joint, low, high))
+        if stopping:
+            *_, joint, low, high = max(stopping)
             lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
             stops[arm.joints[joint].name] = f"{b.links[0]} reaches {a.links[0]}"
         elif ready is not None:
-            raise RobotFileError(f"--ready: {b.links[0]} can meet {a.links[0]} near that pose")
+            raise RobotFileError(
+                f"--ready: {b.links[0]} can meet {a.links[0]} near that pose; choose another one"
+            )
     if not stops:
         return limits
     why = "; ".join(f"{name} is limited before {text}" for name, text in stops.items())

@@ -1,4 +1,4 @@
-"""The volume that moving links beside the arm's chain, such as fingers, can occupy."""
+"""The volume that links on joints outside of the arm's chain, such as fingers, can occupy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from app.onboarding.read.links import LinkGeometry, swept_shape
 from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 
 Positions = Mapping[str, float]
-"""Positions of joints, by their names [rad or m]."""
+"""[rad or m] positions of joints by their names."""
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 
@@ -19,18 +19,17 @@ _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which the end-effector's parts and telescopes cover their whole travel."""
+    """Geometry in which shapes of the end-effector and of telescopes cover their whole motion.
+
+    `chain` are the joints of the arm. The shapes are in the frames of the links at rest.
+    """
     found = with_travel(tree, geometry, chain[-1].child)
     own = [joint.name for joint in chain]
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
-        other = [j.name for j in tree.children(slide.child) if not _is_part(slide, j)]
+        below = tree.children(slide.child)
+        other = [joint.name for joint in below if not (joint.moves and parallel(slide, joint))]
         found = with_travel(tree, found, slide.child, [*own, *other])
     return found
-
-
-def _is_part(slide: Joint, joint: Joint) -> bool:
-    """Whether a joint moves a part of a telescope along the direction of `slide`."""
-    return joint.moves and parallel(slide, joint)
 
 
 def with_travel(
@@ -39,11 +38,11 @@ def with_travel(
     carrier: str,
     without: Sequence[str] = (),
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which the shape of each link below `carrier` covers the link's whole travel.
+    """Geometry in which the shapes of each descendant of `carrier` cover its whole motion.
 
-    The travel is that over the ranges of the joints between `carrier` and the link. The shapes are
-    in the frames of the links at rest. A mimic joint moves with its leader. Links below the joints
-    in `without` do not change.
+    The joints between `carrier` and the link move through their ranges, mimic joints with their
+    leaders. The shapes are in the frames of the links at rest, see `held_at`. Links beyond the
+    joints in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -51,23 +50,21 @@ def with_travel(
     tried = [_placed(tree, links, carrier, each) for each in _positions(joints)]
     found = dict(geometry)
     for link in links:
-        ways = [held[link].actInv(places[link]) for places in tried]
-        if any(not way.isIdentity(1e-6) for way in ways) and geometry[link].shapes:
-            shapes = tuple(swept_shape(shape, ways) for shape in geometry[link].shapes)
+        motions = [held[link].actInv(places[link]) for places in tried]
+        if any(not T.isIdentity(1e-6) for T in motions) and geometry[link].shapes:
+            shapes = tuple(swept_shape(shape, motions) for shape in geometry[link].shapes)
             found[link] = geometry[link]._replace(shapes=shapes)
     return found
 
 
 def held_at(joint: Joint) -> float:
-    """[rad or m] fixed position of a joint beside the arm: zero, or the limit nearest to zero."""
+    """[rad or m] position at rest of a joint: zero, or the limit nearest to zero."""
     low, high = joint.lower or 0.0, joint.upper or 0.0
     return 0.0 if low >= high else float(np.clip(0.0, low, high))
 
 
 def _positions(joints: Sequence[Joint]) -> Iterator[Positions]:
-    """Positions of the joints: each joint through its range with the others at rest, then all at
-    once.
-    """
+    """Positions of joints: each through its range with the others at rest, then all together."""
     own = [joint for joint in joints if joint.moves]
     ranges = {joint.name: _range(joint) for joint in own}
     rest = {joint.name: held_at(joint) for joint in own}
@@ -81,7 +78,7 @@ def _positions(joints: Sequence[Joint]) -> Iterator[Positions]:
 
 
 def _range(joint: Joint) -> list[float]:
-    """Positions of a joint through its range, including both ends."""
+    """Positions of a joint through its range; without limits, at zero or through a whole turn."""
     low, high = joint.lower, joint.upper
     if low is None or high is None or low >= high:
         low, high = (0.0, 0.0) if joint.kind == "prismatic" else (-np.pi, np.pi)

@@ -1,4 +1,4 @@
-"""Units: links that move as one rigid body, their hulls, and the distances between the hulls."""
+"""Units: groups of links that move as one rigid body, and distances between their hulls."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Array = np.ndarray
 Pairs = Sequence[tuple[int, int]]
 
 _ALONG = 0.999  # [-] smallest cosine between parallel lines
-_THIN_OUT = 500  # [-] largest number of points on a unit's surface, plus the outermost points
-_EXACT = 0.5  # [m] distance up to which distances are exact even with many shapes
-_MANY = 150  # [-] pairs of shapes above which a test with spheres saves time
+_THIN_OUT = 500  # [-] largest number of points on a unit's surface, without the outermost points
+_EXACT = 0.5  # [m] distance below which distances are exact even with many shapes
+_MANY = 150  # [-] number of pairs of shapes from which bounding spheres save time
 
 
 class Part(NamedTuple):
@@ -34,7 +34,7 @@ class Part(NamedTuple):
     corners: Array
     """(N, 3) [m] corners of its hull, in the joint's frame."""
     reach: Array
-    """(K,) [m] support of the hull along `directions(2)`."""
+    """(K,) [m] largest coordinates of the hull along `directions(2)`."""
 
 
 class Unit(NamedTuple):
@@ -60,9 +60,7 @@ class Unit(NamedTuple):
 def make_units(
     model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Unit, ...]:
-    """The units, which are rigid groups of links: the base, the fixed part of the arm, and one or
-    two for each joint.
-    """
+    """The units in the order of `Unit.index`."""
     wanted = [(ROOT, arm.base_links, 1, False), (ROOT, arm.segments[0], 1, False)]
     rows = zip(arm.joints, arm.segments[1:], arm.beside[1:], strict=True)
     for k, (joint, links, beside) in enumerate(rows, 2):
@@ -128,16 +126,15 @@ def _unit(
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
-    """Points (N, 3) of a frame, transformed to the frame in which the pose of the former is T."""
+    """The coordinates in frame A of points (N, 3) that are given in frame B; T is T_A_B."""
     return points @ T.rotation.T + T.translation
 
 
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
-    """Whether two units may touch by design.
+    """Whether contacts of two units are allowed by design.
 
-    They may touch if they are on the same joint, or if a single joint separates them and both
-    belong to the chain. They may also touch if only parallel prismatic joints separate them: the
-    parts of a telescope are nested, and only its joint limits can separate these parts.
+    They are if the units are on the same joint, if a single joint separates them and neither is
+    beside the chain, or if only parallel prismatic joints separate them, as in a telescope.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):
@@ -151,16 +148,13 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
 
 
 Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
-"""A shape: the number of its joint in pinocchio, its pose in the joint's frame, and its
-geometry."""
+"""A shape: its joint's number in pinocchio, its pose in the joint's frame, its geometry."""
 
 
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] distances of `group_distances`, between groups of shapes that no model
-    contains.
-    """
+    """(N, pairs) [m] the result of `group_distances` for groups of shapes outside of any model."""
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
         first = geometry.ngeoms
@@ -179,15 +173,15 @@ def group_distances(
 ) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
-    With 150 or more pairs of shapes, only distances below 0.5 m are exact: a larger result means
-    that the distance is at least 0.5 m.
+    With 150 or more pairs of shapes, only distances below 0.5 m are exact; a larger result means
+    only that the distance is at least 0.5 m.
 
     Args:
-        model: The robot, whose base is at the origin.
-        geometry: The shapes, without collision pairs; this function adds the pairs of the groups.
+        model: The robot; its base is at the origin.
+        geometry: The shapes, without collision pairs; this function adds the required ones.
         groups: Indices of the shapes of each group.
-        pairs: Pairs of groups, by their indices.
-        q_m: (N, n_m) [rad or m] joint positions.
+        pairs: Pairs of groups, by the indices of the groups.
+        q_m: (N, n_m) joint positions.
     """
     starts, shapes = [], []
     for a, b in pairs:
@@ -260,9 +254,7 @@ def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
 
 
 def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
-    """A sphere around each shape: its joint (K,), its centre (K, 3) [m] in the joint's frame, and
-    its radius (K,) [m].
-    """
+    """Spheres around shapes: joints (K,), centres (K, 3) [m] in their frames, radii (K,) [m]."""
     centres, radii = [], []
     for shape in geometry.geometryObjects:
         shape.geometry.computeLocalAABB()

@@ -1,4 +1,4 @@
-"""Geometry and inertia of a link: hulls of its shapes and its inertia, in its frame."""
+"""The shapes of a link with their convex hulls, and its inertia, in the frame of the link."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ Array = np.ndarray
 
 _LARGEST = 10.0  # [m] largest size of a shape
 _DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300
-_HEAVIEST = 100.0  # [kg] a lighter link may be denser, because its shape may cover a part of it
+_HEAVIEST = 100.0  # [kg] largest mass with any density: a shape may represent a part of its link
 MOST_FACES = 40_000
-"""[-] triangles of a mesh; a larger one is simplified without reducing its extent."""
-_CELL = 3e-4  # [m] cell in which vertices of such a mesh are merged
-_MANY = 10_000  # [-] points above which only the outermost are used
-_HEAVY = 4_000_000  # [bytes] a larger file's vertices are not merged while reading
-_SPACING = 0.03  # [m] between points on a hull's surface
-_MAX_POINTS = 1500  # [-] points on the surface of one hull
-_MAX_MESHES = 5  # [-] most places of a moving shape for comparing its triangles
+"""[-] largest number of triangles of a mesh; a larger mesh is simplified, but keeps its extent."""
+_CELL = 3e-4  # [m] edge of the cells in which vertices of a larger mesh are merged
+_MANY = 10_000  # [-] number of points above which a hull uses only the outermost ones
+_HEAVY = 4_000_000  # [bytes] size of a mesh file above which equal vertices are not merged
+_SPACING = 0.03  # [m] distance between points on the surface of a hull
+_MAX_POINTS = 1500  # [-] largest number of corners, and of other points, on a hull
 ARM_DENSITY = 1200.0
-"""[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
+"""[kg/m³] density of an arm's links in their hulls; a Panda's links have 1,000 to 1,500."""
 BASE_DENSITY = 450.0
-"""[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
-_MAX_MOMENT = 1e4  # [-] multiple of m r² above which the unit is wrong; careless guesses have 1e3
-_ROUNDING = 1e-5  # [-] smallest excess of two moments of inertia over the third
-_TINY = 1e-9  # [kg] or [kg m²] counts as zero
+"""[kg/m³] density of a base's links in their hulls; a Husky has 400, an Omron LD-60 480."""
+_MAX_MOMENT = 1e4  # [-] multiple of m r² above which the unit is wrong; rough guesses have 1e3
+_ROUNDING = 1e-5  # [-] smallest excess of the sum of two moments over the third, relative to it
+_TINY = 1e-9  # [kg] or [kg m²] largest value that counts as zero
+_FLAT = 1e-10  # [m³] largest volume of a hull that counts as flat
 
 
 class LinkShape(NamedTuple):
@@ -50,18 +50,19 @@ class LinkShape(NamedTuple):
     hull: trimesh.Trimesh
     """Its convex hull, in the link's frame [m]."""
     surface: Array
-    """(N, 3) [m] points spread over the hull, its corners included."""
+    """(N, 3) [m] corners of the hull and points on its faces, in the link's frame."""
     kind: str
-    """box, cylinder, sphere or mesh."""
+    """Tag of the geometry: box, cylinder, sphere, capsule or mesh."""
     radius: float | None
-    """[m] radius of a cylinder or sphere, otherwise None."""
+    """[m] radius of a cylinder, sphere or capsule; None for other shapes."""
 
 
 class LinkGeometry(NamedTuple):
-    """The collision shapes of a link, or the visual ones (`seen_only`) if it has none."""
+    """The collision shapes of a link, or its visual shapes if it has no collision shape."""
 
     shapes: tuple[LinkShape, ...]
     seen_only: bool
+    """Whether the shapes are visual ones."""
 
     @property
     def corners(self) -> Array:
@@ -75,24 +76,25 @@ class LinkGeometry(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """[m³] volume of all hulls."""
-        return sum(abs(float(s.hull.volume)) for s in self.shapes)
+        """[m³] sum of the hulls' volumes."""
+        return sum(float(s.hull.volume) for s in self.shapes)
 
 
 def read_geometry(tree: Tree) -> dict[str, LinkGeometry]:
-    """The geometry of every link, by its name; a link may have none.
+    """Read the geometry of each link; the keys are the names of the links.
 
     Raises:
-        RobotFileError: A mesh is missing or unreadable, or a size is not in metres.
+        RobotFileError: As for `link_geometry`.
     """
     return {name: link_geometry(link) for name, link in tree.links.items()}
 
 
 def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
-    """The geometry of one link, from the first of the tags that it has.
+    """Read the geometry of one link, from the first of the tags that the link has.
 
     Raises:
-        RobotFileError: As for `read_geometry`.
+        RobotFileError: A mesh is missing or unreadable, a number is invalid, or a size is probably
+            not in metres.
     """
     for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
@@ -122,28 +124,28 @@ def _shape(element: Element, where: str) -> LinkShape:
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
 
 
-def swept_shape(shape: LinkShape, ways: Sequence[pin.SE3]) -> LinkShape:
-    """The hull of a shape in all its places, from its motions in the link's frame."""
+def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
+    """A shape after each of some motions, as one shape; the motions are in the link's frame."""
     corners = np.asarray(shape.hull.vertices)
-    hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in ways]))
+    hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
     mesh = trimesh.util.concatenate(
-        [shape.mesh.copy().apply_transform(T.homogeneous) for T in ways]
+        [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
     )
     return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
-    """The triangles of a mesh file with all its parts, of the link with the name `where`.
+    """Read the triangles [m] of all parts of a mesh file; `where` names the link in an error.
 
     Raises:
         RobotFileError: The file cannot be read, or has no triangles.
     """
     name = f"{where}: mesh {path}"
-    end, joined = path.suffix[1:].lower() or "stl", path.stat().st_size < _HEAVY
+    end, size, begin = path.suffix[1:].lower() or "stl", path.stat().st_size, b""
     try:
         with path.open("rb") as file:  # a file, not a path, so that no texture is read
-            begin = file.read(1 << 16)
-            if end not in _ARCHIVES:
+            begin = file.read(_BEGIN)
+            if end != "3mf":  # which is an archive
                 refuse_placeholder(begin, name)
             if end == "dae":
                 _unit(begin, name)
@@ -152,23 +154,21 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
                 file, file_type=end, force="scene", skip_materials=True, process=False
             )
         assert isinstance(scene, trimesh.Scene)
-        mesh = _joined(scene, joined)
+        return _joined(scene, merge=size < _HEAVY)
     except (RobotFileError, MemoryError):
         raise
     except ImportError as error:
         raise RobotFileError(f"{name}: {error}; try: pip install {error.name}") from None
     except Exception as error:  # the readers' errors have no common base class
-        why = " ".join(str(error).split())
-        why = f"{why}{_damage(begin, path.stat().st_size, end)}"
-        raise RobotFileError(f"{name}: it cannot be read: {why}") from None
-    if mesh is None:
-        why = f"it has no triangles, or is no .{end} file"
-        raise RobotFileError(f"{name}: {why}{_damage(begin, path.stat().st_size, end)}")
-    return mesh
+        why = " ".join(str(error).split()) + _damage(begin, size, end)
+        raise RobotFileError(f"{name}: it cannot be read as .{end}: {why}") from None
 
 
 def _damage(begin: bytes, size: int, end: str) -> str:
-    """The probable damage of a mesh file that cannot be read, with its remedy, or empty."""
+    """The probable damage of an unreadable mesh file and the remedy; empty if none is recognised.
+
+    `begin` is the first part of the file, `size` the size of the file [bytes], `end` its format.
+    """
     if b"\0" not in begin and re.search(rb"\d,\d", begin):
         return "; its numbers have decimal commas: export it with points"
     count = int.from_bytes(begin[80:84], "little")
@@ -180,11 +180,12 @@ def _damage(begin: bytes, size: int, end: str) -> str:
     return ""
 
 
-def _joined(scene: trimesh.Scene, merge: bool) -> trimesh.Trimesh | None:
-    """All triangles of a file as one light mesh in metres, or None; equal vertices are merged.
+def _joined(scene: trimesh.Scene, *, merge: bool) -> trimesh.Trimesh:
+    """All triangles of a file as one simplified mesh [m]; with `merge`, equal vertices are merged.
 
     Raises:
-        ValueError: A coordinate is not a number. Libraries differ in their reading of such files.
+        ValueError: The file has no triangle, or a coordinate that is not finite. Libraries read
+            files with infinite coordinates differently.
     """
     for mesh in scene.geometry.values():
         if not np.isfinite(mesh.vertices).all():
@@ -197,16 +198,18 @@ def _joined(scene: trimesh.Scene, merge: bool) -> trimesh.Trimesh | None:
     light = {name: _lightened(scene.geometry.pop(name), _CELL / scale) for name in names}
     placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     meshes = [light[name].copy().apply_transform(T) for T, name in placed if name in light]
-    return trimesh.util.concatenate(meshes).apply_scale(scale) if meshes else None
+    if not meshes:
+        raise ValueError("it has no triangles")
+    return trimesh.util.concatenate(meshes).apply_scale(scale)
 
 
-_ARCHIVES = ("3mf",)
+_BEGIN = 1 << 16  # [bytes] beginning of a file, with the unit of a COLLADA file
 _UNIT = re.compile(rb"""<unit\s[^<>]*?meter\s*=\s*["']([^"']*)""")
 _UP = re.compile(rb"<up_axis>\s*[XY]_UP")
 
 
 def _unit(asset: bytes, where: str) -> float:
-    """[m] the unit that a COLLADA file states; default: a metre."""
+    """[m] the unit of length that the beginning of a COLLADA file states, by default 1."""
     found = _UNIT.search(asset)
     stated = floats(found[1].decode("latin-1"), 1) if found else (1.0,)
     if not stated or stated[0] <= 0.0:
@@ -215,20 +218,21 @@ def _unit(asset: bytes, where: str) -> float:
 
 
 def is_foreign(path: Path) -> bool:
-    """Whether other libraries read a mesh file differently from `read_mesh`, or far too slowly."""
-    end = path.suffix.lower()
-    if end == ".dae":
-        with path.open("rb") as file:
-            asset = file.read(1 << 16)
-        if _unit(asset, str(path)) != 1.0 or _UP.search(asset):
-            return True
-    return end not in MESHES or path.stat().st_size > _HEAVY
+    """Whether `new-robot` has to convert a mesh file to STL.
+
+    Other libraries cannot read it, ignore its unit or its upward axis, or need very long.
+    """
+    with path.open("rb") as file:
+        begin = file.read(_BEGIN) if path.suffix.lower() == ".dae" else b""
+    own = _unit(begin, str(path)) != 1.0 or _UP.search(begin) is not None
+    return own or path.suffix.lower() not in MESHES or path.stat().st_size > _HEAVY
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """A mesh of fewer triangles that keeps the outermost vertices.
+    """A mesh of at most about `MOST_FACES` triangles with the same outermost vertices.
 
-    First, vertices in one cell of the given size, in its unit, are merged.
+    `cell` is the edge of the cubic cells in which vertices are merged, in the unit of the mesh. A
+    mesh with few triangles does not change.
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh
@@ -247,7 +251,10 @@ def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
 
 
 def _outermost(points: Array, fineness: int) -> Array:
-    """The points farthest in 642 (3) or 2,562 (4) directions; all if there are few."""
+    """The farthest points in 642 directions (`fineness` 3) or 2,562 (4).
+
+    Up to `_MANY` points are returned unchanged.
+    """
     if len(points) <= _MANY:
         return points
     D = np.asarray(trimesh.creation.icosphere(subdivisions=fineness).vertices)
@@ -259,7 +266,7 @@ load_mesh = lru_cache(maxsize=64)(read_mesh)
 
 
 def _surface(hull: trimesh.Trimesh) -> Array:
-    """Corners, then evenly spread points on the faces; reproducible."""
+    """(N, 3) corners of a hull, then reproducible random points on its faces."""
     count = int(np.clip(hull.area / _SPACING**2, 50, _MAX_POINTS))
     spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
     corners = np.asarray(hull.vertices)
@@ -269,21 +276,24 @@ def _surface(hull: trimesh.Trimesh) -> Array:
 
 
 class LinkInertia(NamedTuple):
-    """The inertia of a link, and why it is not the URDF's, or an empty string."""
+    """The inertia of a link."""
 
     inertia: pin.Inertia
     assumed: str
+    """How the inertia was estimated; empty if the URDF states it, or if it is zero."""
 
 
 def read_inertias(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], *, assume: bool
 ) -> dict[str, LinkInertia]:
-    """The inertia of every link below the base, by its name.
+    """The inertia of the base and of each link below it; the keys are the names of the links.
 
-    With `assume`, an arm without any mass gets masses by volume.
+    A link without an `<inertial>`, and all links of a joint that moves no mass, get masses by
+    volume. `assume` means that the URDF may state no mass at all for the arm.
 
     Raises:
-        RobotFileError: No link of the arm has a mass, or a mass is impossible, as in grams.
+        RobotFileError: No link of the arm has a mass, or an inertia is impossible or probably in
+            another unit.
     """
     stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
     for link, each in stated.items():
@@ -297,7 +307,7 @@ def read_inertias(
     moving = [link for segment in arm.segments[1:] for link in segment]
     if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
         raise RobotFileError(
-            "no link of the arm has an <inertial>: torques cannot be computed; add them, or give "
+            "no link of the arm has a mass: torques cannot be computed; add <inertial>, or give "
             f"--assume-inertia to take {ARM_DENSITY:g} kg/m³ in the hulls of its links"
         )
 
@@ -315,7 +325,7 @@ def read_inertias(
 def _check_moments(
     stated: Mapping[str, pin.Inertia | None], geometry: Mapping[str, LinkGeometry]
 ) -> None:
-    """Refuse a robot if most links show that its moments of inertia are in another unit."""
+    """Refuse moments of inertia that are in another unit for most links."""
     ratios = [
         np.abs(each.inertia).max()
         / (each.mass * np.linalg.norm(geometry[link].corners - each.lever, axis=1).max() ** 2)
@@ -329,10 +339,8 @@ def _check_moments(
         )
 
 
-_FLAT = 1e-10  # [m³] volume of a hull without inertia
-
-
 def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
+    """The stated inertia, with moments for a stated mass without moments; or one by volume."""
     if geometry.volume <= _FLAT:
         return LinkInertia(stated or pin.Inertia.Zero(), "")
     if stated is None:
@@ -348,23 +356,23 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
-    """The inertia of filled hulls, or of the hull around all if that has less volume."""
-    hulls = [shape.hull for shape in geometry.shapes if abs(shape.hull.volume) > _FLAT]
+    """The inertia of solid hulls, or of one hull around all shapes if its volume is smaller."""
+    hulls = [shape.hull for shape in geometry.shapes if shape.hull.volume > _FLAT]
     around = hull_mesh(geometry.corners)
     if around.volume < sum(hull.volume for hull in hulls):
         hulls = [around]
     total = pin.Inertia.Zero()
-    for hull in hulls:
-        solid = hull.copy()
-        solid.density = density
-        centre = np.asarray(solid.center_mass, dtype=float)
-        tensor = np.asarray(solid.moment_inertia, dtype=float)
-        total += pin.Inertia(float(solid.mass), centre, tensor)
+    for hull in hulls:  # trimesh computes mass and moments with the density 1
+        total += pin.Inertia(density * hull.mass, hull.center_mass, density * hull.moment_inertia)
     return total
 
 
 def _stated(link: Element) -> pin.Inertia | None:
-    """The URDF's inertia, if it states a possible one."""
+    """The inertia that a URDF states for a link, or None.
+
+    Raises:
+        RobotFileError: The mass, or a principal moment of inertia, is negative.
+    """
     element, where = link.find("inertial"), f"link {link.get('name')!r}"
     if element is None:
         return None
@@ -377,17 +385,17 @@ def _stated(link: Element) -> pin.Inertia | None:
     if mass < 0 or moments.min() < -1e-6 * max(1.0, np.abs(tensor).max()):
         raise RobotFileError(
             f"{where}: a mass of {mass:g} kg with moments of inertia of "
-            f"{', '.join(f'{value:.3g}' for value in moments)} kg m² cannot be: "
-            "none may be below zero"
+            f"{', '.join(f'{value:.3g}' for value in moments)} kg m² is impossible: "
+            "no value may be negative"
         )
     T = origin(element, where)
     return T.act(pin.Inertia(mass, np.zeros(3), _possible(tensor)))
 
 
 def _possible(tensor: Array) -> Array:
-    """The moments if they satisfy the triangle inequality; otherwise the smallest change to them.
+    """An inertia tensor whose moments satisfy the triangle inequality; the two small ones grow.
 
-    No mass violates it, and pybullet sets moments to zero that violate it by rounding.
+    No real body violates this inequality, and pybullet sets moments that violate it to zero.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.0)

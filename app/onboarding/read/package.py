@@ -1,12 +1,13 @@
-"""An untrusted robot package as a zip: unpacked within bounds, and read.
+"""A robot as an untrusted zip: it is unpacked within bounds, and nothing in it is executed.
 
-Nothing in it is executed: a xacro, whose expressions are Python, is refused.
+The expressions of a xacro are Python, so a xacro in a zip is refused.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import stat
 import struct
 import zipfile
@@ -14,38 +15,34 @@ import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from encodings.aliases import aliases
-from functools import lru_cache
+from functools import lru_cache, partial
 from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path, PurePosixPath
-from typing import IO, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError, did_you_mean
-from app.onboarding.read.source import FORMATS, read_source, spellings, split_address
+from app.onboarding.read.source import FORMATS, mesh_places, read_source, spellings
 from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities, refuse_placeholder
 from app.system import temporary_folder
 
 FOLDER = "package"
-"""Folder of a package within the robot's own folder."""
-LARGEST_URDF = 10_000_000
-"""[bytes] largest URDF in a package."""
+"""Name of the folder in a robot's own folder into which a zip is unpacked."""
 LARGEST_ARCHIVE = 100_000_000
 """[bytes] largest zip."""
 LARGEST_CONTENT = 500_000_000
 """[bytes] largest expanded size of all files."""
 MOST_FILES = 2000
-"""[-] most files."""
+"""[-] largest number of files."""
 KEPT = (".urdf", ".xml", *FORMATS[:-1])
-"""Endings of the files that are written; others, such as programs, stay in the zip."""
+"""Endings of the files that are unpacked; other files, such as programs, are not."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] largest directory; an entry takes 46 and a name
 _LONGEST_NAME = 200  # [characters]
-_CHUNK = 1 << 20  # [bytes]
 _UTF8 = 0x800  # flag of a name in UTF-8
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# These formats expand one chunk at a time; bzip2 and LZMA expand everything that they read.
+# These methods expand one chunk at a time; bzip2 and LZMA expand everything that they read.
 _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
@@ -60,29 +57,27 @@ def unpack(archive: Path, folder: Path) -> list[str]:
     """Write the URDFs, meshes and licences of a zip into a folder; returns the names of all files.
 
     Raises:
-        RobotFileError: It is not a plain zip, is too large, or has a path that leads out of it, a
-            link, a password, a file with another compression than deflate, or a duplicate name;
-            names it.
+        RobotFileError: The zip cannot be read, is too large, or contains a path that leads out of
+            it, a link, a password, a duplicate name or a compression other than deflate.
     """
     where = archive.name
     _check_size(archive)
     try:
         with zipfile.ZipFile(archive) as opened:
-            infos = _checked(opened.infolist(), where)
-            left = LARGEST_CONTENT
-            for info, path in infos:
-                if _wanted(path):
+            files = _checked(opened.infolist(), where)
+            for path, info in files.items():
+                if path.suffix.lower() in KEPT or _NOTES.fullmatch(path.name):
                     target = folder / path
                     target.parent.mkdir(parents=True, exist_ok=True)
                     with opened.open(info) as source, target.open("xb") as sink:
-                        left -= _copy(source, sink, left, where)
+                        shutil.copyfileobj(source, sink)  # at most the size that was checked
     except _UNREADABLE as error:
         raise RobotFileError(f"{where}: not a zip that can be read: {error}") from None
-    return [str(path) for _, path in infos]
+    return [*map(str, files)]
 
 
 def _check_size(archive: Path) -> None:
-    """Check the file itself and its directory before reading its content."""
+    """Check the size of a zip and of its directory, before the directory is read."""
     size = archive.stat().st_size
     if size > LARGEST_ARCHIVE:
         raise RobotFileError(
@@ -108,10 +103,8 @@ def _check_size(archive: Path) -> None:
         )
 
 
-def _checked(
-    infos: list[zipfile.ZipInfo], where: str
-) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
-    """The files, each with its path inside of the folder."""
+def _checked(infos: list[zipfile.ZipInfo], where: str) -> dict[PurePosixPath, zipfile.ZipInfo]:
+    """The files of a zip by their paths, without folders."""
     total = sum(info.file_size for info in infos)
     if total > LARGEST_CONTENT:
         raise RobotFileError(
@@ -123,16 +116,14 @@ def _checked(
     found: dict[PurePosixPath, zipfile.ZipInfo] = {}
     for info in infos:
         path = _path(info, where)
-        if info.orig_filename.endswith(("/", "\\")):  # a folder
-            continue
-        if path in found:
+        is_folder = info.orig_filename.endswith(("/", "\\"))
+        if not is_folder and found.setdefault(path, info) is not info:
             raise RobotFileError(f"{where}: the file {str(path)!r} stands twice in it")
-        found[path] = info
-    return [(info, path) for path, info in found.items()]
+    return found
 
 
 def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
-    """The target of an entry; only plain files and folders below the top."""
+    """The path of an entry, which must be a plain file or folder inside of the zip."""
     name = info.orig_filename
     if not info.flag_bits & _UTF8 and not name.isascii():
         name = _as_stored(name.encode("cp437"))
@@ -160,85 +151,51 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
     return PurePosixPath(name)
 
 
-def _wanted(path: PurePosixPath) -> bool:
-    return path.suffix.lower() in KEPT or _NOTES.fullmatch(path.name) is not None
-
-
-def _copy(source: IO[bytes], sink: IO[bytes], most: int, where: str) -> int:
-    """Copy the real content, independent of the size in the zip's directory; [bytes]."""
-    written = 0
-    while chunk := source.read(_CHUNK):
-        written += len(chunk)
-        if written > most:
-            raise RobotFileError(f"{where}: it expands to more than {LARGEST_CONTENT / 1e6:.0f} MB")
-        sink.write(chunk)
-    return written
-
-
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
-    """Unpack a zip; returns its URDF, whose meshes then have paths inside of the package.
+    """Unpack a zip into a robot's folder; returns its URDF, with relative paths of all meshes.
 
-    It is unpacked below the robot's own folder. `file`, the path in the zip, is optional if
-    there is one URDF only.
+    `file` is the path of the URDF in the zip; None is possible if the zip has only one URDF.
 
     Raises:
-        RobotFileError: The zip is not safe (`unpack`), lacks that URDF, or the URDF refers to
-            files outside of the package.
+        RobotFileError: As for `unpack`, the zip does not have that URDF, or the URDF refers to a
+            mesh that is not in the zip.
     """
     root = (folder / FOLDER).resolve()
-    if not archive.is_file():
-        raise RobotFileError(
-            f"{archive}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
-        )
-    names = unpack(archive, root)
-    path = root / _chosen_urdf(names, archive.name, file)
+    path = root / _chosen_urdf(unpack(archive, root), archive.name, file)
     _tie_meshes(path, root)
     return path
 
 
 def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
-    """The path of the selected URDF of a zip."""
+    """The URDF `file` among the files of a zip; with None, the only URDF."""
     found = _urdfs(names)
-    if file is not None:
-        if file not in found:
-            raise RobotFileError(
-                f"{where}: no URDF {file!r} in it; there are: {', '.join(found) or '(none)'}"
-            )
-        return file
-    if len(found) > 1:
+    if file is not None and file not in found:
+        there = ", ".join(found) or "(none)"
+        raise RobotFileError(f"{where}: no URDF {file!r} in it; there are: {there}")
+    if len(found) > 1 and file is None:
         raise RobotFileError(
-            f"{where}: it holds {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
+            f"{where}: it has {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
         )
     if found:
-        return found[0]
+        return file or found[0]
     xacro = next((name for name in names if name.endswith(".xacro")), None)
     if xacro is not None:
         raise RobotFileError(
-            f"{where}: no .urdf in it, only {xacro}: a xacro can hold Python, and nothing of a zip "
-            "is executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
+            f"{where}: no .urdf in it, only {xacro}: a xacro can contain Python, and nothing in a "
+            "zip is executed; expand it (xacro FILE -o robot.urdf) and put the URDF into the zip"
         )
     raise RobotFileError(f"{where}: no .urdf in it; zip the URDF together with its meshes")
 
 
 def _urdfs(names: list[str]) -> list[str]:
-    """The URDFs among some files, without hidden files and macOS's additions."""
-    paths = [PurePosixPath(name) for name in names if name.lower().endswith(".urdf")]
-    return sorted(
-        str(path)
-        for path in paths
-        if not path.name.startswith(".") and "__MACOSX" not in path.parts[:-1]
-    )
-
-
-def _read_bounded(path: Path) -> Element:
-    if path.stat().st_size > LARGEST_URDF:
-        raise RobotFileError(f"{path.name}: a URDF may have {LARGEST_URDF / 1e6:.0f} MB")
-    return read_source(path)
+    """The URDFs among the files of a zip, without hidden files and macOS's additions."""
+    hidden = re.compile(r"(.*/)?(\.[^/]*|__MACOSX/.*)")
+    return sorted(n for n in names if n.lower().endswith(".urdf") and not hidden.fullmatch(n))
 
 
 def _tie_meshes(path: Path, root: Path) -> None:
-    """Write a URDF again with the relative path of each mesh inside of the root."""
-    robot = _read_bounded(path)
+    """Replace the addresses of meshes in a URDF by paths relative to the URDF."""
+    robot = read_source(path)
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         if Path(reference).suffix.lower() not in FORMATS:
@@ -251,25 +208,24 @@ def _tie_meshes(path: Path, root: Path) -> None:
 
 
 def _inside(reference: str, folder: Path, root: Path) -> Path:
-    """The file of the zip for a mesh's name in a URDF of a folder."""
-    scheme, path = split_address(reference)
-    own = scheme == "" and not path.startswith("/")
-    named = spellings(path.lstrip("/")) if own or scheme in ("package", "model") else []
-    named += [_as_stored(each) for name in named for each in _encoded(name)]
+    """The mesh below `root` to which the address in a URDF in a folder refers."""
+    names = spellings(reference)
+    names += [_as_stored(each) for name in names for each in _encoded(name)]
+    search = partial(_package_folders, folder=folder, root=root)
     places = [
         place.resolve()
-        for each in filter(str.isprintable, dict.fromkeys(named))  # like all names in a zip
-        for place in ([folder / each] if own else _in_packages(each, folder, root))
+        for name in filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
+        for place in mesh_places(name, folder, search)
     ]
-    kept = [place for place in places if place.is_relative_to(root)]
-    if not kept:
+    below = [place for place in places if place.is_relative_to(root)]
+    if not below:
         raise RobotFileError(
             f"mesh {reference}: outside of the package; refer to a file in the zip by "
             "package://PACKAGE/PATH or by a path relative to the URDF"
         )
-    if (found := next(filter(isfile, kept), None)) is not None:
+    if (found := next(filter(isfile, below), None)) is not None:
         return found
-    near = did_you_mean(Path(path).name, (each.name for each in root.rglob("*")))
+    near = did_you_mean(PurePosixPath(reference).name, (each.name for each in root.rglob("*")))
     raise RobotFileError(
         f"mesh {reference}: there is no such file in the zip{near}; "
         f"{', '.join(FORMATS[:-1])} are read"
@@ -277,62 +233,57 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
 
 
 def _encoded(name: str) -> Iterator[bytes]:
-    """A name in each of Python's encodings that has its characters; a zip may lack its encoding."""
+    """The bytes of a name that is not ASCII in each of Python's encodings: a zip may state none."""
     for code in () if name.isascii() else sorted({*aliases.values()}):
         with suppress(LookupError, ValueError):
             yield name.encode(code)
 
 
 def _as_stored(name: bytes) -> str:
-    """The file name of an entry whose code page is unknown: its bytes in code page 437."""
+    """The file name of an entry without a stated encoding: its bytes in code page 437."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
 
 
-def _in_packages(path: str, folder: Path, root: Path) -> list[Path]:
-    """Candidates for `package://PACKAGE/PATH`: a folder of that name, or one above the URDF."""
-    package, _, inner = path.partition("/")
-    places = (*_package_folders(package, root), folder, *folder.parents)
-    return [place / inner for place in places]
+def _package_folders(package: str, *, folder: Path, root: Path) -> list[Path]:
+    """Possible folders of a package in a zip: by name, by `package.xml`, or above the URDF."""
+    return [*_named_folders(package, root), folder, *folder.parents]
 
 
 @lru_cache(maxsize=1024)
-def _package_folders(package: str, root: Path) -> list[Path]:
-    """Possible folders of a package in an unpacked zip; cached."""
+def _named_folders(package: str, root: Path) -> list[Path]:
+    """Folders below `root` with the name of a package, then all folders with a `package.xml`."""
     named = sorted(each for each in root.rglob("*") if each.is_dir() and each.name == package)
-    tops = [each.parent for each in sorted(root.rglob("package.xml"))]
-    return [*named, *tops]
+    return [*named, *(each.parent for each in sorted(root.rglob("package.xml")))]
 
 
-_MAX_URDFS = 20  # [-] most URDFs that are read
-_MAX_NAMES = 500  # [-] most links or joints in a list
+_MAX_URDFS = 20  # [-] largest number of URDFs that are read
+_MAX_NAMES = 500  # [-] largest number of links, and of joints, that a list on the page can show
 
 
 class Contents(NamedTuple):
     """Names in a URDF."""
 
     links: tuple[str, ...]
-    """All names, in the order of the file."""
+    """All links, in the order of the file."""
     endless: tuple[str, ...]
-    """Joints that turn without limits."""
+    """Joints of the type continuous."""
     root: str
-    """The first link that no joint moves: probably the base."""
+    """The root link, which is probably the base."""
     last: str
-    """The link with the most joints from the root: probably the tip."""
+    """The link with the largest number of joints to the root, which is probably the tip."""
 
 
 def look_into(archive: Path) -> dict[str, Contents]:
-    """The names of links and joints in the URDFs of a zip, by the URDF's path in the zip.
+    """The names of links and joints in the first 20 URDFs of a zip, by the URDF's path in the zip.
 
     Unreadable URDFs are left out. The unpacked files are deleted.
 
     Raises:
-        RobotFileError: The zip is not safe, or no URDF in it can be read.
+        RobotFileError: As for `unpack`, or no URDF of the zip can be read.
     """
     with temporary_folder() as folder:
         names = unpack(archive, folder)
-        found = _urdfs(names)
-        if not found:
-            _chosen_urdf(names, archive.name, None)  # raises the error
+        found = _urdfs(names) or [_chosen_urdf(names, archive.name, None)]  # which raises an error
         contents, problem = {}, ""
         for name in found[:_MAX_URDFS]:
             try:
@@ -345,14 +296,14 @@ def look_into(archive: Path) -> dict[str, Contents]:
 
 
 def _contents(path: Path) -> Contents:
-    robot = _read_bounded(path)
-    for tag, least in (("link", 1), ("joint", 0)):  # the most that a list in the page can show
+    robot = read_source(path)
+    for tag, least in (("link", 1), ("joint", 0)):
         count = len(robot.findall(tag))
         if not least <= count <= _MAX_NAMES:
             raise RobotFileError(
                 f"{path.name}: it has {count} {tag}s; {least} to {_MAX_NAMES} are taken"
             )
-    tree = make_tree(robot)  # reports errors of the whole file first
+    tree = make_tree(robot)
     endless = tuple(joint.name for joint in tree.joints.values() if joint.kind == "continuous")
     last = max(tree.links, key=lambda link: len(tree.chain(tree.root, link)))
     return Contents(tuple(tree.links), endless, tree.root, last)

@@ -1,11 +1,12 @@
-"""A URDF or xacro file as XML, its meshes found; from a path or an installed package."""
+"""A URDF or xacro file as XML, and the files of its meshes."""
 
 from __future__ import annotations
 
 import os
 import re
 import unicodedata
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from importlib.util import find_spec
 from itertools import chain
 from os.path import isdir, isfile  # False also for a name that is too long for a file
@@ -31,19 +32,22 @@ from app.strict import LARGEST_TEXT
 MESHES = (".stl", ".dae", ".obj")
 """Endings of mesh files that pybullet reads."""
 FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
-"""Endings of readable meshes; for the others `new-robot` writes an STL. Some files have none."""
-_SCHEMES = ("package", "model", "file", "")
-_ABOVE = 2  # [-] folders above the URDF's for relative paths
+"""Endings of readable mesh files; a file without an ending is read as STL. `new-robot` converts
+formats that pybullet does not read to STL."""
+Packages = Callable[[str], Iterable[Path]]
+"""The possible folders of a ROS package, by its name; the first ones have precedence."""
+_IN_PACKAGE = ("package", "model")  # schemes of addresses in a package
+_ABOVE = 2  # [-] folders above the URDF's folder to which a path can be relative
 
 
 def locate(source: str) -> Path:
-    """The file of a path or a `package://…` address.
+    """The file of a path, a `file://` address or a `package://` address.
 
     Raises:
         RobotFileError: The file does not exist.
-        AssetError: The package is not installed.
+        AssetError: The package is not installed, or does not have the file.
     """
-    scheme, rest = split_address(source)
+    scheme, _, rest = _split_address(source)
     path = Path(os.path.expanduser(rest if scheme == "file" else source))
     path = resolve_package_uri(source) if scheme == "package" else path
     if not isfile(path):
@@ -56,12 +60,13 @@ def locate(source: str) -> Path:
 def read_robot(
     path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
 ) -> tuple[Element, list[str]]:
-    """The `<robot>` of `read_source`, with an address for `mesh_path` in place of each mesh.
+    """Read the `<robot>` of a URDF or xacro, with the result of `mesh_address` for each mesh.
 
-    The second value has sentences on left-out shapes.
+    `packages` are folders of ROS packages by name, which have precedence over all other folders;
+    `arguments` are those of a xacro. The second result has a sentence on each removed shape.
 
     Raises:
-        RobotFileError: As for `read_source`, or a mesh is not found.
+        RobotFileError: As for `read_source`, or a required mesh does not exist.
     """
     robot = read_source(path, packages, **arguments)
     said = []
@@ -77,10 +82,10 @@ def read_robot(
 def _needless(
     element: Element, link: Element, folder: Path, packages: Mapping[str, Path] | None
 ) -> str:
-    """Why a visual or collision is left out, or empty; a mesh that stays gets its address.
+    """Why a visual or collision element is removed; otherwise an empty string.
 
-    A placeholder of size 0 is left out, and a visual whose mesh cannot be had, if the link also
-    has a collision shape.
+    A shape of size 0 is removed. A visual mesh that is missing or unreadable is removed if the link
+    also has a collision element. A mesh that is not removed gets the result of `mesh_address`.
     """
     if (shape := element.find("geometry/*")) is None:
         return ""
@@ -107,43 +112,36 @@ def _needless(
 def read_source(
     path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
 ) -> Element:
-    """The `<robot>` of a URDF, or of a xacro with its arguments by name.
+    """Read the `<robot>` of a URDF or xacro; the arguments are those of `read_robot`.
 
-    Named folders of ROS packages have precedence over all others.
+    Attributes lose blanks at both ends, and elements lose the namespace of `<robot>`.
 
     Raises:
-        RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
-            cannot be expanded.
+        RobotFileError: The file is not well-formed XML, declares entities or is not a robot, or its
+            macros cannot be expanded.
     """
-    text = (
-        _expanded(path, packages or {}, arguments)
-        if path.suffix.lower() == ".xacro"
-        else xml_text(path)
-    )
-    refuse_entities(text, path)
-    robot = _without_namespace(ElementTree.fromstring(text))
+    text = xml_text(path)
+    if path.suffix.lower() == ".xacro":
+        text = _expanded(path, text, packages or {}, arguments)
+        refuse_entities(text, path)
+    robot = ElementTree.fromstring(text)
+    own = robot.tag.rpartition("}")[0] + "}"
     for each in robot.iter():
-        each.attrib = {key: value.strip() for key, value in each.items()}  # blanks are no names
+        each.attrib = {key: value.strip() for key, value in each.items()}
+        if len(own) > 1 and isinstance(each.tag, str):
+            each.tag = each.tag.removeprefix(own)
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     if left := _unexpanded(robot):
         raise RobotFileError(
-            f"{path}: {left} is unexpanded xacro; rename it to .xacro, or: xacro FILE -o robot.urdf"
+            f"{path}: {left} is unexpanded xacro; rename the file to .xacro, or expand it: "
+            "xacro FILE -o robot.urdf"
         )
     return robot
 
 
-def _without_namespace(robot: Element) -> Element:
-    """Remove the root's own namespace from the names of elements, as other readers do."""
-    own = robot.tag.rpartition("}")[0] + "}"
-    for each in robot.iter() if len(own) > 1 else ():
-        if isinstance(each.tag, str):
-            each.tag = each.tag.removeprefix(own)
-    return robot
-
-
 def _unexpanded(robot: Element) -> str:
-    """The first macro or expression of a xacro in a robot, or empty."""
+    """The first xacro macro or expression in a robot, or an empty string."""
     for each in robot:
         namespace, _, tag = str(each.tag).rpartition("}")
         if namespace.endswith("xacro"):
@@ -158,28 +156,27 @@ def _unexpanded(robot: Element) -> str:
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
     """The address of a mesh: `package://…` if its package is installed, otherwise its path.
 
-    Escapes such as `%20`, backslashes and accents are read in the sense of other programs.
+    `reference` is its address in a URDF in `folder`, in one of the forms of `spellings`; `packages`
+    are folders of ROS packages by name.
 
     Raises:
-        RobotFileError: The file does not exist, has an unreadable format, or a placeholder is in
-            its place.
+        RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
     """
-    for spelling in spellings(reference):
-        found = next((p for p in _places(spelling, folder, packages or {}) if isfile(p)), None)
-        if found is not None:
+    search, meant = _search(folder, packages or {}), spellings(reference)
+    for spelling in meant:
+        if (found := next(filter(isfile, mesh_places(spelling, folder, search)), None)) is not None:
             if found.suffix.lower() not in FORMATS:
                 known = ", ".join(FORMATS[:-1])
                 raise RobotFileError(f"mesh {reference}: {known} are read; convert it to one")
-            if found.suffix.lower() != ".3mf":  # an archive
+            if found.suffix.lower() != ".3mf":  # an archive, which counts as a placeholder
                 with found.open("rb") as file:
                     refuse_placeholder(file.read(1024), f"mesh {found}")
             return _installed_address(found) or str(followed(found))
-    why = _missing(spellings(reference)[-1], folder, packages or {})
-    raise RobotFileError(f"mesh {reference}: {why}")
+    raise RobotFileError(f"mesh {reference}: {_missing(meant[-1], folder, search)}")
 
 
 def spellings(reference: str) -> list[str]:
-    """An address, without escapes and backslashes, and in Unicode's normal forms."""
+    """Meanings of an address: unchanged, unescaped, with slashes, in normal forms NFD and NFC."""
     plain = reference.strip()
     slashed = plain.replace("\\", "/")
     meant = (plain, unquote(plain), slashed, unquote(slashed))
@@ -187,37 +184,42 @@ def spellings(reference: str) -> list[str]:
     return [*dict.fromkeys((*meant, *normal))]
 
 
-def split_address(reference: str) -> tuple[str, str]:
-    """Scheme and path of an address; a Windows drive is no scheme, two slashes are one."""
+def _split_address(reference: str) -> tuple[str, str, str]:
+    """Scheme, package and path of an address; the package is empty for other schemes.
+
+    A drive of Windows is no scheme. Several slashes count as one.
+    """
     scheme, mark, rest = reference.partition(":")
     if not mark or len(scheme) == 1:
-        return "", reference
-    path = re.sub("//+", "/", rest.removeprefix("//"))
-    return scheme.lower(), path.removeprefix("localhost") if scheme == "file" else path
+        return "", "", reference
+    scheme, path = scheme.lower(), re.sub("//+", "/", rest.removeprefix("//"))
+    if scheme in _IN_PACKAGE:
+        package, _, path = path.lstrip("/").partition("/")
+        return scheme, package, path
+    return scheme, "", path.removeprefix("localhost") if scheme == "file" else path
 
 
-def _places(reference: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    """Possible places of a mesh: its package, beside the URDF, or beside a folder above it."""
-    scheme, path = split_address(reference)
-    if scheme in ("package", "model"):
-        package, _, inner = path.lstrip("/").partition("/")
-        yield from (root / inner for root in _package_folders(package, folder, packages))
-    elif scheme in _SCHEMES:
-        yield from (each / path for each in (folder, *list(folder.parents)[:_ABOVE]))
+def mesh_places(reference: str, folder: Path, packages: Packages) -> Iterator[Path]:
+    """Possible files of a mesh: in its package, or relative to the URDF's folder or one above it.
+
+    There is none for other schemes than `package`, `model` and `file`.
+    """
+    scheme, package, path = _split_address(reference)
+    own = (folder, *list(folder.parents)[:_ABOVE]) if scheme in ("file", "") else ()
+    yield from (each / path for each in (packages(package) if scheme in _IN_PACKAGE else own))
 
 
-def _missing(reference: str, folder: Path, packages: Mapping[str, Path]) -> str:
-    """Why no file is found for an address, with a correction."""
-    scheme, path = split_address(reference)
-    if scheme in ("package", "model"):
-        package, _, inner = path.lstrip("/").partition("/")
-        roots = [*dict.fromkeys(_package_folders(package, folder, packages))]
+def _missing(reference: str, folder: Path, packages: Packages) -> str:
+    """Why the file of an address does not exist, with a correction."""
+    scheme, package, path = _split_address(reference)
+    if scheme in _IN_PACKAGE:
+        roots = [*dict.fromkeys(packages(package))]
         if not roots:
-            return _nowhere(package, inner, folder)
+            return _nowhere(package, path, folder)
         where = f"no such file in the package {package!r}: {', '.join(map(str, roots))}"
-        near = next(filter(None, (_near(root, inner) for root in roots)), "")
+        near = next(filter(None, (_near(root, path) for root in roots)), "")
         return f"{where}{near}; if another folder is meant, give --package {package}=FOLDER"
-    if scheme not in _SCHEMES:
+    if scheme not in ("file", ""):
         return "an address of the web or of another tool; name a file, relative to the URDF"
     if re.match("/?[A-Za-z]:", path):
         return "a path of another machine, of Windows; name the file relative to the URDF"
@@ -236,22 +238,21 @@ def _near(root: Path, path: str) -> str:
 
 
 def _installed_address(path: Path) -> str | None:
-    """`package://…` of a file that belongs to an installed package, or None."""
+    """`package://…` of a file in an installed package, or None."""
     full = path.resolve()
     for share in share_folders():
         if full.is_relative_to(share.resolve()):
             return f"package://{full.relative_to(share.resolve()).as_posix()}"
     for parent in full.parents:
-        roots = [root.resolve() for root in package_roots(parent.name)] if parent.name else []
-        if parent in roots:
+        if parent.name and parent in [root.resolve() for root in package_roots(parent.name)]:
             return f"package://{parent.name}/{full.relative_to(parent).as_posix()}"
     return None
 
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
-    """The places where a package was searched for a file's reference, with a correction."""
+    """Where a missing package was searched, and the option that helps; `inner` is a file in it."""
     holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
-    found = "FOLDER" if holder is None else f"{holder}, which holds a file of that path"
+    found = "FOLDER" if holder is None else f"{holder}, which contains a file of that path"
     return (
         f"the package {package!r} is no folder beside or above {folder}, is not in "
         "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
@@ -259,17 +260,28 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     )
 
 
-def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    """The named folder, then those upwards, of ROS's search paths, and installed ones."""
-    if package in packages:
-        yield packages[package]
+def _search(folder: Path, named: Mapping[str, Path]) -> Packages:
+    """The search for packages of a URDF in a folder; `named` are folders by package name."""
+    return partial(_package_folders, folder=folder, named=named)
+
+
+def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -> Iterator[Path]:
+    """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
+    search paths, and of installed packages, in this order.
+    """
+    if package in named:
+        yield named[package]
         return
     for parent in (folder, *folder.parents):
         beside = (each.parent for each in parent.glob("*/package.xml"))
         for each in chain((parent, parent / package), beside):
             if isdir(each) and package in (each.name, _stated_name(each)):
                 yield each
-    for top in _ros_folders():
+    first, second = (  # ROS 1, ROS 2
+        [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
+        for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+    )
+    for top in filter(isdir, (*first, *(prefix / "share" for prefix in second))):
         yield from (each for each in (top / package, *top.glob(f"*/{package}")) if isdir(each))
         if top.name == package:
             yield top
@@ -277,7 +289,7 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
 
 
 def _stated_name(folder: Path) -> str:
-    """A package's name in its `package.xml`, or empty; a download's folder may have another one."""
+    """The name in a folder's `package.xml`, or empty; that of a download's folder can differ."""
     try:
         with (folder / "package.xml").open("rb") as file:
             found = re.search(rb"<name>\s*([\w.-]+)", file.read(1 << 16))
@@ -286,55 +298,39 @@ def _stated_name(folder: Path) -> str:
     return found[1].decode() if found else ""
 
 
-def _ros_folders() -> list[Path]:
-    """Folders of packages in ROS_PACKAGE_PATH (ROS 1) and AMENT_PREFIX_PATH (ROS 2)."""
-    first, second = (
-        [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
-        for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
-    )
-    return list(filter(Path.is_dir, [*first, *(prefix / "share" for prefix in second)]))
-
-
-def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
-    """A xacro file's URDF; packages are searched as for meshes."""
+def _expanded(
+    path: Path, text: str, packages: Mapping[str, Path], arguments: Mapping[str, str]
+) -> str:
+    """The text of the URDF of a xacro file, whose own text is `text`."""
     if find_spec("xacrodoc") is None:
         raise RobotFileError(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
         )
-    refuse_entities(xml_text(path), path)
-    known = _around(path) | {name: str(at) for name, at in packages.items()}
     try:
-        return within_budget(_urdf_of, path, known, dict(arguments), size=LARGEST_TEXT)
+        return within_budget(_urdf_of, path, packages, arguments, size=LARGEST_TEXT)
     except Exception as error:  # xacro's errors have no common base class
         why = " ".join(str(error).split())
         if missing := re.search(r"Package not found: (\S+)", why):
-            if missing[1] not in packages and (roots := package_roots(missing[1])):
-                return _expanded(path, {**packages, missing[1]: roots[0]}, arguments)
-            named = rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)"
-            inner = re.search(named, xml_text(path))
+            inner = re.search(rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)", text)
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
-        lacking = "substitution arg" in why  # no option can correct a property or old syntax
+        lacking = "substitution arg" in why  # no option corrects a property or old syntax
         helps = "give it by --xacro NAME=VALUE" if lacking else "mend it until xacro FILE takes it"
         raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
 
 
-def _urdf_of(path: Path, packages: Mapping[str, str], arguments: Mapping[str, str]) -> str:
-    """A xacro's URDF by its library; macros can produce unlimited text, and compute for ever."""
+def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
+    """Expand a xacro with the library, which finds packages as `mesh_address` does.
+
+    Macros can produce unlimited text or never end, so this runs within a budget.
+    """
     from xacrodoc import XacroDoc
-    from xacrodoc import packages as known
+    from xacrodoc import packages as library
 
-    known.update_package_cache(packages)
-    document = XacroDoc.from_file(str(path), subargs=arguments, resolve_packages=False)
-    return document.to_urdf_string()
-
-
-def _around(path: Path) -> dict[str, str]:
-    """Folders that may be packages of a xacro: those beside the folders above it, nearest first."""
-    found: dict[str, str] = {}
-    for parent in [*list(path.parents)[1:5], *_ros_folders(), *share_folders()]:
-        for folder in sorted(parent.glob("*")):  # of a folder that may not be read: none
-            if isdir(folder) and not folder.name.startswith((".", "_")):
-                for name in filter(None, (folder.name, _stated_name(folder))):
-                    found.setdefault(name, str(folder))
-    return found
+    search, otherwise = _search(path.parent, packages), library.get_path
+    library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
+    try:
+        document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
+        return document.to_urdf_string()
+    finally:
+        library.get_path = otherwise

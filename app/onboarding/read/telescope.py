@@ -1,101 +1,84 @@
-"""Telescopes: slides of an arm that follow one another (`<mimic>`) become one slide."""
+"""Telescopes: prismatic joints of an arm that follow one another become one prismatic joint."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import accumulate
-from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
 
-from app.onboarding.read.tree import MOVING, Joint, make_tree
+from app.onboarding.read.tree import MOVING, Joint, Tree
 
 
-def as_one_slide(robot: Element, base: str, tip: str) -> list[str]:
-    """Join the telescopes of a robot's arm, in its XML; returns a sentence on each.
+def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
+    """A tree with joined telescopes between the links `base` and `tip`, and a sentence on each one.
 
-    The leading joint then moves the last part, by the sum of all travels. The parts between
-    are children of the last one, on slides that let them reach all their places.
+    A telescope has one independent joint and other joints that follow it (`<mimic>`). Afterwards
+    this independent joint alone moves the last part, by the sum of all positions. The parts before
+    the last one become its children, on prismatic joints whose limits include all their positions.
+
+    Raises:
+        RobotFileError: `tip` is not a descendant of `base`.
     """
-    tree = make_tree(robot)
     if not {base, tip} <= tree.links.keys():
-        return []  # a later check reports this
+        return tree, []  # `find_arm` reports this
+    joints, said = dict(tree.joints), []
     chain = tree.chain(base, tip)
-    elements = {str(each.get("name")): each for each in robot.findall("joint")}
-    said = []
-    for first, last, parts in _telescopes(chain):
-        run = chain[chain.index(first) : chain.index(last) + 1]
-        leader = next(joint for joint in parts if joint.mimic is None)
-        _join(elements, run, parts, leader)
+    for parts in _telescopes(chain):
+        run = chain[chain.index(parts[0]) : chain.index(parts[-1]) + 1]
+        leader, *others = sorted(parts, key=lambda joint: joint.mimic is not None)
+        joints |= {joint.name: joint for joint in _joined(run, parts, leader, others)}
         said.append(
-            f"{', '.join(joint.name for joint in parts)} slide as one (<mimic>): {leader.name} is "
-            "the sum of their travels here"
+            f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
+            f"one joint: the position of {leader.name} is now the sum of their positions"
         )
-    return said
+    return replace(tree, joints=joints), said
 
 
-def _telescopes(chain: Sequence[Joint]) -> Iterator[tuple[Joint, Joint, list[Joint]]]:
-    """First and last joint, and all joints, of each run of slides of one motor along a line."""
+def _telescopes(chain: Sequence[Joint]) -> Iterator[list[Joint]]:
+    """The joints of each telescope: consecutive prismatic joints that one of them leads."""
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
         own = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
-        at = [moving.index(joint) for joint in own]
-        together = at == list(range(at[0], at[0] + len(at)))
-        if len(own) > 1 and together and all(joint.kind == "prismatic" for joint in own):
-            yield own[0], own[-1], own
+        first = moving.index(own[0])
+        together = own == moving[first : first + len(own)]
+        extends = sum(joint.mimic[1] if joint.mimic else 1.0 for joint in own) != 0.0
+        if len(own) > 1 and together and extends and {j.kind for j in own} == {"prismatic"}:
+            yield own
 
 
-def _join(
-    elements: dict[str, Element], run: Sequence[Joint], parts: Sequence[Joint], leader: Joint
-) -> None:
-    factors = [1.0 if joint.mimic is None else joint.mimic[1] for joint in parts]
-    offsets = {joint.name: joint.mimic[2] if joint.mimic else 0.0 for joint in parts}
-    ways, total = [*accumulate(factors)], sum(factors)
+def _joined(
+    run: Sequence[Joint], parts: Sequence[Joint], leader: Joint, others: Sequence[Joint]
+) -> Iterator[Joint]:
+    """The leader as the only joint of the chain, and the other joints on the last part.
+
+    `run` has all joints from the first part to the last, including fixed ones.
+    """
+    low, high = leader.lower or 0.0, leader.upper or 0.0
+    sums = [*accumulate(1.0 if joint.mimic is None else joint.mimic[1] for joint in parts)]
     places, T = {}, pin.SE3.Identity()
     for joint in run:
-        T = T * (joint.motion(offsets[joint.name]) if joint in parts else joint.T_parent_child)
+        T = T * joint.motion(joint.mimic[2] if joint in parts and joint.mimic else 0.0)
         places[joint.name] = T
-    end = places[parts[-1].name]
-    along = places[parts[0].name].rotation @ parts[0].axis * np.sign(total)
-    low, high, total = leader.lower or 0.0, leader.upper or 0.0, abs(total)
-    old = elements[leader.name].find("limit")
-    effort, speed = (float((old.get(key) if old is not None else None) or 0.0) for key in _MOTOR)
-    names = iter([leader.name, *(joint.name for joint in parts if joint != leader)])
-    limits = {"lower": total * low, "upper": total * high}
-    limits |= {"effort": effort / total, "velocity": speed * total}
-    _write(elements[next(names)], run[0].parent, parts[-1].child, end, along, limits)
-    for joint, way in zip(parts[:-1], ways[:-1], strict=True):
-        ends = sorted((abs(way) - total) * q for q in (low, high))
-        limits = {"lower": ends[0], "upper": ends[1], "effort": 0.0, "velocity": 0.0}
-        between = end.actInv(places[joint.name])
-        _write(elements[next(names)], parts[-1].child, joint.child, between, along, limits, end)
-
-
-_MOTOR = ("effort", "velocity")
-
-
-def _write(
-    element: Element,
-    parent: str,
-    child: str,
-    T: pin.SE3,
-    along: np.ndarray,
-    limits: dict[str, float],
-    end: pin.SE3 | None = None,
-) -> None:
-    """A slide at T in its parent; `along` (3,) is in the frame of the first parent."""
-    name = str(element.get("name"))
-    element.clear()
-    element.attrib |= {"name": name, "type": "prismatic"}
-    SubElement(element, "parent", link=parent)
-    SubElement(element, "child", link=child)
-    xyz, rpy = (" ".join(map(repr, map(float, v))) for v in (T.translation, _rpy(T)))
-    SubElement(element, "origin", xyz=xyz, rpy=rpy)
-    R = T.rotation if end is None else end.rotation @ T.rotation
-    SubElement(element, "axis", xyz=" ".join(map(repr, map(float, R.T @ along))))
-    SubElement(element, "limit", {key: repr(float(value)) for key, value in limits.items()})
-
-
-def _rpy(T: pin.SE3) -> np.ndarray:
-    return pin.rpy.matrixToRpy(T.rotation)
+    total, end, last = abs(sums[-1]), places[parts[-1].name], parts[-1].child
+    along = places[parts[0].name].rotation @ parts[0].axis * np.sign(sums[-1])
+    yield leader._replace(
+        parent=run[0].parent,
+        child=last,
+        T_parent_child=end,
+        axis=end.rotation.T @ along,
+        lower=total * low,
+        upper=total * high,
+        effort=(leader.effort or 0.0) / total,
+        velocity=(leader.velocity or 0.0) * total,
+    )
+    free = leader._replace(parent=last, effort=0.0, velocity=0.0)
+    for joint, part, factor in zip(others, parts[:-1], sums[:-1], strict=True):
+        place = places[part.name]
+        lower, upper = sorted((abs(factor) - total) * q for q in (low, high))
+        axis, T = place.rotation.T @ along, end.actInv(place)
+        yield free._replace(
+            name=joint.name, child=part.child, T_parent_child=T, axis=axis, lower=lower, upper=upper
+        )

@@ -20,38 +20,40 @@ Array = np.ndarray
 
 MOVING = ("revolute", "continuous", "prismatic")
 FREE = ("planar", "floating")
-"""Kinds of joints for the motion of a whole base."""
-ARM_ON_BASE = "arm_on_base"
-"""The joint that fixes a separate arm to the base."""
+"""Kinds of joints that move a whole base."""
 _MAX_NAMES = 40  # [-] most names in a message
 _LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
+_X = np.array([1.0, 0.0, 0.0])
 _PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF: its pose at zero; limits are None if the URDF states none."""
+    """One joint of a URDF, with positions in rad, or m if prismatic; None means no stated limit."""
 
     name: str
     kind: str
+    """Type in the URDF."""
     parent: str
     child: str
     T_parent_child: pin.SE3
-    axis: Array
+    """Pose of the child at the position zero."""
+    axis: Array = _X
     """(3,) unit vector in the child's frame."""
-    lower: float | None
-    upper: float | None
-    effort: float | None
-    velocity: float | None
-    mimic: tuple[str, float, float] | None
-    """The joint that it follows, with multiplier and offset [rad or m]; None if independent."""
+    lower: float | None = None
+    upper: float | None = None
+    effort: float | None = None
+    velocity: float | None = None
+    mimic: tuple[str, float, float] | None = None
+    """Name of the joint that this joint follows, with multiplier and offset; None if it follows no
+    joint."""
 
     @property
     def moves(self) -> bool:
-        """Whether a motor moves it: it is movable and independent."""
+        """Whether the joint is movable and follows no other joint."""
         return self.kind in MOVING and self.mimic is None
 
     def motion(self, q: float) -> pin.SE3:
-        """T_parent_child at a position [rad or m]."""
+        """T_parent_child at the position q of a revolute, continuous or prismatic joint."""
         if self.kind == "prismatic":
             return self.T_parent_child * pin.SE3(np.eye(3), q * self.axis)
         return self.T_parent_child * pin.SE3(pin.exp3(q * self.axis), np.zeros(3))
@@ -59,23 +61,27 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True)
 class Tree:
-    """A robot's XML, its links and joints by name, and the parent joint of each link."""
+    """The links and joints of a robot by name, and the materials of its URDF."""
 
-    robot: Element
     links: dict[str, Element]
     joints: dict[str, Joint]
-    joint_of: dict[str, Joint]
+    materials: tuple[Element, ...]
+
+    @cached_property
+    def joint_of(self) -> dict[str, Joint]:
+        """The joint between each link and its parent, by the name of the link; not for the root."""
+        return {joint.child: joint for joint in self.joints.values()}
 
     @property
     def root(self) -> str:
-        """The link without a parent joint."""
+        """The link that is the child of no joint."""
         return next(link for link in self.links if link not in self.joint_of)
 
     def link(self, name: str, option: str) -> str:
-        """The name, if that link exists.
+        """Return `name` if it is the name of a link.
 
         Raises:
-            RobotFileError: It does not exist; names the option and the existing links.
+            RobotFileError: It is not; the message names `option` and the existing links.
         """
         if name not in self.links:
             raise RobotFileError(
@@ -85,7 +91,7 @@ class Tree:
         return name
 
     def children(self, link: str) -> list[Joint]:
-        """The joints below a link."""
+        """The joints whose parent is a link."""
         return self._children.get(link, [])
 
     @cached_property
@@ -96,7 +102,7 @@ class Tree:
         return found
 
     def chain(self, base: str, tip: str) -> list[Joint]:
-        """The joints from one link out to another.
+        """The joints on the path from one link to a descendant.
 
         Raises:
             RobotFileError: The tip is not a descendant of the base.
@@ -105,8 +111,8 @@ class Tree:
         while link != base:
             if link not in self.joint_of:
                 raise RobotFileError(
-                    f"--tip: {tip!r} does not hang on --base {base!r}; below that: "
-                    f"{_some(self.below(base)[1:]) or '(nothing)'}"
+                    f"--tip: {tip!r} is not a descendant of --base {base!r}; descendants of "
+                    f"{base!r}: {_some(self.below(base)[1:]) or '(none)'}"
                 )
             chain.append(self.joint_of[link])
             link = chain[-1].parent
@@ -115,7 +121,11 @@ class Tree:
     def below(
         self, link: str, *, without: Collection[str] = (), moving: bool = True
     ) -> tuple[str, ...]:
-        """A link and its descendants, or only those by fixed joints, without `without`."""
+        """A link and its descendants, in the order from the link outwards.
+
+        Links beyond the joints in `without` are left out; without `moving` also links beyond
+        revolute, continuous and prismatic joints.
+        """
         found = [link]
         for name in found:
             found += [
@@ -126,7 +136,7 @@ class Tree:
         return tuple(found)
 
     def pose(self, link: str, base: str) -> pin.SE3:
-        """T_base_link with all joints at zero, for a link below the base."""
+        """T_base_link of a descendant of the base, with all joints at zero."""
         T = pin.SE3.Identity()
         for joint in self.chain(base, link):
             T = T * joint.T_parent_child
@@ -134,149 +144,141 @@ class Tree:
 
 
 def _some(names: Iterable[str]) -> str:
-    """The first of many names in a row."""
+    """The first names as text, and the number of the others."""
     names = list(names)
     rest = len(names) - _MAX_NAMES
     return ", ".join(names[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def make_tree(robot: Element) -> Tree:
-    """Check and read a URDF's structure.
+    """Read the links and joints of a URDF, and check that they form a tree.
 
     Raises:
-        RobotFileError: A name is not unique, a joint refers to a missing link, the
-            links form a closed chain or are not connected, or the lengths are not in metres.
+        RobotFileError: A name is empty or not unique, a joint refers to a missing link, the links
+            form a closed chain or are not connected, or a number is invalid or probably in another
+            unit.
     """
-    _once(robot, "link")
-    _once(robot, "joint")
+    for tag in ("link", "joint"):
+        _check_unique(tag, robot)
     links = {str(link.get("name")): link for link in robot.findall("link")}
     if not links:
         near = did_you_mean("link", {str(each.tag) for each in robot})
         raise RobotFileError(f"the URDF has no <link>{near}")
     joints = {str(j.get("name")): _joint(j, links) for j in robot.findall("joint")}
-    joint_of: dict[str, Joint] = {}
+    tree = Tree(links, joints, tuple(robot.findall("material")))
     for joint in joints.values():
-        if joint.child in joint_of:
+        if (other := tree.joint_of[joint.child]) is not joint:
             raise RobotFileError(
-                f"closed chain: the link {joint.child!r} hangs on two joints, "
-                f"{joint_of[joint.child].name!r} and {joint.name!r}; a URDF is a tree: cut the "
-                "chain at one of them"
+                f"closed chain: the link {joint.child!r} is the child of two joints, "
+                f"{joint.name!r} and {other.name!r}; a URDF is a tree: remove one of them"
             )
-        joint_of[joint.child] = joint
-    tree = Tree(robot, links, joints, joint_of)
-    _hang_together(tree)
+    _check_connected(tree)
     return tree
 
 
-def _once(robot: Element, tag: str) -> None:
+def _check_unique(tag: str, robot: Element) -> None:
+    """Refuse names of links or joints that are missing, empty or not unique."""
     for name, count in Counter(each.get("name") for each in robot.findall(tag)).items():
         if not name:
             raise RobotFileError(f"a {tag} has no name")
         if count > 1:
-            raise RobotFileError(f"the {tag} {name!r} stands {count} times; names must be unique")
+            raise RobotFileError(f"{count} {tag}s have the name {name!r}; names must be unique")
 
 
-def _hang_together(tree: Tree) -> None:
+def _check_connected(tree: Tree) -> None:
     roots = [name for name in tree.links if name not in tree.joint_of]
     if len(roots) > 1:
         raise RobotFileError(
-            f"the links do not hang together: {_some(roots)} hang on no joint; "
-            "a robot has one such link"
+            f"the links are not connected: {_some(roots)} are children of no joint; only one link, "
+            "the root, may be the child of no joint"
         )
     if lost := tree.links.keys() - {link for root in roots for link in tree.below(root)}:
         link = min(lost)
-        for _ in lost:  # up into the chain, if it hangs below it
+        for _ in lost:  # from a descendant of the closed chain up into it
             link = tree.joint_of[link].parent
-        raise RobotFileError(f"closed chain: the link {link!r} hangs on itself")
+        raise RobotFileError(f"closed chain: the link {link!r} is its own descendant")
 
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
     name, kind = str(element.get("name")), str(element.get("type"))
+    where = f"joint {name!r}"
     if kind not in (*MOVING, *FREE, "fixed"):
         known = ", ".join((*MOVING, *FREE))
         near = did_you_mean(kind, ("fixed", *MOVING, *FREE))
-        raise RobotFileError(
-            f"joint {name!r}: its type is {kind!r}{near}; fixed, {known} are possible"
-        )
-    ends = []
-    for role in ("parent", "child"):
-        end = element.find(role)
-        link = "" if end is None else str(end.get("link"))
+        raise RobotFileError(f"{where}: its type is {kind!r}{near}; fixed, {known} are possible")
+    parent, child = (
+        "" if (end := element.find(role)) is None else str(end.get("link"))
+        for role in ("parent", "child")
+    )
+    for role, link in (("parent", parent), ("child", child)):
         if link not in links:
             near = did_you_mean(link, links)
-            raise RobotFileError(f"joint {name!r}: its {role} is {link!r}, which is no link{near}")
-        ends.append(link)
-    T = origin(element, f"joint {name!r}")
-    axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), f"joint {name!r}")
+            raise RobotFileError(f"{where}: its {role} is {link!r}, which is no link{near}")
+    T = origin(element, where)
+    axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = float(np.linalg.norm(axis))
     if kind in MOVING and length < 1e-6:
-        raise RobotFileError(f"joint {name!r}: its axis is zero")
+        raise RobotFileError(f"{where}: its axis is zero")
+    mimic = None
+    if (found := element.find("mimic")) is not None:
+        factor, offset = (
+            float(numbers(found, key, (default,), where)[0])
+            for key, default in (("multiplier", 1.0), ("offset", 0.0))
+        )
+        mimic = str(found.get("joint")), factor, offset
+    keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
+    limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
+    axis = axis / max(length, 1e-12)
+    return Joint(name, kind, parent, child, T, axis, mimic=mimic, **limits)
+
+
+def _limit(element: Element, key: str, where: str) -> float | None:
+    """A number of the `<limit>` of a joint, or None if the URDF does not state it."""
     limit = element.find("limit")
-
-    def stated(key: str) -> float | None:
-        word = None if limit is None else limit.get(key)
-        value = None if word is None else floats(word, 1)
-        if word is not None and value is None:
-            raise RobotFileError(
-                f"joint {name!r}: {key}={word!r} should be a finite number; leave it out if "
-                f"there is no limit{without_commas(word)}"
-            )
-        if value is not None and value[0] < 0.0 and key in ("effort", "velocity"):
-            raise RobotFileError(f"joint {name!r}: {key}={word!r}: a size is not below zero")
-        return None if value is None else value[0]
-
-    bounded = kind in ("revolute", "prismatic")
-    return Joint(
-        name,
-        kind,
-        ends[0],
-        ends[1],
-        T,
-        axis / max(length, 1e-12),
-        stated("lower") if bounded else None,
-        stated("upper") if bounded else None,
-        stated("effort"),
-        stated("velocity"),
-        _mimic(element, name),
-    )
-
-
-def _mimic(element: Element, name: str) -> tuple[str, float, float] | None:
-    if (found := element.find("mimic")) is None:
+    if limit is None or (word := limit.get(key)) is None:
         return None
-    where = f"joint {name!r}"
-    multiplier, offset = (
-        float(numbers(found, key, (default,), where)[0])
-        for key, default in (("multiplier", 1.0), ("offset", 0.0))
-    )
-    return str(found.get("joint")), multiplier, offset
+    if (value := floats(word, 1)) is None:
+        raise RobotFileError(
+            f"{where}: {key}={word!r} should be a finite number; leave it out if there is no "
+            f"limit{without_commas(word)}"
+        )
+    if value[0] < 0.0 and key in ("effort", "velocity"):
+        raise RobotFileError(f"{where}: {key}={word!r}: it must not be negative")
+    return value[0]
 
 
 class Arm(NamedTuple):
-    """The arm's chain: `tip` carries the end-effector."""
+    """An arm: the joints between the base and the end-effector, and the links of base and arm."""
 
     base: str
     tip: str
+    """The link that carries the end-effector."""
     mount: str
-    """Link whose origin is the arm's mount."""
+    """The link whose origin is the arm's mount."""
     joints: tuple[Joint, ...]
-    """The joints that move it, from the base outwards."""
+    """The n_m joints of the arm, from the base outwards."""
     base_links: tuple[str, ...]
-    """All links that are fixed to the base or descend from it, except the arm; includes wheels."""
+    """`base` and all of its descendants that do not belong to the arm, including wheels."""
     rigid_links: tuple[str, ...]
-    """Those of them that do not move relative to the base."""
+    """Links of `base_links` that do not move relative to `base`."""
     segments: tuple[tuple[str, ...], ...]
-    """(n_m + 1) segments of links that move as one: first the links below the first joint, then
-    those of each joint, with joints beside the chain (fingers) fixed at zero."""
+    """(n_m + 1) groups of links: the arm's links before its first joint, then the links that each
+    joint moves and the next joint does not. Links on other joints, such as fingers, are included.
+    """
     beside: tuple[tuple[str, ...], ...]
-    """For each segment except the last, its links on other joints than the arm's: a head."""
+    """Links of each segment that a joint outside of the arm moves, such as a head. The last entry
+    is empty: fingers do not count. The parts of a telescope do not count either."""
 
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
-    """The arm between two links, with its mount at `mount` or at the parent of its first joint.
+    """Find the arm between the links `base` and `tip`.
+
+    If `mount` is None, the mount is the parent link of the arm's first joint; if this parent is the
+    base, the mount is the child link of this joint.
 
     Raises:
-        RobotFileError: A link does not exist, or no joint moves between them; names the option.
+        RobotFileError: A link does not exist, or the joints between the two links do not form an
+            arm; the message names the option.
     """
     tree.link(base, "--base")
     tree.link(tip, "--tip")
@@ -285,24 +287,24 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     joints = [joint for joint in chain if joint.moves]
     if far := next((each for each in chain if each.kind in FREE), None):
         raise RobotFileError(
-            f"--base: the {far.kind} joint {far.name!r} between it and the arm is the base's own "
-            f"motion; give --base {far.child}"
+            f"--base: the {far.kind} joint {far.name!r} between --base and --tip moves the whole "
+            f"base; give --base {far.child}"
         )
     length = sum(float(np.linalg.norm(each.T_parent_child.translation)) for each in chain)
     if length > _LONGEST:
         raise RobotFileError(
-            f"--tip: the joints to {tip!r} are {length:.3g} m apart one after the other: lengths "
-            f"of a URDF are in metres, these look like {unit_of(length)}"
+            f"--tip: the distances between the joints up to {tip!r} sum up to {length:.3g} m: "
+            f"lengths of a URDF are in metres, these look like {unit_of(length)}"
         )
     if follower := next((each.name for each in chain if each.kind in MOVING and each.mimic), None):
         raise RobotFileError(
-            f"--tip: the joint {follower!r} of the arm follows another one (<mimic>): each joint "
-            "needs a motor of its own; take the <mimic> away, or give a --tip before it"
+            f"--tip: the joint {follower!r} of the arm follows another joint (<mimic>), but each "
+            "joint of the arm needs its own motor; remove the <mimic>, or give a --tip before it"
         )
     if not joints:
         raise RobotFileError(
-            f"--tip: no joint moves {tip!r} against --base {base!r}; give one farther out, or a "
-            "--base before the arm"
+            f"--tip: no joint moves {tip!r} relative to --base {base!r}; give a --tip beyond the "
+            "arm's joints, or a --base before them"
         )
     first = joints[0]
     on_chain = [joint.parent for joint in chain]
@@ -326,7 +328,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
 
 
 def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple[str, ...]:
-    """Links of a segment below movable joints outside of the chain and of telescopes."""
+    """Links of a segment that are moved by joints outside of the chain and of telescopes."""
     slides = [joint for joint in chain if joint.kind == "prismatic" and joint.child in segment]
     hanging = [tree.joint_of[link] for link in segment if tree.joint_of[link].moves]
     roots = [
@@ -338,15 +340,15 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 
 
 def parallel(a: Joint, b: Joint) -> bool:
-    """Whether a slide b whose parent moves on a slide a has the same line."""
+    """Whether both joints are prismatic with parallel axes; the parent of b is the child of a."""
     line = b.T_parent_child.rotation @ b.axis
     return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > _PARALLEL
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
-    """Check that each link between the root and the base has no shapes and no other children.
+    """Refuse an ancestor of the base that has shapes or other children.
 
-    Links above a joint that moves the whole base belong to the world, and are left out.
+    Ancestors above a joint that moves the whole base belong to the world and do not count.
     """
     link = base
     while link in tree.joint_of and tree.joint_of[link].kind not in FREE:
@@ -354,9 +356,9 @@ def _nothing_above(tree: Tree, base: str) -> None:
         beside = [j.child for j in tree.children(parent) if j.child != link]
         solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))
         if beside or solid:
-            what = f"{', '.join(beside)} hang on" if beside else "there are shapes on"
+            what = f"child links {', '.join(beside)}" if beside else "shapes"
             raise RobotFileError(
-                f"--base: {what} {parent!r}, above {base!r}: they would be lost; "
-                f"give --base {parent}"
+                f"--base: {parent!r}, an ancestor of {base!r}, has {what}, which the robot would "
+                f"lose; give --base {parent}"
             )
         link = parent

@@ -1,4 +1,4 @@
-"""The drive of a base: its driven wheels, found by their shape, and a car-like base's steering."""
+"""The drive of a base: driven wheels, which are found by their shape, and steered wheels."""
 
 from __future__ import annotations
 
@@ -28,36 +28,39 @@ _TRAVEL = 0.5  # [-] travel of a rigid suspension relative to the wheel's radius
 
 
 class Wheels(NamedTuple):
-    """The drive, seen from the base's link: joints of each side, their radius r [m]."""
+    """The driven wheels of a base."""
 
     left: tuple[str, ...]
+    """Joints of the left wheels."""
     right: tuple[str, ...]
+    """Joints of the right wheels."""
     r: float
+    """[m] radius."""
     b: float
-    """[m] half of the distance between the sides (half track)."""
+    """[m] half track: half of the distance between left and right wheels."""
     T_base_floor: pin.SE3
-    """The point on the floor below the middle between the wheels, x forward."""
+    """Frame on the floor below the middle between the wheels, x forward, in the base's link."""
     joint_velocity: float | None
     """[rad/s] speed limit of the wheels, or None if the URDF states none."""
     how: str
-    """Source of the radius."""
+    """The source of the radius."""
 
 
 class Steering(NamedTuple):
     """The steered front wheels of a car-like base."""
 
     wheelbase: float
-    """[m] wheelbase from the rear axle."""
+    """[m] distance between rear and front axle."""
     limit: float
-    """[rad] largest angle to either side."""
+    """[rad] largest steering angle."""
     rate: float
-    """[rad/s] largest rate."""
+    """[rad/s] largest steering rate."""
     rolling: tuple[str, ...]
-    """Joints of the wheels on them."""
+    """Joints about which the steered wheels roll."""
     joints: tuple[str, ...]
-    """Joints that turn with the steering."""
+    """Steering joints."""
     sources: tuple[str, str, str]
-    """Sources of the first three fields."""
+    """The sources of the first three fields."""
 
 
 class _Wheel(NamedTuple):
@@ -69,9 +72,9 @@ class _Wheel(NamedTuple):
 
 
 def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> Arm:
-    """The arm's base with links on short slides counted as rigid, if they have wheels.
+    """An arm with the links on wheel suspensions among the rigid links of its base.
 
-    A slide is short if its travel is less than `_TRAVEL` of the radius of each wheel below it.
+    A suspension is a slide with a travel below `_TRAVEL` of the radius of each wheel on it.
     """
     taken = {joint.name for joint in arm.joints}
     rigid = list(arm.rigid_links)
@@ -93,13 +96,13 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeom
 def find_drive(
     request: Request, tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]
 ) -> tuple[Wheels, Steering | None]:
-    """The wheels that the kind of base needs, and its steering.
+    """Find the driven wheels of a base, and the steering of a car-like one.
 
-    A base whose URDF has no wheels, such as a holonomic one, stands on a floor below its
-    shapes and faces its link's x.
+    A base without wheels in its URDF stands on the lowest point of its shapes and faces the x axis
+    of its link.
 
     Raises:
-        RobotFileError: The URDF lacks the parts of that kind; names the helpful option.
+        RobotFileError: The URDF lacks wheels or steering; names an option that helps.
     """
     given = request.wheel_radius is not None and request.half_track is not None
     if request.kind == "holonomic" or given:
@@ -119,7 +122,7 @@ def find_drive(
 def _lowest(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], links: Sequence[str]
 ) -> float | None:
-    """[m] height of the lowest point of links' shapes in the base's frame, None without shapes."""
+    """[m] height of the lowest point of links in the base's frame, or None without shapes."""
     places = [
         (tree.pose(link, arm.base), geometry[link].corners)
         for link in links
@@ -130,9 +133,9 @@ def _lowest(
 
 
 def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> bool:
-    """Whether the fixed part below the arm reaches as low as the base; then it belongs to the base.
+    """Whether the arm's fixed part reaches as low as the base, so that it belongs to the base.
 
-    This is so if --base is a bare point on the floor below the link of wheels and arm.
+    This holds if --base is a frame on the floor, and the link with wheels and arm is above it.
     """
     low = _lowest(tree, arm, geometry, arm.segments[0])
     floor = _lowest(tree, arm, geometry, arm.base_links)
@@ -142,10 +145,10 @@ def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) 
 def _find_wheels(
     tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], given: tuple[str, str] | None
 ) -> Wheels:
-    """The wheels with the names `given`, or the lowest pair of equal wheels on opposite sides.
+    """The driven wheels: the wheels with the names `given`, or the lowest pair.
 
-    All wheels that are similar to these two are included. Wheels are round links on level axles
-    that are fixed to the base.
+    All wheels of the same radius beside these two are included. A wheel is a round link that turns
+    without limits about a level axle; only a rigid link of the base can carry it.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
@@ -174,7 +177,7 @@ def _find_wheels(
 
 
 def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wheel]:
-    """The lowest pair of equal wheels."""
+    """The lowest pair of wheels; pairs of the same height must have equal radii."""
     if not pairs:
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {where}"
@@ -193,7 +196,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The whole drive: all wheels of both sides that are similar to the two."""
+    """The drive of a left and a right wheel, with all similar wheels of each side."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
@@ -223,7 +226,7 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
 def _named(
     tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
-    """The wheel of a joint or link by its name, or an error with the reason."""
+    """The wheel of a named joint or link; an error says why it is no wheel."""
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is not None and joint.name in found:
         return found[joint.name]
@@ -240,13 +243,13 @@ def _named(
 
 
 def turns_round(joint: Joint) -> bool:
-    """Whether it turns without limits, or by more than two turns."""
+    """Whether a joint turns without limits, or by more than two turns."""
     span = (joint.upper or 0.0) - (joint.lower or 0.0)
     return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
 
 
 def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
-    """Whether it turns without limits about a level axis."""
+    """Whether a joint turns without limits about a level axis."""
     level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
     return turns_round(joint) and bool(level)
 
@@ -269,7 +272,7 @@ def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Jo
 
 
 def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
-    """Radius about the joint's axis, and its source."""
+    """[m] radius of shapes about a joint's axis, and its source."""
     stated = [s.radius for s in shapes if s.radius is not None]
     if stated:
         kind = next(s.kind for s in shapes if s.radius is not None)
@@ -287,8 +290,9 @@ def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
 
 
 def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
-    """Opposite left and right wheels; left is where y of the base's link is larger,
-    or, for axles along its x axis, where x is smaller.
+    """Pairs of equal wheels on the same axle, the left one first.
+
+    The left wheel has the larger y in the base's link or, on an axle along x, the smaller x.
     """
     pairs = []
     for i, a in enumerate(wheels):
@@ -304,7 +308,7 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
 
 
 def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3) -> Steering:
-    """Upright joints on the base, each with a wheel on it; options override the results."""
+    """The upright joints on the base that carry wheels; options override the results."""
     taken = {joint.name for joint in arm.joints}
     found: list[Joint] = []
     rolling: list[str] = []
@@ -342,7 +346,7 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
 
 
 def _tightest(joints: Sequence[Joint]) -> float:
-    """[rad] the smallest range of any of them to either side."""
+    """[rad] the smallest limit of joints to either side."""
     ways = [min(-(j.lower or 0.0), j.upper or 0.0) for j in joints if j.kind == "revolute"]
     if not ways or not 0.0 < min(ways) < np.pi / 2:
         raise RobotFileError(

@@ -13,6 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from app.border.mobile import bounds
 from app.errors import AssetError, RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.robot.assets import is_own, resolved_urdf
@@ -40,8 +41,17 @@ class CollisionShape(NamedTuple):
     """Pinocchio's index of the joint that moves the shape."""
     T: pin.SE3
     """Pose of the shape in the joint's frame."""
-    geometry: coal.CollisionGeometry
-    """The shape; a mesh represents its convex hull."""
+    geometry: coal.CollisionGeometry | Array
+    """The box, sphere, cylinder or capsule; or points (n, 3) [m] whose convex hull is the shape."""
+
+    @property
+    def lowest(self) -> float:
+        """[m] lowest z, in the joint's frame, of the box around the shape along its own axes."""
+        geometry, T = self.geometry, self.T
+        if isinstance(geometry, np.ndarray):
+            low, high = geometry.min(axis=0), geometry.max(axis=0)
+            geometry, T = coal.Box(*(high - low)), T * pin.SE3(np.eye(3), (low + high) / 2)
+        return float(bounds(geometry, T)[0][2])
 
 
 class CollisionShapes(NamedTuple):
@@ -107,14 +117,16 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
             error,
         )
         objects = model.geometry.geometryObjects
-        return CollisionShapes(
-            tuple(_shape(name, objects[i]) for name, ids in model.shape_ids.items() for i in ids),
-            body_contact_pairs(description),
-            (description.mobile_body.name,),
+        bodies = (
+            _shape(name, objects[i], objects[i].geometry)
+            for name, ids in model.shape_ids.items()
+            for i in ids
         )
+        mobile = (description.mobile_body.name,)
+        return CollisionShapes(tuple(bodies), body_contact_pairs(description), mobile)
     size = mesh_bytes(ElementTree.fromstring(text)) if is_own(description.name) else 0
-    try:  # coal's shapes take several times the size of their files on their way to this process
-        shapes = within_budget(_link_shapes, model.pin, text, size=4 * size)
+    try:
+        shapes = within_budget(_link_shapes, model.pin, text, size=size)
     except BudgetError as error:
         raise RobotFileError(f"{description.name}: its meshes: {error}") from None
     return CollisionShapes(shapes, link_contact_pairs(description), description.mobile_body.covers)
@@ -122,21 +134,15 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
 
 def _link_shapes(model: pin.Model, urdf: str) -> tuple[CollisionShape, ...]:
     """The shapes of a URDF's links, whose joints are those of a model."""
-    loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    try:
+        loaded = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
+    except ValueError as error:  # assimp reports exhausted memory like a damaged file
+        raise MemoryError if "bad_alloc" in str(error) else error from None
     return tuple(
-        _shape(model.frames[each.parentFrame].name, each)._replace(geometry=piece)
+        _shape(model.frames[each.parentFrame].name, each, piece)
         for each in loaded.geometryObjects
         for piece in _pieces(each)
     )
-
-
-def vertices(geometry: coal.CollisionGeometry) -> Array | None:
-    """(n, 3) [m] vertices of a mesh or a hull; None for a shape without vertices."""
-    if isinstance(geometry, coal.BVHModelBase):
-        return np.array(geometry.vertices())
-    if isinstance(geometry, coal.ConvexBase):
-        return np.array(geometry.points())
-    return None
 
 
 def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
@@ -164,5 +170,12 @@ def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
     return [convex_hull(scaled[sorted(group)]) for group in groups]
 
 
-def _shape(part: str, placed: pin.GeometryObject) -> CollisionShape:
-    return CollisionShape(part, placed.parentJoint, placed.placement, placed.geometry)
+def _shape(
+    part: str, placed: pin.GeometryObject, geometry: coal.CollisionGeometry
+) -> CollisionShape:
+    """A shape at the pose of an object; a mesh becomes points, which processes exchange fast."""
+    if isinstance(geometry, coal.BVHModelBase):
+        geometry = np.array(geometry.vertices())
+    elif isinstance(geometry, coal.ConvexBase):
+        geometry = np.array(geometry.points())
+    return CollisionShape(part, placed.parentJoint, placed.placement, geometry)

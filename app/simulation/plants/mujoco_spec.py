@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from app.robot.assets import PLANAR_JOINTS
 from app.robot.model import RobotModel
-from app.simulation.plants.collision_shapes import FLOOR, CollisionShape, collision_shapes, vertices
+from app.simulation.plants.collision_shapes import FLOOR, CollisionShape, collision_shapes
 from app.simulation.plants.interface import Contacts
 from app.strict import Array
 
@@ -237,14 +237,14 @@ class RobotSpec:
         )
 
     def _add_shape(self, body: Any, name: str, shape: CollisionShape) -> None:
-        points = vertices(shape.geometry)
-        if points is None:
-            kind, size_of = _PRIMITIVES[type(shape.geometry)]
-            self.add_geom(body, name, kind, size_of(shape.geometry), shape.T)
-        else:
+        geometry = shape.geometry
+        if isinstance(geometry, np.ndarray):
             convex = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            self.spec.add_mesh(name=name, uservert=_solid(points).ravel(), inertia=convex)
+            self.spec.add_mesh(name=name, uservert=_solid(geometry).ravel(), inertia=convex)
             self.add_geom(body, name, _GEOM.mjGEOM_MESH, T=shape.T, mesh=name)
+        else:
+            kind, size_of = _PRIMITIVES[type(geometry)]
+            self.add_geom(body, name, kind, size_of(geometry), shape.T)
 
 
 def _solid(points: Array) -> Array:

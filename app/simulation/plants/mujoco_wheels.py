@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from app.border.mobile import MobileBody, bounds
+from app.border.mobile import MobileBody
 from app.control.drive import Drive
 from app.robot.assets import bare_urdf
 from app.robot.bases.differential import DifferentialBase, mobile_jacobian
@@ -231,7 +231,7 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:
             continue
-        if bounds(shape.geometry, shape.T)[0][2] > _AT_FLOOR:
+        if shape.lowest > _AT_FLOOR:
             robot.allow(None, [FLOOR], [f"{shape.part}/{i}"])
         elif isinstance(shape.geometry, coal.Sphere):
             casters.append((shape.geometry.radius, shape.T.translation))

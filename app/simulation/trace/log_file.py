@@ -90,11 +90,6 @@ def read_trace(path: Path) -> Trace:
 def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
     """Make a trace from the header and the table of a file.
 
-    Args:
-        text: The header.
-        found: The table.
-        budget: The limit of memory.
-
     Raises:
         LogError: Header and table do not match, are invalid, or need too much memory.
     """
@@ -151,11 +146,12 @@ def _snapshots(
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column in the rows with snapshots; a column without numbers at each step must
-    be empty in the other rows.
+    """The cells of a column in the rows with snapshots.
+
+    A column without numbers at each step must be empty in the other rows.
 
     Raises:
-        LogError: `_cast` raises an error, or a text is too long.
+        LogError: As for `_cast`, or a text is too long.
     """
     if not column.often:
         _cast(column, values, len(drawn))
@@ -169,10 +165,7 @@ def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> l
 def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArray:
     """Convert the cells of a column to the column's type.
 
-    Args:
-        column: The column.
-        values: The cells.
-        filled: Required number of cells with a value, unless the column is optional or a text.
+    `filled` is the required number of cells with a value, unless the column is optional or a text.
 
     Raises:
         LogError: The cells have a different type, or fewer or more than `filled` of them have a

@@ -1,25 +1,26 @@
-"""A trace as an MCAP file: Protobuf with Foxglove's schemas and the robot, or ROS 2 messages.
+"""A trace as an MCAP file: ROS 2 messages in CDR, and Protobuf messages.
 
 | topic | schema | how often |
 |---|---|---|
-| `/tf` | `foxglove.FrameTransforms`, the links in the world | each snapshot |
-| `/joint_states` | `foxglove.JointStates`, the joints of arm and wheels | each snapshot |
+| `/robot_description` | `std_msgs/msg/String`, the URDF with local paths of meshes | once |
+| `/joint_states` | `sensor_msgs/msg/JointState`, the joints of arm and wheels | each snapshot |
+| `/tf` | `tf2_msgs/msg/TFMessage`, the links in the world | each snapshot |
+| `/curves/…` | `sensor_msgs/msg/JointState`, the columns of a quantity by name | each snapshot |
 | `/robot` | `foxglove.SceneUpdate`, the visuals of the URDF, with their meshes | once |
 | `/bodies` | `foxglove.SceneUpdate`, the convex bodies, fixed to their links | once |
 | `/markers` | `foxglove.SceneUpdate`, closest points, acting points, forces | each snapshot |
-| `/step` | `dbb.Step`, the columns of a log; names end in units, `-` is `_` | each row |
-| `/parameters` | `dbb.Config` | each change |
-| `/robot_description` | `std_msgs/msg/String`, the URDF with local paths of meshes | once |
-| `/curves/…` | `sensor_msgs/msg/JointState`, the columns of a quantity by name | each snapshot |
+| `/step` | `dbb.Step`, the columns of a CSV log; `_` replaces `-` and blanks | each row |
+| `/parameters` | `dbb.Config`, the parameters as SECTION_NAME | start, each change |
 
-The last two are ROS messages, because Rerun reads robots and named curves only from ROS messages.
-With `ros` the file has only ROS messages: `/tf`, `/joint_states` and `/robot_description`.
+The schemas `foxglove.…` and `dbb.…` are Protobuf, the others are ROS 2 messages, because Rerun
+reads robots and named curves only from these. A file of `--ros` has only the first three topics.
 """
 
 import io
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import unquote, urlsplit
@@ -60,16 +61,10 @@ from app.system import write_whole
 Materials = Mapping[str | None, Element]  # materials of the robot by name
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
-_BODY, _FREE, _INSIDE, _CONTACT, _GREY = (
-    fg.Color(r=r, g=g, b=b, a=a)
-    for r, g, b, a in (
-        (0.25, 0.6, 0.9, 0.4),
-        (0.6, 0.6, 0.6, 1),
-        (1, 0.7, 0.1, 1),
-        (1, 0.1, 0.1, 1),
-        (0.6, 0.6, 0.6, 1),
-    )
-)
+_BODY = fg.Color(r=0.25, g=0.6, b=0.9, a=0.4)
+_GREY = fg.Color(r=0.6, g=0.6, b=0.6, a=1)
+_INSIDE = fg.Color(r=1, g=0.7, b=0.1, a=1)  # of the buffer
+_CONTACT = fg.Color(r=1, g=0.1, b=0.1, a=1)
 _GLB, _STL = "model/gltf-binary", "model/stl"
 _MEDIA = {".glb": _GLB, ".stl": _STL, ".obj": "model/obj", ".dae": "model/vnd.collada+xml"}
 _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
@@ -78,23 +73,20 @@ _LARGEST_MESH = 20_000_000  # [bytes] largest mesh file that a log includes
 def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False) -> None:
     """Write a trace with snapshots completely or not at all.
 
-    Args:
-        path: The file.
-        trace: The trace.
-        model: The robot.
-        ros: Whether to write ROS 2 messages in CDR only.
+    With `ros`, the file has only the topics `/robot_description`, `/joint_states` and `/tf`.
 
     Raises:
         OutputError: The file cannot be written.
         AssetError: The robot's URDF is missing.
-        RobotFileError: A visual in the URDF is invalid.
+        DescriptionError: The robot's URDF cannot be read.
+        RobotFileError: A visual in the URDF is invalid; not with `ros`.
     """
     file = io.BytesIO()  # in memory, so that a writing error occurs only at the end
     log = _Log(file, profile="ros2" if ros else None)
     with log.writer:
         about = trace.meta.model_dump(mode="json", exclude={"config"})
         log.writer.write_metadata("dbb", {name: json.dumps(x) for name, x in about.items()})
-        _put_motion(log, trace, model, ros=ros)
+        _put_motion(log, trace, model)
         if not ros:
             _put_scene(log, trace, model)
             _put_numbers(log, trace)
@@ -109,19 +101,17 @@ class _Log:
         options = MCAPWriteOptions(profile=profile)
         self.writer = foxglove.open_mcap(file, context=self._context, writer_options=options)
         self._channels: dict[str, foxglove.Channel] = {}
-        self._kinds: dict[str, Any] = {}
+        self._kinds: dict[str, tuple[Any, foxglove.Schema]] = {}
 
     def put(self, topic: str, t: float, message: Any) -> None:
         """Append a Foxglove message at time t [s]."""
-        self._put(topic, t, message.encode(), "protobuf", message.get_schema)
+        self._put(topic, t, message.encode(), message.get_schema)
 
     def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
         """Append an encoded ROS message of the type `kind` at time t [s]."""
-
-        def schema() -> foxglove.Schema:
-            return foxglove.Schema(name=kind, encoding="ros2msg", data=ros_definition(kind))
-
-        self._put(topic, t, content, "cdr", schema)
+        data = ros_definition(kind)
+        schema = partial(foxglove.Schema, name=kind, encoding="ros2msg", data=data)
+        self._put(topic, t, content, schema)
 
     def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
         """Append a record of numbers and texts at time t [s].
@@ -130,47 +120,39 @@ class _Log:
         """
         if topic not in self._kinds:
             self._kinds[topic] = _record_kind(name, values)
-        kind = self._kinds[topic]
+        kind, schema = self._kinds[topic]
+        self._put(topic, t, kind(**values).SerializeToString(), lambda: schema)
 
-        def schema() -> foxglove.Schema:
-            file = descriptor_pb2.FileDescriptorProto()
-            kind.DESCRIPTOR.file.CopyToProto(file)
-            data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
-            return foxglove.Schema(name=f"dbb.{name}", encoding="protobuf", data=data)
-
-        self._put(topic, t, kind(**values).SerializeToString(), "protobuf", schema)
-
-    def _put(self, topic: str, t: float, content: bytes, encoding: str, schema: Any) -> None:
+    def _put(
+        self, topic: str, t: float, content: bytes, schema: Callable[[], foxglove.Schema]
+    ) -> None:
         if topic not in self._channels:
+            made = schema()
+            encoding = "cdr" if made.encoding == "ros2msg" else made.encoding
             self._channels[topic] = foxglove.Channel(
-                topic, schema=schema(), message_encoding=encoding, context=self._context
+                topic, schema=made, message_encoding=encoding, context=self._context
             )
         self._channels[topic].log(content, log_time=nanoseconds(t))
 
 
-def _record_kind(name: str, example: Mapping[str, Any]) -> Any:
-    """The Protobuf type for records like an example."""
+def _record_kind(name: str, example: Mapping[str, Any]) -> tuple[Any, foxglove.Schema]:
+    """The Protobuf type, and its schema, for records with the fields of an example."""
     file = descriptor_pb2.FileDescriptorProto(name=f"{name}.proto", package="dbb", syntax="proto3")
     kind = file.message_type.add(name=name)
     for number, (field, value) in enumerate(example.items(), 1):
         kind.field.add(name=field, number=number, label=1, type=9 if isinstance(value, str) else 1)
-    return message_factory.GetMessages([file])[f"dbb.{name}"]
+    data, name = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), f"dbb.{name}"
+    schema = foxglove.Schema(name=name, encoding="protobuf", data=data)
+    return message_factory.GetMessages([file])[name], schema
 
 
-def _put_motion(log: _Log, trace: Trace, model: RobotModel, *, ros: bool) -> None:
+def _put_motion(log: _Log, trace: Trace, model: RobotModel) -> None:
     """Write the robot's URDF and its motion."""
     frames, urdf = Frames(model), ros_text(shown_urdf(model.description))
     log.put_ros("/robot_description", trace.snapshots[0].t, TEXT, urdf)
     for s in trace.snapshots:
-        joints, transforms = joints_of(s, model), frames.at(s)
-        if ros:
-            log.put_ros("/joint_states", s.t, JOINTS, ros_joints(s.t, joints))
-            log.put_ros("/tf", s.t, FRAMES, ros_frames(s.t, transforms))
-        else:
-            states = [fg.JointState(**joint._asdict()) for joint in joints]
-            log.put("/joint_states", s.t, fg.JointStates(timestamp=_time(s.t), joints=states))
-            moved = [_transform(s.t, *each) for each in transforms]
-            log.put("/tf", s.t, fg.FrameTransforms(transforms=moved))
+        log.put_ros("/joint_states", s.t, JOINTS, ros_joints(s.t, joints_of(s, model)))
+        log.put_ros("/tf", s.t, FRAMES, ros_frames(s.t, frames.at(s)))
 
 
 def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
@@ -210,7 +192,7 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """Names of columns, changed to valid and unique names for Protobuf."""
+    """The names of columns as valid and unique names of Protobuf fields."""
     found: dict[str, None] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
@@ -271,13 +253,13 @@ def _markers(s: Snapshot) -> list[fg.SceneEntity]:
             thickness=3.0,
             scale_invariant=True,
             points=[fg.Point3(**_xyz(pair.p_a)), fg.Point3(**_xyz(pair.p_b))],
-            color=_CONTACT if pair.d < 0 else _INSIDE if pair.beta > 0 else _FREE,
+            color=_CONTACT if pair.d < 0 else _INSIDE if pair.beta > 0 else _GREY,
         )
         for pair in s.pairs
     ]
     forces = [_arrow(each.p_act, each.f, _INSIDE) for each in s.acting]
     balls = [_ball(p) for each in s.acting for p in (each.p_n, each.p_t, each.p_act)]
-    person = _arrow(s.p_ee, s.hand_force, _FREE)
+    person = _arrow(s.p_ee, s.hand_force, _GREY)
     about = {"timestamp": _time(s.t), "frame_id": WORLD}
     return [
         fg.SceneEntity(id="closest points", lines=lines, **about),
@@ -308,22 +290,10 @@ def _ball(at: Array) -> fg.SpherePrimitive:
     )
 
 
-def _transform(t: float, parent: str, child: str, T: pin.SE3) -> fg.FrameTransform:
-    return fg.FrameTransform(
-        timestamp=_time(t),
-        parent_frame_id=parent,
-        child_frame_id=child,
-        translation=fg.Vector3(**_xyz(T.translation)),
-        rotation=_turn(T),
-    )
-
-
 def _pose(T: pin.SE3) -> fg.Pose:
-    return fg.Pose(position=fg.Vector3(**_xyz(T.translation)), orientation=_turn(T))
-
-
-def _turn(T: pin.SE3) -> fg.Quaternion:
-    return fg.Quaternion(**dict(zip("xyzw", pin.SE3ToXYZQUAT(T)[3:].tolist(), strict=True)))
+    turn = dict(zip("xyzw", pin.SE3ToXYZQUAT(T)[3:].tolist(), strict=True))
+    at = fg.Vector3(**_xyz(T.translation))
+    return fg.Pose(position=at, orientation=fg.Quaternion(**turn))
 
 
 def _xyz(at: Array) -> dict[str, float]:
