@@ -16,10 +16,9 @@ from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
-from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
 
-_PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
+_PLAYED: dict[str, Scenario] = SCENARIOS | {RANDOM_PULL.name: RANDOM_PULL}
 _MAX_ENTRIES = 1000  # [-] options, parameters or results of a case; about a hundred are usual
 FORMAT = "dbb_case"  # the key that identifies such a file
 

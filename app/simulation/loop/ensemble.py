@@ -13,18 +13,17 @@ from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
-from app.simulation.scenarios.leading import SHORTEST, Driver, Scenario, Setting, StepInput
-from app.simulation.scenarios.pulled import PullEvent
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.simulation.session import DT, Session, Step, check_within_limits
 from app.simulation.trace.columns import frozen
-from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
+from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump
 from app.simulation.trace.snapshot import GhostReading, Score
 from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
 _SAID = 1.0  # [s] time for which snapshots contain a new case
 MAX_PULLS = 8  # largest number of people who hold the robot at the same time
-_NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
+_NEEDED = ("t", "pairs", "ee_error", "u_a", "base_pose", "base_acceleration")
 _TOGETHER = 100  # number of control steps that are evaluated together, to save time
 
 
@@ -51,10 +50,7 @@ class Ensemble:
         self.comparison = Compare()
         """The last requested comparison."""
         self._holds: dict[int, Hold] = {}
-        self._pulled: list[PullEvent] | None = None
-        """The pulls in the present open scenario (`Scenario.open`), recorded; otherwise None."""
-        self._case: tuple[float, RunCase] | None = None
-        """The time [s] of the newest case, and the case."""
+        self._case: RunCase | None = None  # of the scenario of the last start
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
@@ -82,9 +78,8 @@ class Ensemble:
 
     @property
     def case(self) -> RunCase | None:
-        """Case of a scenario that started, or of free pulls that ended, in the last second."""
-        since, case = self._case or (-math.inf, None)
-        return case if self.main.t < since + _SAID else None
+        """Case of the scenario that started in the last simulated second, or None."""
+        return self._case if self.main.t < _SAID else None
 
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
@@ -127,23 +122,13 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
-
-        A change ends the recording of pulls in an open scenario.
-        """
-        if self._pulled is not None and config != self._config:
-            self._let_go()  # all pulls of a recording have the same configuration
+        """Use other parameters from the next step on, with the changes of `Scenario.adapted`."""
         self._config = config
         for runner in (self._led, *self.ghosts):
             runner.session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
-        """Use the controller with this name from the next step on.
-
-        A change ends the recording of pulls in an open scenario.
-        """
-        if self._pulled is not None and controller != self.main.controller.name:
-            self._let_go()
+        """Use the controller with this name from the next step on."""
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
@@ -170,28 +155,23 @@ class Ensemble:
             raise
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot.
-
-        A person at the end-effector ends the scenario's motion; an open scenario continues and
-        records the pull.
+        """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
 
         Raises:
             TargetError: The largest number of people already holds the robot.
         """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
-        if pull.link is None and self._pulled is None:
+        if pull.link is None:
             self._let_go()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
         self._holds[pull.who] = Hold(
             pull.who, np.array(pull.target, dtype=float), pull.link, (x, y, z)
         )
-        self._record(pull.who)
 
     def release(self, who: int) -> None:
         """Let a person release the robot, if this person holds it."""
-        if self._holds.pop(who, None) is not None:
-            self._record(who)
+        self._holds.pop(who, None)
 
     def step(self) -> Step:
         """Execute one control step of all robots, with the scenario's input and people's pulls."""
@@ -220,28 +200,13 @@ class Ensemble:
         if self.main is not self._free:
             self.main.close()
 
-    def _record(self, who: int) -> None:
-        """Record that a person holds, moves or releases the robot from the next control step on."""
-        if self._pulled is not None:
-            held = self._holds.get(who)
-            step = round(self.main.t / DT)
-            if held is None:
-                self._pulled.append(PullEvent(step, who, None))
-            else:
-                x, y, z = held.target.tolist()
-                self._pulled.append(PullEvent(step, who, (x, y, z), held.link, held.point))
-
-    def _keep_case(self, scenario: Scenario) -> None:
+    def _case_of(self, scenario: Scenario) -> RunCase:
         main, robot = self.main, self._free.model.description.name
         run = robot, scenario, self._config, main.controller.name, main.kind, main.seed
-        self._case = main.t, RunCase.of(RunSpec(*run))
+        return RunCase.of(RunSpec(*run))
 
     def _let_go(self) -> None:
-        if self._pulled is not None and self.scenario is not None:
-            length = max(round(self.main.t / DT) * DT, SHORTEST)
-            done = {"duration": length, "q_m": self._q_begun, "pulls": self._pulled}
-            self._keep_case(self.scenario.changed(**done))
-        self._pulled = self.ends = None
+        self.ends = None
         for runner in (self._led, *self.ghosts):
             runner.let_go()
 
@@ -274,10 +239,7 @@ class Ensemble:
         self._led, self.scenario = led, scenario
         self.ends = scenario and scenario.duration
         self._holds.clear()
-        self._pulled = [] if scenario is not None and scenario.open else None
-        self._q_begun, self._case = tuple(setting.q_m.tolist()), None
-        if scenario is not None and not scenario.open:
-            self._keep_case(scenario)
+        self._case = scenario and self._case_of(scenario)
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
@@ -325,7 +287,7 @@ class Runner:
         """`scored` states whether the robot's steps count for a comparison."""
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._rows, self._complete = 0, False
+        self._rows, self._contacts, self._complete = 0, 0, False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
 
     def let_go(self) -> None:
@@ -346,6 +308,7 @@ class Runner:
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
+            self._contacts += any(step.contacts) and not self._complete
             self._recorder.add(self.session, step)
             if len(self._recorder) > _TOGETHER:
                 self._look()
@@ -367,7 +330,8 @@ class Runner:
     def score(self) -> Score:
         """The score so far."""
         self._look()
-        return self._score._replace(controller=self.session.controller.name)
+        name = self.session.controller.name
+        return self._score._replace(controller=name, contacts=self._contacts)
 
     def _look(self) -> None:
         """Evaluate the rows since the last call.
@@ -398,5 +362,5 @@ class Runner:
             max(score.acceleration_jump, jump["linear_mps2"]),
             max(score.angular_jump, jump["angular_radps2"]),
             torque_jump(block, score.torque_jump),
-            score.contacts + total(new, "in_contact"),
+            score.contacts,
         )

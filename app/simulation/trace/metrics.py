@@ -180,7 +180,7 @@ def _last(run: Trace, quantity: str) -> Any:
     return run.of(quantity)[-1].item()
 
 
-def total(run: Trace, quantity: str) -> int:
+def _total(run: Trace, quantity: str) -> int:
     """Number of rows in which a flag is true."""
     return int(run.of(quantity).sum())
 
@@ -194,16 +194,16 @@ FIGURES: dict[str, Figure] = {
         "Smallest distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
     ),
     "contacts": Figure(
-        "Steps in which the arm touched the base.", lambda r: total(r, "in_contact")
+        "Steps in which the arm touched the base.", lambda r: _total(r, "in_contact")
     ),
     "arm_min_clearance_m": Figure(
         "Smallest distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
     ),
     "arm_contacts": Figure(
-        "Steps in which the arm touched itself.", lambda r: total(r, "arm_in_contact")
+        "Steps in which the arm touched itself.", lambda r: _total(r, "arm_in_contact")
     ),
     "floor_contacts": Figure(
-        "Steps in which the arm touched the floor.", lambda r: total(r, "floor_contact")
+        "Steps in which the arm touched the floor.", lambda r: _total(r, "floor_contact")
     ),
     "ee_error_max_m": Figure(
         "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
