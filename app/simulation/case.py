@@ -16,10 +16,10 @@ from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
-from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
+from app.strict import MAX_SEEDS, Strict, explain, file_text, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {RANDOM_PULL.name: RANDOM_PULL}
-_MAX_ENTRIES = 1000  # [-] options, parameters or results of a case; about a hundred are usual
+_MAX_ENTRIES = 1000  # [-] options or parameters of a case; about a hundred are usual
 FORMAT = "dbb_case"  # the key that identifies such a file
 
 
@@ -53,8 +53,6 @@ class RunCase(Strict):
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
     """All parameters, by their paths."""
-    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
-    """The results, by the keys that `dbb run` prints."""
 
     @field_validator("parameters")
     @classmethod
@@ -122,14 +120,6 @@ class RunCase(Strict):
             found.append(f"the case has no {path}; the default {Config().value(path)} is used")
         return found
 
-    def changes(self, figures: dict[str, Any]) -> list[str]:
-        """The results of the case that differ from the new results `figures`, one per line."""
-        return [
-            f"{name} was {value!r}, is now {figures.get(name)!r}"
-            for name, value in self.figures.items()
-            if figures.get(name) != value
-        ]
-
     def text(self) -> str:
         """The text of the file."""
         return json.dumps(self.model_dump(mode="json"), indent=1) + "\n"
@@ -153,6 +143,7 @@ class RunCase(Strict):
             raise CaseError(f"{where} is not a case: it is not JSON ({error})") from None
         if not isinstance(content, dict) or FORMAT not in content:
             raise CaseError(f"{where} is not a case: it has no {FORMAT!r}")
+        content.pop("figures", None)  # earlier versions wrote this field, which was empty
         try:
             case = cls.model_validate_json(json.dumps(content))
             check_name("controller", case.controller, CONTROLLERS)

@@ -85,7 +85,7 @@ class People:
         """Compute the pull of each person in one period, and all forces.
 
         A person without a hold releases the robot. A person who changes to another point releases
-        the previous point, and the new force starts at zero.
+        the previous point; the spring of the new hold starts without stretch.
 
         Args:
             state: The robot's state.
@@ -115,9 +115,9 @@ class People:
 
 
 class PersonHand:
-    """One hold of a person: F = K (p - p_ee) - D v_ee, limited to f_max; p follows the target.
+    """One hold of a person: F = K (p - p_ee) - D v_ee on the held point p_ee, limited to f_max.
 
-    Targets arrive 20 times a second with jumps. p starts at the end-effector and moves towards the
+    Targets arrive 20 times a second with jumps. p starts at the held point and moves towards the
     latest target as a critically damped point with limited speed. Thus F has no steps at 1 kHz.
     The damper acts against the world: while p rests, the person only absorbs energy.
 

@@ -37,10 +37,8 @@ def begin(
         seed: Seed of all random numbers.
 
     Raises:
-        ConfigError: The setting has a door, and the plant has no doors.
-        DescriptionError: No part of the arm can meet the base.
-        TargetError: A joint is beyond its limits at the start.
-        UnknownNameError: The controller or plant does not exist.
+        DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
+            beyond its limits at the start.
     """
     session = Session(
         setting.model,
@@ -64,11 +62,7 @@ def steps_of(
     The session is closed after the last step, or when the iterator is closed.
 
     Raises:
-        UnreachableError: The arm cannot reach the start of the scenario.
-        TargetError: The end-effector's path goes below the floor, or a joint is beyond its limits
-            at the start.
-        ConfigError: The scenario has a door, and the plant has no doors.
-        UnknownNameError: The controller or plant does not exist.
+        DbbError: The robot cannot start the scenario, or `begin` cannot make the session.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)

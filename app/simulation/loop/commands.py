@@ -149,7 +149,7 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario, whose input ends with the scenario or when a person pulls the end-effector."""
+    """Start a scenario; its input ends when a person pulls the end-effector, or at its end."""
 
     scenario: Scenario
 

@@ -146,10 +146,10 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether the end-effector reaches `p_ee` (3,) [m] within the joint limits.
+        """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
 
-        Any direction of the end-effector counts. `tries` is the number of starting points of the
-        search, which `seed` determines.
+        The end-effector can have any direction. `tries` is the number of random starting points of
+        the search, which `seed` determines; a small number can miss the posture.
         """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
