@@ -143,7 +143,6 @@ class RunCase(Strict):
             raise CaseError(f"{where} is not a case: it is not JSON ({error})") from None
         if not isinstance(content, dict) or FORMAT not in content:
             raise CaseError(f"{where} is not a case: it has no {FORMAT!r}")
-        content.pop("figures", None)  # earlier versions wrote this field, which was empty
         try:
             case = cls.model_validate_json(json.dumps(content))
             check_name("controller", case.controller, CONTROLLERS)

@@ -16,15 +16,12 @@ from app.simulation.run import begin
 from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.simulation.session import DT, Session, Step, check_within_limits
 from app.simulation.trace.columns import frozen
-from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump
+from app.simulation.trace.metrics import largest
 from app.simulation.trace.snapshot import GhostReading, Score
-from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
 _SAID = 1.0  # [s] time for which snapshots contain a new case
 MAX_PULLS = 8  # largest number of people who hold the robot at the same time
-_NEEDED = ("t", "pairs", "ee_error", "u_a", "base_pose", "base_acceleration")
-_TOGETHER = 100  # number of control steps that are evaluated together, to save time
 
 
 class Ensemble:
@@ -224,16 +221,19 @@ class Ensemble:
     def _enter(self, setting: Setting, scenario: Scenario | None) -> None:
         """Move the robot and its ghosts to the start of a setting."""
         check_within_limits(setting.model, setting.q_m)  # before any session changes
-        setting = setting._replace(config=self._adapted(scenario))
-        session = self._session_for(setting)
-        others = self._other_sessions(setting)
-        for each in (session, *others):
-            each.configure(setting.config)
-            each.reset(setting.q_m, setting.base_pose)
-        led, *ghosts = [
-            Runner(each, scenario and scenario.driver(each)) for each in (session, *others)
-        ]
-        if session is not self.main and self.main is not self._free:
+        setting, free = setting._replace(config=self._adapted(scenario)), self._free
+        names = (self.main.controller.name, *self.comparison.controllers)
+        # A session with a door is not used again, because pybullet's reset does not remove the
+        # whole state of the grasp.
+        usable = [free, *(g.session for g in self.ghosts if g.session.door is None)]
+        old = usable[: len(names)] if setting.door is None else []
+        new = [begin(setting, free.model, name, free.kind, free.seed) for name in names[len(old) :]]
+        for session, name in zip(old, names, strict=False):
+            session.controller.use(name)
+            session.configure(setting.config)
+            session.reset(setting.q_m, setting.base_pose)
+        led, *ghosts = [Runner(each, scenario and scenario.driver(each)) for each in (*old, *new)]
+        if led.session is not self.main and self.main is not free:
             self.main.close()
         # Nothing below can fail, so the name and the end always belong to the same scenario.
         self._led, self.scenario = led, scenario
@@ -252,49 +252,23 @@ class Ensemble:
         for runner in (self._led, *ghosts):
             runner.scored = bool(ghosts)
 
-    def _other_sessions(self, setting: Setting) -> list[Session]:
-        """A session for each ghost; without a door, the present ghosts' sessions are used again."""
-        usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
-        sessions: list[Session] = []
-        for name in self.comparison.controllers:
-            sessions.append(usable.pop(0) if usable else self._new_session(setting, name))
-            sessions[-1].controller.use(name)
-        return sessions
-
-    def _session_for(self, setting: Setting) -> Session:
-        """The free session, or a new session with the present controller for a setting with a door.
-
-        A session with a door is not used again, because pybullet's reset does not remove the whole
-        state of the grasp.
-        """
-        name = self.main.controller.name
-        if setting.door is None and setting.model is self._free.model:
-            self._free.controller.use(name)
-            return self._free
-        return self._new_session(setting, name)
-
-    def _new_session(self, setting: Setting, controller: str) -> Session:
-        free = self._free
-        return begin(setting, free.model, controller, free.kind, free.seed)
-
 
 class Runner:
-    """One robot of the ensemble: session, driver and score, in bounded memory."""
+    """One robot of the ensemble: session, driver and score."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
         """Start at the beginning of a session; `driver` computes the input, or is None."""
         self.session, self._driver, self.scored = session, driver, False
-        """`scored` states whether the robot's steps count for a comparison."""
-        self._recorder = Recorder(quantities=_NEEDED)
+        """`scored` states whether the robot takes part in a comparison."""
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._rows, self._contacts, self._complete = 0, 0, False
+        self._complete = False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
+        self._before: tuple[Array, ...] | None = None  # quantities of the last counted step
+        self._angular = np.array([axis.angular for axis in session.model.description.base.axes])
 
     def let_go(self) -> None:
         """Remove the driver; later steps do not change the score of the driven motion."""
-        if self._driver is not None and self.scored:
-            self._look()
-            self._complete = True
+        self._complete = self._complete or self._driver is not None
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
@@ -308,15 +282,13 @@ class Runner:
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
-            self._contacts += any(step.contacts) and not self._complete
-            self._recorder.add(self.session, step)
-            if len(self._recorder) > _TOGETHER:
-                self._look()
+            self._clearance = min(step.distances[: step.control.n_mob])
+            if not self._complete:
+                self._count(step)
         return step
 
     def reading(self) -> GhostReading:
         """The robot's state at the last step, in separate, read-only memory."""
-        self._look()
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
             session.controller.name,
@@ -329,38 +301,22 @@ class Runner:
 
     def score(self) -> Score:
         """The score so far."""
-        self._look()
-        name = self.session.controller.name
-        return self._score._replace(controller=name, contacts=self._contacts)
+        return self._score._replace(controller=self.session.controller.name)
 
-    def _look(self) -> None:
-        """Evaluate the rows since the last call.
-
-        Differences between rows include the one to the last row of the previous call.
-        """
-        if not len(self._recorder):
-            return
-        block = self._recorder.taken()
-        new = block.rows(slice(1 if self._rows else 0, None))
-        self._rows += len(new)
-        if not len(new):
-            return
-        if not self._complete:
-            self._add_up(block, new)
-        now = clearance(new.rows(slice(-1, None)), mobile=True)
-        self._clearance = math.inf if now is None else now
-
-    def _add_up(self, block: Trace, new: Trace) -> None:
-        score, jump = self._score, jumps(block, "base_acceleration")
-        least = clearance(new, mobile=True)
+    def _count(self, step: Step) -> None:
+        """Add a step to the score."""
+        score, w = self._score, step.control
+        now = step.truth.base_pose[:2], w.a_base_cmd.copy(), w.u_cmd.copy()
+        before, self._before = self._before or now, now
+        moved, acceleration, torque = (np.abs(a - b) for a, b in zip(now, before, strict=True))
         self._score = Score(
-            score.controller,
-            score.clearance if least is None else min(score.clearance, least),
-            float(new.of("ee_error")[-1]),
-            largest(new.of("ee_error"), score.error_max),
-            score.base_path + path(block),
-            max(score.acceleration_jump, jump["linear_mps2"]),
-            max(score.angular_jump, jump["angular_radps2"]),
-            torque_jump(block, score.torque_jump),
-            score.contacts,
+            "",
+            min(score.clearance, self._clearance),
+            step.ee_error,
+            max(score.error_max, step.ee_error),
+            score.base_path + math.hypot(*moved.tolist()),
+            largest(acceleration[~self._angular], score.acceleration_jump),
+            largest(acceleration[self._angular], score.angular_jump),
+            largest(torque, score.torque_jump),
+            score.contacts + any(step.contacts),
         )

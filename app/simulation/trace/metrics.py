@@ -112,11 +112,6 @@ def jumps(run: Trace, quantity: str) -> dict[str, float]:
     }
 
 
-def torque_jump(run: Trace, at_least: float = 0.0) -> float:
-    """[N m or N] largest change of a joint's torque or force in one step."""
-    return largest(np.abs(np.diff(run.of("u_a"), axis=0)), at_least)
-
-
 def sign_changes(values: Array, band: float) -> int:
     """Largest number of sign changes in a column of values (N, k).
 
@@ -249,7 +244,8 @@ FIGURES: dict[str, Figure] = {
         lambda r: _base_sign_changes(r, "avoidance_acceleration"),
     ),
     "torque_jump_max_nm": Figure(
-        "Largest change of a joint's torque or force in one step.", torque_jump
+        "Largest change of a joint's torque or force in one step.",
+        lambda r: largest(np.abs(np.diff(r.of("u_a"), axis=0))),
     ),
     "torque_rate_sign_changes": Figure(
         "Largest number of sign changes of a torque's rate.",

@@ -251,17 +251,6 @@ class Recorder:
         table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
-    def taken(self) -> Trace:
-        """The last row of the previous call, if there was one, and all rows since."""
-        assert self._layout is not None, "no step was recorded"
-        wide = len(self._layout.columns)
-        table = np.array(self._cells).reshape(-1, wide)
-        del self._cells[:-wide]
-        return Trace(self._layout, table)
-
-    def __len__(self) -> int:
-        return len(self._cells) // len(self._layout.columns) if self._layout else 0
-
     def _begin(self, session: Session, step: Step) -> None:
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
