@@ -7,7 +7,7 @@ import pytest
 
 from app.cli.main import main
 from app.config import FORMER_NAMES, Config
-from app.errors import CaseError, DbbError
+from app.errors import DbbError, TargetError
 from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Pull
 from app.simulation.loop.ensemble import Ensemble
@@ -144,9 +144,9 @@ def test_a_wrong_case_is_refused_in_one_line(change, named):
 
 
 def test_a_posture_of_another_robot_is_refused(robot, border_data):
-    other = PULL.changed(q_m=(0.0,))
-    with pytest.raises(CaseError, match="the posture has 1 joints"):
-        other.setting(robot, border_data, Config(), 0)
+    other = RunSpec("husky_panda", PULL.changed(q_m=(0.0,)), Config(), physics="kinematic")
+    with pytest.raises(TargetError, match="the posture has 1 joints"):
+        next(steps_of(other, robot, border_data))
 
 
 def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(

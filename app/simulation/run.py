@@ -27,14 +27,9 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting.
+    """Make a session at the start of a setting; `robot` is the robot without a held door.
 
-    Args:
-        setting: The start; its model can have a held door as an additional body.
-        robot: The robot without a door.
-        controller: Name of the controller.
-        physics: Name of the plant, or None for the default.
-        seed: Seed of all random numbers.
+    The other arguments are those of `Session`.
 
     Raises:
         DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
@@ -147,15 +142,9 @@ def filmed(
 ) -> list[Snapshot]:
     """Execute a run up to the last of some times, and return its snapshots.
 
-    It raises the errors of `steps_of`.
-
-    Args:
-        run: The planned run.
-        model: The robot.
-        data: The robot's border data.
-        times: [s] times of required snapshots, in addition to those at 50 Hz; a time after the
-            end of the run means the last step.
-        on_progress: Called every 100 steps with the simulated time [s].
+    The snapshots are those at 50 Hz and those at `times` [s], as simulated times; a time after the
+    end of the run means the last step. The other arguments and the errors are those of
+    `run_from_spec`.
     """
     last = round(run.scenario.duration / DT) - 1
     required = {min(round(t / DT), last) for t in times}

@@ -14,7 +14,7 @@ from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
 from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
-from app.simulation.session import DT, Session, Step, check_within_limits
+from app.simulation.session import DT, Session, Step, check_posture
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import largest
 from app.simulation.trace.snapshot import GhostReading, Score
@@ -88,12 +88,9 @@ class Ensemble:
             base_pose: (3,) x, y [m] and heading [rad] of the base; ignored if `q_m` is empty.
 
         Raises:
-            TargetError: `q_m` has a wrong number of entries, or a joint is beyond its limits; then
-                the present run continues.
+            TargetError: The posture is invalid (`check_posture`); then the present run continues.
         """
         begun = self._start
-        if len(q_m) not in (0, len(begun.q_m)):
-            raise TargetError(f"the posture has {len(q_m)} joints; the arm has {len(begun.q_m)}")
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
         self._enter(begun, None)
@@ -137,19 +134,15 @@ class Ensemble:
         Raises:
             DbbError: The robots cannot start there; then nothing has changed.
         """
-        before, self.comparison = self.comparison, comparison
-        try:
-            if not comparison.controllers:
-                self._replace_ghosts([])
-            elif self.scenario is not None and (self.leading or self.main.door is not None):
-                self.play(self.scenario)
-            else:
-                truth, start = self.main.physics.measure(), self._start
-                here = start._replace(base_pose=truth.base_pose, q_m=truth.q_m)
-                self._enter(here, None)
-        except BaseException:
-            self.comparison = before
-            raise
+        if not comparison.controllers:
+            self.comparison = comparison
+            self._replace_ghosts([])
+        elif self.scenario is not None and (self.leading or self.main.door is not None):
+            self._enter(self._setting_of(self.scenario), self.scenario, comparison)
+        else:
+            truth, start = self.main.physics.measure(), self._start
+            here = start._replace(base_pose=truth.base_pose, q_m=truth.q_m)
+            self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
         """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
@@ -218,11 +211,17 @@ class Ensemble:
             self._found = scenario, self._config, setting
         return self._found[2]
 
-    def _enter(self, setting: Setting, scenario: Scenario | None) -> None:
-        """Move the robot and its ghosts to the start of a setting."""
-        check_within_limits(setting.model, setting.q_m)  # before any session changes
+    def _enter(
+        self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
+    ) -> None:
+        """Move the robot and its ghosts to the start of a setting.
+
+        Without `comparison`, the compared controllers are those of the last comparison.
+        """
+        comparison = comparison or self.comparison
+        check_posture(setting.model, setting.q_m)  # before any session changes
         setting, free = setting._replace(config=self._adapted(scenario)), self._free
-        names = (self.main.controller.name, *self.comparison.controllers)
+        names = (self.main.controller.name, *comparison.controllers)
         # A session with a door is not used again, because pybullet's reset does not remove the
         # whole state of the grasp.
         usable = [free, *(g.session for g in self.ghosts if g.session.door is None)]
@@ -236,7 +235,7 @@ class Ensemble:
         if led.session is not self.main and self.main is not free:
             self.main.close()
         # Nothing below can fail, so the name and the end always belong to the same scenario.
-        self._led, self.scenario = led, scenario
+        self._led, self.scenario, self.comparison = led, scenario, comparison
         self.ends = scenario and scenario.duration
         self._holds.clear()
         self._case = scenario and self._case_of(scenario)
