@@ -13,7 +13,7 @@ from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import EVERY, Snapshot, make_snapshot
 from app.simulation.trace.trace import Recorder, Trace
 
 
@@ -146,14 +146,16 @@ def filmed(
     end of the run means the last step. The other arguments and the errors are those of
     `run_from_spec`.
     """
-    last = round(run.scenario.duration / DT) - 1
+    scenario, snapshots = run.scenario, []
+    last = round(scenario.duration / DT) - 1
     required = {min(round(t / DT), last) for t in times}
-    recorder = Recorder(run.scenario, quantities=(), drawn=True, also=required)
+    about = {"scenario": scenario.name, "scenario_ends": scenario.duration}
     with closing(steps_of(run, model, data)) as steps:
         for k, (session, step) in enumerate(steps):
-            recorder.add(session, step)
+            if k % EVERY == 0 or k in required:
+                snapshots.append(make_snapshot(session, step, None, paused=False, **about))
             if k % 100 == 0:
                 on_progress(step.t)
             if k == max(required):
                 break
-    return recorder.snapshots
+    return snapshots
