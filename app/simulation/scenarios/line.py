@@ -93,7 +93,7 @@ class LineScenario(Scenario):
             raise ConfigError("--regrasp-at: there is no release; set --release-at too")
         if not 0.0 < release < self.duration:
             raise ConfigError(
-                f"--release-at: {release:g} s is not within the run, 0 to {self.duration:g} s"
+                f"--release-at: {release} s is not within the run, 0 to {self.duration:g} s"
             )
         if regrasp is not None and not release < regrasp < self.duration:
             raise ConfigError(
