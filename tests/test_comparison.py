@@ -14,6 +14,7 @@ from app.errors import ConfigError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.loop.ensemble import Ensemble
+from app.simulation.plants.interface import Contacts
 from app.simulation.scenarios import LINES, SCENARIOS
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
@@ -139,11 +140,21 @@ def test_scores_are_those_of_the_steps(make):
         sum(float(np.hypot(*(b - a)[:2])) for a, b in pairwise(poses)),
         *np.abs(np.diff(asked, axis=0)).max(axis=0),
         np.abs(np.diff(torques, axis=0)).max(),
-        sum(step.contacts.arm_base for step in steps),
+        sum(any(step.contacts) for step in steps),
     )
     assert score == pytest.approx(expected)
     assert score.base_path > 1e-3
     assert ensemble.scores()[1].base_path < score.base_path
+
+
+@pytest.mark.parametrize("kind", Contacts._fields)
+def test_a_contact_of_any_kind_counts(make, monkeypatch, kind):
+    ensemble = make()
+    ensemble.compare(Compare(("none",)))
+    run(ensemble, 0.002)
+    monkeypatch.setattr(ensemble.main.physics, "contacts", lambda: Contacts.of([kind]))
+    run(ensemble, 0.003)
+    assert [score.contacts for score in ensemble.scores()] == [3, 0]
 
 
 def test_scenarios_resets_and_parameters_are_for_all(make, q_start):

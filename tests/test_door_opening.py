@@ -15,10 +15,10 @@ import pinocchio as pin
 import pytest
 
 from app.control.tasks import Reference
+from app.simulation.plants.interface import Wrench
 from app.simulation.scenarios.door_opening import (
     DoorOpening,
     DoorOpeningGains,
-    HandReading,
     curvature_update,
     radial_update,
     tangent,
@@ -71,12 +71,12 @@ class Hinged:
         arm = self.closed.translation - self.hinge
         return pin.SE3(R @ self.closed.rotation, self.hinge + R @ arm)
 
-    def wrench(self, angle: float) -> tuple[Array, Array]:
+    def wrench(self, angle: float) -> Wrench:
         """(3,) [N] and (3,) [N m] that the hand exerts on the handle, about its own origin."""
         handle = self.handle(angle)
         force = self.stiffness * (self.hand.translation - handle.translation)
         torque = self.twist * pin.log3(self.hand.rotation @ handle.rotation.T)
-        return force, torque
+        return Wrench(force, torque)
 
     def opening_moment(self, angle: float) -> float:
         """[N m] about the hinge, positive opens."""
@@ -84,8 +84,8 @@ class Hinged:
         arm = self.hand.translation - self.hinge
         return -self.side * float(arm[0] * force[1] - arm[1] * force[0] + torque[2])
 
-    def read(self) -> HandReading:
-        return HandReading(self.hand.copy(), self.velocity, *self.wrench(self.angle))
+    def read(self) -> tuple[pin.SE3, Array, Wrench]:
+        return self.hand.copy(), self.velocity, self.wrench(self.angle)
 
     def follow(self, reference: Reference) -> None:
         """Move the hand towards the reference, and the door as its friction lets it."""
@@ -135,7 +135,7 @@ class Sample(NamedTuple):
     angle: float  # [rad]
     speed: float  # [m/s] asked
     along: float  # [m/s] the reference's velocity along the estimated tangent
-    hand: HandReading
+    read: tuple[pin.SE3, Array, Wrench]
     reference: Reference
 
 
@@ -152,20 +152,20 @@ def step_at(t: float) -> int:
 def run(door: Hinged, opening: DoorOpening, seconds: float) -> list[Sample]:
     trace = []
     for k in range(step_at(seconds)):
-        hand = door.read()
-        estimate = opening.radial(hand.T_world_ee)
+        T_world_ee, velocity, wrench = door.read()
+        estimate = opening.radial(T_world_ee)
         along = tangent(estimate, door.side)
         error = math.atan2(estimate @ tangent(door.radial, 1.0), estimate @ door.radial)
-        reference = opening.step(hand)
+        reference = opening.step(T_world_ee, velocity, wrench)
         trace.append(
             Sample(
                 k * DT,
                 error,
-                float(np.linalg.norm(hand.force)),
+                float(np.linalg.norm(wrench.force)),
                 door.angle,
                 opening.speed,
                 float(reference.velocity[:3] @ along),
-                hand,
+                (T_world_ee, velocity, wrench),
                 reference,
             )
         )
@@ -202,7 +202,7 @@ def test_the_radial_force_is_regulated_to_what_is_wanted():
     for wanted in (5.0, -5.0):
         door = Hinged(friction=0.5)
         trace = run(door, opening_of(door, 0.2, DoorOpeningGains(radial_force=wanted)), 12.0)
-        assert trace[-1].hand.force @ door.radial == pytest.approx(wanted, abs=0.5)
+        assert trace[-1].read[2].force @ door.radial == pytest.approx(wanted, abs=0.5)
 
 
 def test_the_path_is_learnt_too(opened):
@@ -269,7 +269,7 @@ def test_the_same_readings_give_the_same_references():
     first = opening_of(door, -0.5)
     again = opening_of(Hinged(side=-1.0, radius=0.7, friction=3.0), -0.5)
     for s in run(door, first, 3.0):
-        reference = again.step(s.hand)
+        reference = again.step(*s.read)
         np.testing.assert_array_equal(reference.pose.homogeneous, s.reference.pose.homogeneous)
         np.testing.assert_array_equal(reference.velocity, s.reference.velocity)
 

@@ -152,24 +152,11 @@ def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
 
 
 @pytest.mark.parametrize("mass", [0.0, 2.0])
-def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once(mass):
-    person = PersonHand(PersonConfig(mass=mass), DT)
-    far = AT + np.array([0.0, 0.5, 0.0])
-    assert np.linalg.norm(person.force(AT, np.zeros(3), far)) < 0.1
-    settled_force(person, AT, far)
-    np.testing.assert_array_equal(person.force(AT, np.zeros(3), None), np.zeros(3))
-    assert person.motion is None
-    elsewhere = AT + np.array([0.3, 0.0, 0.0])
-    assert np.linalg.norm(person.force(elsewhere, np.zeros(3), elsewhere)) < 1e-9
-
-
-@pytest.mark.parametrize("mass", [0.0, 2.0])
-def test_a_hand_that_is_taken_again_in_motion_is_not_jerked_either(mass):
-    person, v = PersonHand(PersonConfig(mass=mass, damping=25.0), DT), np.array([0.8, 0.0, 0.0])
-    settled_force(person, AT, AT + np.array([0.0, 0.0, 0.2]))
-    person.force(AT, v, None)
-    first = person.force(AT, v, AT + np.array([0.3, 0.0, 0.0]))
-    assert np.linalg.norm(first) <= 25.0 * 0.8 + 1.0  # its damper alone
+@pytest.mark.parametrize("speed", [0.0, 0.8])
+def test_the_person_takes_hold_without_a_jerk(mass, speed):
+    person = PersonHand(PersonConfig(mass=mass, damping=25.0), DT)
+    first = person.force(AT, np.array([speed, 0.0, 0.0]), AT + np.array([0.3, 0.0, 0.0]))
+    assert np.linalg.norm(first) <= 25.0 * speed + 0.1  # at most the damper
 
 
 @pytest.mark.parametrize("stretch", [0.05, 0.6])

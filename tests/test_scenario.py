@@ -136,7 +136,7 @@ class _Stands:
         ("guiding-front", {"release_at": 0.0}, "--release-at: 0.0 s"),
         ("guiding-front", {"release_at": float("nan")}, "--release-at: nan s"),
         ("guiding-front", {"release_at": 2.0, "regrasp_at": 1.0}, "--regrasp-at: 1 s .* 2 to 8 s"),
-        ("guiding-front", {"regrasp_at": 1.0}, "--release-at: None s"),
+        ("guiding-front", {"regrasp_at": 1.0}, "--regrasp-at: there is no release"),
         ("tracking", {"release_at": 1.0}, "--release-at: no person pulls in tracking"),
         ("way-out", {"release_at": 1.0}, "--release-at: the scenario way-out has no such option"),
         (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import as_json, load_robot_and_border, print_json, say
+from app.cli.common import as_json, load_robot_and_border, print_json
 from app.cli.records import Given, from_record
 from app.cli.run_spec import check_no_others, read, result_of, spec_of_case, spec_with
 from app.errors import ConfigError, check_name
@@ -128,8 +128,8 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         from app.robot.description import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name, **scenario_options)
-        figures = _run(spec_with(chosen, own, tuned), Files(**files), json=json)
-        _end(figures, fail_on_contact=fail_on_contact)
+        planned = spec_with(chosen, own, tuned)
+        _run(planned, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
     return command
@@ -153,17 +153,13 @@ def run_case(
     played = read(case)
     again = spec_of_case(played, setup)
     again = again._replace(config=options.changed(again.config, parameters))
-    figures = _run(again, Files(**files), json=json)
-    if not setup and not parameters:
-        for change in played.changes(figures):
-            say(f"changed since the case was written: {change}")
-    _end(figures, fail_on_contact=fail_on_contact)
+    _run(again, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
 
-def _run(asked: RunSpec, files: Files, *, json: bool) -> dict[str, Any]:
+def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> None:
     # Imported here, because the import takes longer than finding an error in the options.
     from app.control.buffer_watch import buffer_warning
-    from app.simulation.trace.metrics import verdict
+    from app.simulation.trace.metrics import touches, verdict
     from app.simulation.trace.words import missing, number_text
 
     model, data = load_robot_and_border(asked.robot)
@@ -180,13 +176,7 @@ def _run(asked: RunSpec, files: Files, *, json: bool) -> dict[str, Any]:
             print(f"  {key:34} {number_text(value, missing(key))}")
     for path in written:
         print(f"wrote {path}", file=sys.stderr if json else None)
-    return result.figures
-
-
-def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
-    from app.simulation.trace.metrics import touches
-
-    if fail_on_contact and touches(figures):
+    if fail_on_contact and touches(result.figures):
         sys.exit(1)
 
 

@@ -14,9 +14,9 @@ from app.cli.records import Given, from_record
 from app.cli.run_spec import check_no_others, read
 from app.config import Config
 from app.config_file import checked_host
+from app.simulation.scenarios import free_start
 from app.simulation.scenarios.leading import check_point
 from app.simulation.scenarios.line import Point
-from app.simulation.scenarios.pulled import free_start
 
 if TYPE_CHECKING:
     import numpy as np

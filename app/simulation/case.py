@@ -16,11 +16,10 @@ from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
-from app.simulation.scenarios.pulled import CHALLENGE
-from app.strict import MAX_SEEDS, Finite, Strict, explain, file_text, parsed
+from app.strict import MAX_SEEDS, Strict, explain, file_text, parsed
 
-_PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
-_MAX_ENTRIES = 1000  # [-] options, parameters or results of a case; about a hundred are usual
+_PLAYED: dict[str, Scenario] = SCENARIOS | {RANDOM_PULL.name: RANDOM_PULL}
+_MAX_ENTRIES = 1000  # [-] options or parameters of a case; about a hundred are usual
 FORMAT = "dbb_case"  # the key that identifies such a file
 
 
@@ -54,8 +53,6 @@ class RunCase(Strict):
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
     """All parameters, by their paths."""
-    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
-    """The results, by the keys that `dbb run` prints."""
 
     @field_validator("parameters")
     @classmethod
@@ -122,14 +119,6 @@ class RunCase(Strict):
         for path in sorted(tunables().keys() - self.parameters.keys()):
             found.append(f"the case has no {path}; the default {Config().value(path)} is used")
         return found
-
-    def changes(self, figures: dict[str, Any]) -> list[str]:
-        """The results of the case that differ from the new results `figures`, one per line."""
-        return [
-            f"{name} was {value!r}, is now {figures.get(name)!r}"
-            for name, value in self.figures.items()
-            if figures.get(name) != value
-        ]
 
     def text(self) -> str:
         """The text of the file."""

@@ -85,7 +85,7 @@ class People:
         """Compute the pull of each person in one period, and all forces.
 
         A person without a hold releases the robot. A person who changes to another point releases
-        the previous point, and the new force starts at zero.
+        the previous point; the spring of the new hold starts without stretch.
 
         Args:
             state: The robot's state.
@@ -115,9 +115,9 @@ class People:
 
 
 class PersonHand:
-    """F = K (p - p_ee) - D v_ee, limited to f_max, where p follows the target smoothly.
+    """One hold of a person: F = K (p - p_ee) - D v_ee on the held point p_ee, limited to f_max.
 
-    Targets arrive 20 times a second with jumps. p starts at the end-effector and moves towards the
+    Targets arrive 20 times a second with jumps. p starts at the held point and moves towards the
     latest target as a critically damped point with limited speed. Thus F has no steps at 1 kHz.
     The damper acts against the world: while p rests, the person only absorbs energy.
 
@@ -128,27 +128,29 @@ class PersonHand:
     """
 
     def __init__(self, config: PersonConfig, dt: float = 0.001) -> None:
-        """Start without a hold; `config` has the strength, `dt` [s] is the period of `force`."""
+        """Start a hold, which ends with the object.
+
+        Args:
+            config: The strength and the mass of the hand.
+            dt: [s] period of `force`.
+        """
         self.config, self._dt = config, dt
-        """`config` has K, D, f_max and the mass; it can be replaced at any time."""
+        """`config` can be replaced at any time."""
         self.motion: Array | None = None
-        """(2, 3) p [m] and its velocity [m/s]; None while the robot is not held."""
+        """(2, 3) p [m] and its velocity [m/s]; None before the first call of `force`."""
         self._mass: Array | None = None  # (2, 3) position and velocity of the hand's mass
 
-    def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:
+    def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array) -> Array:
         """Compute the person's force (3,) [N] on the held point for one period, in the world.
 
         Args:
             p_ee: (3,) [m] position of the held point.
             v_ee: (3,) [m/s] velocity of the held point.
-            target: (3,) [m] target of the held point; None means that the person releases.
+            target: (3,) [m] target of the held point.
 
         Raises:
             TargetError: The target is invalid, as in `checked_target`.
         """
-        if target is None:
-            self.motion = self._mass = None
-            return np.zeros(3)
         place = checked_target(target)
         if self.motion is None:
             self.motion = np.array([p_ee, np.zeros(3)], dtype=float)

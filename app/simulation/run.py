@@ -13,7 +13,7 @@ from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import EVERY, Snapshot, make_snapshot
 from app.simulation.trace.trace import Recorder, Trace
 
 
@@ -27,20 +27,13 @@ class RunResult(NamedTuple):
 def begin(
     setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
 ) -> Session:
-    """Make a session at the start of a setting.
+    """Make a session at the start of a setting; `robot` is the robot without a held door.
 
-    Args:
-        setting: The start; its model can have a held door as an additional body.
-        robot: The robot without a door.
-        controller: Name of the controller.
-        physics: Name of the plant, or None for the default.
-        seed: Seed of all random numbers.
+    The other arguments are those of `Session`.
 
     Raises:
-        ConfigError: The setting has a door, and the plant has no doors.
-        DescriptionError: No part of the arm can meet the base.
-        TargetError: A joint is beyond its limits at the start.
-        UnknownNameError: The controller or plant does not exist.
+        DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
+            beyond its limits at the start.
     """
     session = Session(
         setting.model,
@@ -64,11 +57,7 @@ def steps_of(
     The session is closed after the last step, or when the iterator is closed.
 
     Raises:
-        UnreachableError: The arm cannot reach the start of the scenario.
-        TargetError: The end-effector's path goes below the floor, or a joint is beyond its limits
-            at the start.
-        ConfigError: The scenario has a door, and the plant has no doors.
-        UnknownNameError: The controller or plant does not exist.
+        DbbError: The robot cannot start the scenario, or `begin` cannot make the session.
     """
     scenario = run.scenario
     setting = scenario.setting(model, data, run.config, run.seed)
@@ -153,24 +142,20 @@ def filmed(
 ) -> list[Snapshot]:
     """Execute a run up to the last of some times, and return its snapshots.
 
-    It raises the errors of `steps_of`.
-
-    Args:
-        run: The planned run.
-        model: The robot.
-        data: The robot's border data.
-        times: [s] times of required snapshots, in addition to those at 50 Hz; a time after the
-            end of the run means the last step.
-        on_progress: Called every 100 steps with the simulated time [s].
+    The snapshots are those at 50 Hz and those at `times` [s], as simulated times; a time after the
+    end of the run means the last step. The other arguments and the errors are those of
+    `run_from_spec`.
     """
-    last = round(run.scenario.duration / DT) - 1
+    scenario, snapshots = run.scenario, []
+    last = round(scenario.duration / DT) - 1
     required = {min(round(t / DT), last) for t in times}
-    recorder = Recorder(run.scenario, quantities=(), drawn=True, also=required)
+    about = {"scenario": scenario.name, "scenario_ends": scenario.duration}
     with closing(steps_of(run, model, data)) as steps:
         for k, (session, step) in enumerate(steps):
-            recorder.add(session, step)
+            if k % EVERY == 0 or k in required:
+                snapshots.append(make_snapshot(session, step, None, paused=False, **about))
             if k % 100 == 0:
                 on_progress(step.t)
             if k == max(required):
                 break
-    return recorder.snapshots
+    return snapshots

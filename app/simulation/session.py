@@ -136,9 +136,9 @@ class Session:
             base_pose: (3,) x, y [m] and heading [rad] of the base; None means the origin.
 
         Raises:
-            TargetError: A joint is beyond its limits.
+            TargetError: The posture is invalid (`check_posture`).
         """
-        check_within_limits(self.model, q_m)
+        check_posture(self.model, q_m)
         self.t = 0.0
         """[s] simulated time since the last reset."""
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
@@ -392,12 +392,14 @@ class VelocityTracking:
         return self._qd.copy()
 
 
-def check_within_limits(model: RobotModel, q_m: Array) -> None:
+def check_posture(model: RobotModel, q_m: Array) -> None:
     """Check that joint positions (n_m,) are within their limits, beyond which a plant would push.
 
     Raises:
-        TargetError: A joint is beyond its limits; the message names the joint and the limits.
+        TargetError: The number of joints is wrong, or a joint is beyond its limits.
     """
+    if len(q_m) != model.n_m:
+        raise TargetError(f"the posture has {len(q_m)} joints; the arm has {model.n_m}")
     for name, at, low, high in zip(
         model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True
     ):

@@ -28,7 +28,7 @@ _TOML: tuple[Callable[[int], str], ...] = (
 _JSON: tuple[Callable[[int], str], ...] = (
     lambda n: "[" * n + "]" * n,
     lambda n: f'{{"dbb_case": 1, "options": {"{" * n}',
-    lambda n: f'{{"dbb_case": 1, "options": {{"pulls": [{"[]," * n}0]}}}}',
+    lambda n: f'{{"dbb_case": 1, "options": {{"q_m": [{"[]," * n}0]}}}}',
     lambda n: '{"dbb_case": 1, "parameters": {' + "".join(map('"p{}": 1,'.format, range(n))) + "}}",
     lambda n: f'{{"dbb_case": 1, "seed": {"9" * n}}}',
     lambda n: f'{{"dbb_case": 1, "robot": "{"n" * n}"}}',

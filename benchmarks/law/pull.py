@@ -88,12 +88,12 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
         while True:
             target = pull.target(session.t) if held else None
             step = session.step(pull=target)
-            state = session.state
+            state, speed = session.state, 0.0
             p, v = state.T_world_ee.translation.copy(), state.v_ee[:3].copy()
-            shadow.force(p, v, target)  # moves as the session's person does, who shows no place
-            place = None if shadow.motion is None else shadow.motion[0]
-            speed = 0.0 if place is None else math.dist(place, before) / DT
-            before = before if place is None else place
+            if target is not None:  # moves as the session's person does, who shows no place
+                shadow.force(p, v, target)
+                place = shadow.motion[0]
+                speed, before = math.dist(place, before) / DT, place
             let_go = yield Moment(session, step, p, v, speed)
             held = held and not let_go
 

@@ -7,15 +7,20 @@ from time to time.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.border.cache import BorderData
+from app.config import Config
+from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
-from app.simulation.people import held_links
+from app.simulation.people import Hold, held_links
 from app.simulation.run import run_from_spec
-from app.simulation.scenarios.pulled import PulledScenario, PullEvent
-from app.simulation.session import DT
+from app.simulation.scenarios import free_start
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
+from app.simulation.session import DT, Session
 from benchmarks.law.options import Options
 from benchmarks.law.report import Report, largest, least
 from benchmarks.law.robot import load
@@ -38,6 +43,48 @@ class Walk(NamedTuple):
     options: Options
     number: int
     force: float
+
+
+class PullEvent(NamedTuple):
+    """A person pulls the robot from a control step on, or releases it.
+
+    Attributes:
+        step: Number of the control step.
+        who: Number of the person.
+        target: (3,) [m] target in the world; None means that the person releases the robot.
+        link: Name of the pulled link; None is the end-effector.
+    """
+
+    step: int
+    who: int
+    target: tuple[float, float, float] | None
+    link: str | None
+
+
+@dataclass(frozen=True)
+class Wandering(Scenario):
+    """People pull the robot from its free start; `pulls` are in the order of their steps."""
+
+    pulls: tuple[PullEvent, ...]
+
+    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
+        q_m = free_start(model, data, config, None, seed)
+        return Setting(model, data, np.zeros(3), q_m, config)
+
+    def driver(self, session: Session) -> Driver:
+        holds: dict[int, Hold] = {}
+        waiting = list(reversed(self.pulls))
+
+        def lead(session: Session) -> StepInput:
+            while waiting and waiting[-1].step <= round(session.t / DT):
+                _, who, target, link = waiting.pop()
+                if target is None:
+                    holds.pop(who, None)
+                else:
+                    holds[who] = Hold(who, np.array(target), link)
+            return StepInput(holds=tuple(holds.values()))
+
+        return lead
 
 
 def wander(options: Options, count: int = 12, force: float = 50.0, first: int = 0) -> Report:
@@ -66,7 +113,7 @@ def play(walk: Walk) -> dict[str, Any]:
     )
     stiffness = float(rng.uniform(*_STIFFNESS))
     config = robot.config.changed({"hand.f_max": force, "hand.stiffness": stiffness})
-    scenario = PulledScenario("wander", _DURATION, "two people wander", pulls=tuple(pulls))
+    scenario = Wandering("wander", _DURATION, "two people wander", tuple(pulls))
     run = RunSpec(options.robot, scenario, config, options.controller, None, options.seed)
     figures = run_from_spec(run, robot.model, robot.data).figures
     return {
@@ -91,7 +138,7 @@ def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[PullEve
         gone = rng.random() < _LET_GO
         found.append(PullEvent(round(t / DT), who, None if gone else place, link))
         t += rng.uniform(*_AT_A_PLACE)
-    return [*found, PullEvent(round((_DURATION - _ALONE) / DT), who, None)]
+    return [*found, PullEvent(round((_DURATION - _ALONE) / DT), who, None, link)]
 
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

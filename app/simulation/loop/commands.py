@@ -46,7 +46,6 @@ class Pull(Command):
     """A person holds the robot and pulls it to `target`.
 
     A pull of the end-effector ends the motion of a scenario; a pull elsewhere disturbs this motion.
-    A scenario in which people pull freely (`Scenario.open`) continues and records all pulls.
     """
 
     target: Point
@@ -150,19 +149,9 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Start a scenario.
-
-    Unless it is open, the scenario moves the end-effector until the scenario's end, or until a
-    person pulls the end-effector.
-    """
+    """Start a scenario; its input ends when a person pulls the end-effector, or at its end."""
 
     scenario: Scenario
-    until: float = 0.0
-    """[s] time up to which the scenario runs as fast as possible; then the simulation pauses. 0
-    means real time without a pause."""
-
-    def __post_init__(self) -> None:
-        check_range("the time to stop at", self.until, 0.0, self.scenario.duration, "s")
 
 
 @dataclass(frozen=True)

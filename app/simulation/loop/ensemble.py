@@ -13,19 +13,15 @@ from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
-from app.simulation.scenarios.leading import SHORTEST, Driver, Scenario, Setting, StepInput
-from app.simulation.scenarios.pulled import PullEvent
-from app.simulation.session import DT, Session, Step, check_within_limits
+from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
+from app.simulation.session import DT, Session, Step, check_posture
 from app.simulation.trace.columns import frozen
-from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
+from app.simulation.trace.metrics import largest
 from app.simulation.trace.snapshot import GhostReading, Score
-from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
 _SAID = 1.0  # [s] time for which snapshots contain a new case
 MAX_PULLS = 8  # largest number of people who hold the robot at the same time
-_NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
-_TOGETHER = 100  # number of control steps that are evaluated together, to save time
 
 
 class Ensemble:
@@ -51,10 +47,7 @@ class Ensemble:
         self.comparison = Compare()
         """The last requested comparison."""
         self._holds: dict[int, Hold] = {}
-        self._pulled: list[PullEvent] | None = None
-        """The pulls in the present open scenario (`Scenario.open`), recorded; otherwise None."""
-        self._case: tuple[float, RunCase] | None = None
-        """The time [s] of the newest case, and the case."""
+        self._case: RunCase | None = None  # of the scenario of the last start
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
@@ -82,9 +75,8 @@ class Ensemble:
 
     @property
     def case(self) -> RunCase | None:
-        """Case of a scenario that started, or of free pulls that ended, in the last second."""
-        since, case = self._case or (-math.inf, None)
-        return case if self.main.t < since + _SAID else None
+        """Case of the scenario that started in the last simulated second, or None."""
+        return self._case if self.main.t < _SAID else None
 
     def reset(
         self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
@@ -96,12 +88,9 @@ class Ensemble:
             base_pose: (3,) x, y [m] and heading [rad] of the base; ignored if `q_m` is empty.
 
         Raises:
-            TargetError: `q_m` has a wrong number of entries, or a joint is beyond its limits; then
-                the present run continues.
+            TargetError: The posture is invalid (`check_posture`); then the present run continues.
         """
         begun = self._start
-        if len(q_m) not in (0, len(begun.q_m)):
-            raise TargetError(f"the posture has {len(q_m)} joints; the arm has {len(begun.q_m)}")
         if q_m:
             begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
         self._enter(begun, None)
@@ -127,23 +116,13 @@ class Ensemble:
         self._enter(self._setting_of(scenario), scenario)
 
     def configure(self, config: Config) -> None:
-        """Use other parameters from the next step on, with the changes of `Scenario.adapted`.
-
-        A change ends the recording of pulls in an open scenario.
-        """
-        if self._pulled is not None and config != self._config:
-            self._let_go()  # all pulls of a recording have the same configuration
+        """Use other parameters from the next step on, with the changes of `Scenario.adapted`."""
         self._config = config
         for runner in (self._led, *self.ghosts):
             runner.session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
-        """Use the controller with this name from the next step on.
-
-        A change ends the recording of pulls in an open scenario.
-        """
-        if self._pulled is not None and controller != self.main.controller.name:
-            self._let_go()
+        """Use the controller with this name from the next step on."""
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
@@ -155,43 +134,34 @@ class Ensemble:
         Raises:
             DbbError: The robots cannot start there; then nothing has changed.
         """
-        before, self.comparison = self.comparison, comparison
-        try:
-            if not comparison.controllers:
-                self._replace_ghosts([])
-            elif self.scenario is not None and (self.leading or self.main.door is not None):
-                self.play(self.scenario)
-            else:
-                truth, start = self.main.physics.measure(), self._start
-                here = start._replace(base_pose=truth.base_pose, q_m=truth.q_m)
-                self._enter(here, None)
-        except BaseException:
-            self.comparison = before
-            raise
+        if not comparison.controllers:
+            self.comparison = comparison
+            self._replace_ghosts([])
+        elif self.scenario is not None and (self.leading or self.main.door is not None):
+            self._enter(self._setting_of(self.scenario), self.scenario, comparison)
+        else:
+            truth, start = self.main.physics.measure(), self._start
+            here = start._replace(base_pose=truth.base_pose, q_m=truth.q_m)
+            self._enter(here, None, comparison)
 
     def pull(self, pull: Pull) -> None:
-        """Let a person hold the robot.
-
-        A person at the end-effector ends the scenario's motion; an open scenario continues and
-        records the pull.
+        """Let a person hold the robot; a person at the end-effector ends the scenario's motion.
 
         Raises:
             TargetError: The largest number of people already holds the robot.
         """
         if pull.who not in self._holds and len(self._holds) >= MAX_PULLS:
             raise TargetError(f"{MAX_PULLS} people already hold the robot, the largest number")
-        if pull.link is None and self._pulled is None:
+        if pull.link is None:
             self._let_go()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
         self._holds[pull.who] = Hold(
             pull.who, np.array(pull.target, dtype=float), pull.link, (x, y, z)
         )
-        self._record(pull.who)
 
     def release(self, who: int) -> None:
         """Let a person release the robot, if this person holds it."""
-        if self._holds.pop(who, None) is not None:
-            self._record(who)
+        self._holds.pop(who, None)
 
     def step(self) -> Step:
         """Execute one control step of all robots, with the scenario's input and people's pulls."""
@@ -220,28 +190,13 @@ class Ensemble:
         if self.main is not self._free:
             self.main.close()
 
-    def _record(self, who: int) -> None:
-        """Record that a person holds, moves or releases the robot from the next control step on."""
-        if self._pulled is not None:
-            held = self._holds.get(who)
-            step = round(self.main.t / DT)
-            if held is None:
-                self._pulled.append(PullEvent(step, who, None))
-            else:
-                x, y, z = held.target.tolist()
-                self._pulled.append(PullEvent(step, who, (x, y, z), held.link, held.point))
-
-    def _keep_case(self, scenario: Scenario) -> None:
+    def _case_of(self, scenario: Scenario) -> RunCase:
         main, robot = self.main, self._free.model.description.name
         run = robot, scenario, self._config, main.controller.name, main.kind, main.seed
-        self._case = main.t, RunCase.of(RunSpec(*run))
+        return RunCase.of(RunSpec(*run))
 
     def _let_go(self) -> None:
-        if self._pulled is not None and self.scenario is not None:
-            length = max(round(self.main.t / DT) * DT, SHORTEST)
-            done = {"duration": length, "q_m": self._q_begun, "pulls": self._pulled}
-            self._keep_case(self.scenario.changed(**done))
-        self._pulled = self.ends = None
+        self.ends = None
         for runner in (self._led, *self.ghosts):
             runner.let_go()
 
@@ -256,28 +211,34 @@ class Ensemble:
             self._found = scenario, self._config, setting
         return self._found[2]
 
-    def _enter(self, setting: Setting, scenario: Scenario | None) -> None:
-        """Move the robot and its ghosts to the start of a setting."""
-        check_within_limits(setting.model, setting.q_m)  # before any session changes
-        setting = setting._replace(config=self._adapted(scenario))
-        session = self._session_for(setting)
-        others = self._other_sessions(setting)
-        for each in (session, *others):
-            each.configure(setting.config)
-            each.reset(setting.q_m, setting.base_pose)
-        led, *ghosts = [
-            Runner(each, scenario and scenario.driver(each)) for each in (session, *others)
-        ]
-        if session is not self.main and self.main is not self._free:
+    def _enter(
+        self, setting: Setting, scenario: Scenario | None, comparison: Compare | None = None
+    ) -> None:
+        """Move the robot and its ghosts to the start of a setting.
+
+        Without `comparison`, the compared controllers are those of the last comparison.
+        """
+        comparison = comparison or self.comparison
+        check_posture(setting.model, setting.q_m)  # before any session changes
+        setting, free = setting._replace(config=self._adapted(scenario)), self._free
+        names = (self.main.controller.name, *comparison.controllers)
+        # A session with a door is not used again, because pybullet's reset does not remove the
+        # whole state of the grasp.
+        usable = [free, *(g.session for g in self.ghosts if g.session.door is None)]
+        old = usable[: len(names)] if setting.door is None else []
+        new = [begin(setting, free.model, name, free.kind, free.seed) for name in names[len(old) :]]
+        for session, name in zip(old, names, strict=False):
+            session.controller.use(name)
+            session.configure(setting.config)
+            session.reset(setting.q_m, setting.base_pose)
+        led, *ghosts = [Runner(each, scenario and scenario.driver(each)) for each in (*old, *new)]
+        if led.session is not self.main and self.main is not free:
             self.main.close()
         # Nothing below can fail, so the name and the end always belong to the same scenario.
-        self._led, self.scenario = led, scenario
+        self._led, self.scenario, self.comparison = led, scenario, comparison
         self.ends = scenario and scenario.duration
         self._holds.clear()
-        self._pulled = [] if scenario is not None and scenario.open else None
-        self._q_begun, self._case = tuple(setting.q_m.tolist()), None
-        if scenario is not None and not scenario.open:
-            self._keep_case(scenario)
+        self._case = scenario and self._case_of(scenario)
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:
@@ -290,49 +251,23 @@ class Ensemble:
         for runner in (self._led, *ghosts):
             runner.scored = bool(ghosts)
 
-    def _other_sessions(self, setting: Setting) -> list[Session]:
-        """A session for each ghost; without a door, the present ghosts' sessions are used again."""
-        usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
-        sessions: list[Session] = []
-        for name in self.comparison.controllers:
-            sessions.append(usable.pop(0) if usable else self._new_session(setting, name))
-            sessions[-1].controller.use(name)
-        return sessions
-
-    def _session_for(self, setting: Setting) -> Session:
-        """The free session, or a new session with the present controller for a setting with a door.
-
-        A session with a door is not used again, because pybullet's reset does not remove the whole
-        state of the grasp.
-        """
-        name = self.main.controller.name
-        if setting.door is None and setting.model is self._free.model:
-            self._free.controller.use(name)
-            return self._free
-        return self._new_session(setting, name)
-
-    def _new_session(self, setting: Setting, controller: str) -> Session:
-        free = self._free
-        return begin(setting, free.model, controller, free.kind, free.seed)
-
 
 class Runner:
-    """One robot of the ensemble: session, driver and score, in bounded memory."""
+    """One robot of the ensemble: session, driver and score."""
 
     def __init__(self, session: Session, driver: Driver | None) -> None:
         """Start at the beginning of a session; `driver` computes the input, or is None."""
         self.session, self._driver, self.scored = session, driver, False
-        """`scored` states whether the robot's steps count for a comparison."""
-        self._recorder = Recorder(quantities=_NEEDED)
+        """`scored` states whether the robot takes part in a comparison."""
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._rows, self._complete = 0, False
+        self._complete = False
         self._clearance = math.inf  # [m] smallest distance of the pairs of L_m at the last step
+        self._before: tuple[Array, ...] | None = None  # quantities of the last counted step
+        self._angular = np.array([axis.angular for axis in session.model.description.base.axes])
 
     def let_go(self) -> None:
         """Remove the driver; later steps do not change the score of the driven motion."""
-        if self._driver is not None and self.scored:
-            self._look()
-            self._complete = True
+        self._complete = self._complete or self._driver is not None
         self._driver = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
@@ -346,14 +281,13 @@ class Runner:
         lead = StepInput() if self._driver is None else self._driver(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
-            self._recorder.add(self.session, step)
-            if len(self._recorder) > _TOGETHER:
-                self._look()
+            self._clearance = min(step.distances[: step.control.n_mob])
+            if not self._complete:
+                self._count(step)
         return step
 
     def reading(self) -> GhostReading:
         """The robot's state at the last step, in separate, read-only memory."""
-        self._look()
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
             session.controller.name,
@@ -366,37 +300,22 @@ class Runner:
 
     def score(self) -> Score:
         """The score so far."""
-        self._look()
         return self._score._replace(controller=self.session.controller.name)
 
-    def _look(self) -> None:
-        """Evaluate the rows since the last call.
-
-        Differences between rows include the one to the last row of the previous call.
-        """
-        if not len(self._recorder):
-            return
-        block = self._recorder.taken()
-        new = block.rows(slice(1 if self._rows else 0, None))
-        self._rows += len(new)
-        if not len(new):
-            return
-        if not self._complete:
-            self._add_up(block, new)
-        now = clearance(new.rows(slice(-1, None)), mobile=True)
-        self._clearance = math.inf if now is None else now
-
-    def _add_up(self, block: Trace, new: Trace) -> None:
-        score, jump = self._score, jumps(block, "base_acceleration")
-        least = clearance(new, mobile=True)
+    def _count(self, step: Step) -> None:
+        """Add a step to the score."""
+        score, w = self._score, step.control
+        now = step.truth.base_pose[:2], w.a_base_cmd.copy(), w.u_cmd.copy()
+        before, self._before = self._before or now, now
+        moved, acceleration, torque = (np.abs(a - b) for a, b in zip(now, before, strict=True))
         self._score = Score(
-            score.controller,
-            score.clearance if least is None else min(score.clearance, least),
-            float(new.of("ee_error")[-1]),
-            largest(new.of("ee_error"), score.error_max),
-            score.base_path + path(block),
-            max(score.acceleration_jump, jump["linear_mps2"]),
-            max(score.angular_jump, jump["angular_radps2"]),
-            torque_jump(block, score.torque_jump),
-            score.contacts + total(new, "in_contact"),
+            "",
+            min(score.clearance, self._clearance),
+            step.ee_error,
+            max(score.error_max, step.ee_error),
+            score.base_path + math.hypot(*moved.tolist()),
+            largest(acceleration[~self._angular], score.acceleration_jump),
+            largest(acceleration[self._angular], score.angular_jump),
+            largest(torque, score.torque_jump),
+            score.contacts + any(step.contacts),
         )

@@ -125,7 +125,6 @@ class SimulationLoop(LiveLoop):
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
         self._paused, self._watched, self._speed = False, True, 1.0
         self._runs = 0
-        self._until = 0.0  # [s] time up to which steps do not wait for real time
         self._refusal: Refusal | None = None
 
     def begin(self) -> None:
@@ -174,13 +173,9 @@ class SimulationLoop(LiveLoop):
     def _advance(self, ensemble: Ensemble) -> None:
         step = ensemble.step()
         self._pacer.worked(step.duration)
-        there = self._until > 0.0 and step.t > self._until - 0.5 * DT
-        if there:
-            self._until, self._paused = 0.0, True
-        if there or round(step.t / DT) % EVERY == 0:
+        if round(step.t / DT) % EVERY == 0:
             self._publish(ensemble, step)
-        if self._until == 0.0:
-            self._pacer.wait()
+        self._pacer.wait()
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
         fields = self._loop_fields(ensemble)
@@ -248,7 +243,6 @@ class SimulationLoop(LiveLoop):
         if isinstance(command, commands.Play):
             self._announce(f"preparing {command.scenario.name}")
             ensemble.play(command.scenario)
-            self._until = command.until
             self._paused = False
         elif isinstance(command, commands.Compare):
             self._announce("preparing the comparison")

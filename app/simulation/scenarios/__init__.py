@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from app.errors import UnreachableError, check_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.scenarios.way_out import WayOutScenario
+from app.strict import Array
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from app.border.cache import BorderData
+    from app.config import Config
     from app.robot.description import RobotDescription
+    from app.robot.model import RobotModel
 
 
 def _guiding(name: str, direction: str, start: Point, move: Point) -> LineScenario:
@@ -45,6 +53,7 @@ SCENARIOS: dict[str, Scenario] = {
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
 """Scenarios with a path towards a side of the base; each needs the robot's own line or a start
 from the user."""
+_FREE = "guiding-front"  # scenario whose start is also the start of the free motion
 _SAME_LINE = {"tracking": "guiding-lateral"}
 """A scenario for which a robot has no line, and the scenario whose line is used instead."""
 
@@ -83,6 +92,34 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
             "--start X Y Z and --move X Y Z set a line"
         )
     return scenario.changed(**own).changed(**changes)
+
+
+def free_start(
+    model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
+) -> Array:
+    """The arm's joint positions (n_m,) [rad or m] at the start of the free motion.
+
+    Args:
+        model: The robot.
+        data: Its border data.
+        config: All parameters.
+        start: (3,) [m] position of the end-effector in the world, with the base at the origin; None
+            means the start of the robot's own line for `guiding-front`, or the ready position if
+            the robot has no such line.
+        seed: Seed of the search.
+
+    Raises:
+        UnreachableError: The search has found no configuration.
+    """
+    # Imported here: scipy would delay the start of every command.
+    from app.simulation.scenarios.start import find_start
+
+    place = model.description.lines.get(_FREE)
+    at = place.start_m if start is None and place else start
+    if at is None:
+        return np.array(model.description.arm.ready_position)
+    x, y, z = at
+    return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
 
 
 def _own_line(description: RobotDescription, name: str) -> dict[str, object]:

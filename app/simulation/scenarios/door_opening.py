@@ -9,13 +9,13 @@ from the torque.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from app.control.tasks import Reference
 from app.simulation.plants.door import Door, DoorReading
+from app.simulation.plants.interface import Wrench
 from app.simulation.scenarios.leading import StepInput
 from app.simulation.session import Session
 from app.strict import Array
@@ -51,18 +51,6 @@ class DoorOpeningGains:
     """[s] time constant of the filter of force and torque, which prevents oscillation."""
     leash: float = 0.03
     """[m] largest distance of the reference from the end-effector."""
-
-
-class HandReading(NamedTuple):
-    """The sensor readings of the end-effector, in the world."""
-
-    T_world_ee: pin.SE3
-    velocity: Array
-    """(3,) [m/s] velocity of the end-effector's origin."""
-    force: Array
-    """(3,) [N] force on the door."""
-    torque: Array
-    """(3,) [N m] torque on the door about the end-effector's origin."""
 
 
 def tangent(radial: Array, sense: float) -> Array:
@@ -134,27 +122,33 @@ class DoorOpening:
         angle = self._angle + self._turned(T_world_ee)
         return np.array([math.cos(angle), math.sin(angle), 0.0])
 
-    def step(self, hand: HandReading) -> Reference:
-        """Update the estimates from the readings, and return the reference of the control step."""
+    def step(self, T_world_ee: pin.SE3, velocity_ee: Array, wrench: Wrench) -> Reference:
+        """Update the estimates from sensor readings, and return the reference of the control step.
+
+        Args:
+            T_world_ee: Pose of the end-effector.
+            velocity_ee: (3,) [m/s] velocity of the end-effector's origin, in the world.
+            wrench: Force and torque of the end-effector on the door.
+        """
         gains, dt = self._gains, self._dt
         share = -math.expm1(-dt / gains.smoothing)  # of a first-order filter
-        self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
+        self._felt += share * (np.concatenate(wrench) - self._felt)
         force, torque = self._felt[:3], self._felt[3:]
-        radial = self.radial(hand.T_world_ee)
+        radial = self.radial(T_world_ee)
         along = tangent(radial, self._sense)
         error = float(force @ radial) - gains.radial_force
         self._integral += error * dt / gains.integral_time
         regulated = error + self._integral
-        self.speed = self._desired_speed(force, abs(self._turned(hand.T_world_ee)))
+        self.speed = self._desired_speed(force, abs(self._turned(T_world_ee)))
         velocity = self.speed * along - gains.compliance * (
             regulated * radial + force * [0.0, 0.0, 1.0]
         )
         turning = np.array([0.0, 0.0, self.curvature * self.speed])
         turning -= gains.angular_compliance * torque
-        progress = _share(float(hand.velocity @ along) / gains.speed)
+        progress = _share(float(velocity_ee @ along) / gains.speed)
         self._angle += radial_update(regulated, progress, self._sense, gains) * dt
         self.curvature += curvature_update(float(torque[2]), progress, gains) * dt
-        self._lead(hand.T_world_ee, velocity, turning)
+        self._lead(T_world_ee, velocity, turning)
         self._t += dt
         return Reference(self._pose.copy(), np.concatenate([velocity, turning]), np.zeros(6))
 
@@ -214,7 +208,7 @@ class Opener:
             float(wrench.force[:2] @ truth),
             math.atan2(truth[0] * guess[1] - truth[1] * guess[0], float(truth @ guess[:2])),
         )
-        reference = self._opening.step(HandReading(T_ee, velocity, wrench.force, wrench.torque))
+        reference = self._opening.step(T_ee, velocity, wrench)
         return StepInput(reference=reference, door=reading)
 
 

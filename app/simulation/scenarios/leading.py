@@ -21,8 +21,7 @@ if TYPE_CHECKING:  # for annotations, so that options are checked before slow im
     from app.simulation.plants.door import DoorReading, OpenDoor
     from app.simulation.session import Session
 
-SHORTEST = 0.01  # [s] shortest scenario
-_DURATIONS = SHORTEST, 3600.0  # [s]
+_DURATIONS = 0.01, 3600.0  # [s] shortest and longest scenario
 _FARTHEST = 10.0  # [m] largest coordinate of a point; a larger one is a typing error
 
 
@@ -76,11 +75,6 @@ class Scenario(ABC):
     def options(self) -> tuple[str, ...]:
         """Names of the fields that the user can set."""
         return tuple(field.name for field in fields(self) if field.name not in ("name", "about"))
-
-    @property
-    def open(self) -> bool:
-        """Whether people pull the robot freely; the live loop then records their pulls."""
-        return False
 
     @abstractmethod
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:

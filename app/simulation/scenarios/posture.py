@@ -21,8 +21,8 @@ _TO_TARGET = 10.0  # [-] weight of the end-effector's position or pose
 _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
-"""A function that returns the quality [-] of a posture (n_m,), above zero and better if larger, or
-the reason why the posture is invalid."""
+"""A function that returns the quality [-] of a posture (n_m,), which is better if larger; if the
+posture is invalid, it returns zero or the reason."""
 
 
 class Target(NamedTuple):

@@ -146,10 +146,10 @@ class StartSolver:
         return found.q_m
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
-        """Whether the end-effector reaches `p_ee` (3,) [m] within the joint limits.
+        """Whether a search finds a posture with the end-effector at `p_ee` (3,) [m].
 
-        Any direction of the end-effector counts. `tries` is the number of starting points of the
-        search, which `seed` determines.
+        The end-effector can have any direction. `tries` is the number of random starting points of
+        the search, which `seed` determines; a small number can miss the posture.
         """
         target = Target(np.array(p_ee, dtype=float))
         if self._search.beyond(target.p) > 0.0:
@@ -241,78 +241,101 @@ def find_start(
     return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 
 
-class GraspSolver:
-    """Finds a configuration with the end-effector at a door's handle and every pair outside its
-    buffer.
+@kept_per_model(_CACHED)
+def find_grasp(
+    model: RobotModel,
+    pairs: LinkPairs,
+    d_b: float,
+    base_pose: _Place,
+    door: Door,
+    angle: float,
+    *,
+    seed: int = 0,
+) -> tuple[Array, pin.SE3]:
+    """Find a posture of the arm (n_m,), read-only, at a door's handle, and the end-effector's pose.
 
-    The best configuration can follow the door through the largest angle while the base moves back.
-    Among equal configurations the best one has the largest margins on the path.
+    The end-effector is horizontal and points into the door; every pair is outside its buffer. The
+    best posture can follow the door through the largest angle while the base moves back. Among
+    equal postures the best one has the largest margins on the path. The result is cached.
+
+    Args:
+        model: The robot.
+        pairs: The robot's pairs.
+        d_b: [m] buffer distance.
+        base_pose: (3,) x, y [m] and heading [rad] of the base.
+        door: The door.
+        angle: [rad] opening angle of the door.
+        seed: Seed of the search.
+
+    Raises:
+        UnreachableError: The search has found no posture.
     """
+    q_m, T_ee = _GraspSearch(model, pairs, d_b, np.array(base_pose), door, angle).best(seed)
+    return _frozen(q_m), T_ee
 
-    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare the search for a robot, its pairs and a buffer distance `d_b` [m]."""
+
+class _GraspSearch:
+    """The search of `find_grasp`."""
+
+    def __init__(
+        self,
+        model: RobotModel,
+        pairs: LinkPairs,
+        d_b: float,
+        base_pose: Array,
+        door: Door,
+        angle: float,
+    ) -> None:
         self._search = PostureSearch(model, pairs, d_b)
         self._front = float(MobileBody(model).upper[0])
+        self._base_pose, self._door, self._angle = base_pose, door, angle
 
-    def solve(
-        self, base_pose: Array, door: Door, angle: float, *, seed: int = 0
-    ) -> tuple[Array, pin.SE3]:
-        """Find the arm's posture (n_m,) at a door's handle, and the end-effector's pose.
-
-        The end-effector is horizontal and points into the door.
-
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
-            door: The door.
-            angle: [rad] opening angle of the door.
-            seed: Seed of the search.
-
-        Raises:
-            UnreachableError: The search has found no configuration.
-        """
+    def best(self, seed: int) -> tuple[Array, pin.SE3]:
         rng = np.random.default_rng(seed)
         best = Found(None, 0.0, Counter())
         target = pin.SE3.Identity()
-        self._search.stand(base_pose)
-        far = self._search.beyond(door.handle(angle).translation) > 0.0
+        self._search.stand(self._base_pose)
+        far = self._search.beyond(self._door.handle(self._angle).translation) > 0.0
         for roll in () if far else _ROLLS:
-            rolled = _rolled(door.handle(angle), roll)
-            self._search.stand(base_pose)
             found = self._search.best(
                 self._search.guesses(rng, _ROLL_SEEDS),
-                lambda q, roll=roll: self._judge(base_pose, door, angle, roll, q),
-                target=rolled,
+                lambda q, roll=roll: self._judge(roll, q),
+                target=self._grasp(self._angle, roll),
             )
             if found.quality > best.quality:
-                best, target = found, rolled
+                best, target = found, self._grasp(self._angle, roll)
         if best.q_m is None:
-            x, y, z = door.handle(angle).translation
+            x, y, z = self._door.handle(self._angle).translation
             raise UnreachableError(
                 f"no configuration of the arm reaches the handle at "
-                f"({x:.2f}, {y:.2f}, {z:.2f}) m from a base at ({base_pose[0]:.2f}, "
-                f"{base_pose[1]:.2f}) m; place base and handle 0.7 to 1.1 m from each other"
+                f"({x:.2f}, {y:.2f}, {z:.2f}) m from a base at ({self._base_pose[0]:.2f}, "
+                f"{self._base_pose[1]:.2f}) m; place base and handle 0.7 to 1.1 m from each other"
             )
         return best.q_m, target
 
-    def _judge(self, base_pose: Array, door: Door, angle: float, roll: float, q_m: Array) -> float:
+    def _grasp(self, angle: float, roll: float) -> pin.SE3:
+        """Pose of the end-effector at the handle, rolled about its z axis by `roll` [rad]."""
+        turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
+        return self._door.handle(angle) * turn
+
+    def _judge(self, roll: float, q_m: Array) -> float:
         """[-] quality of a posture at the handle: number of reachable door angles, plus margins."""
-        room = self._room(_rolled(door.handle(angle), roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
+        room = self._room(self._grasp(self._angle, roll), q_m, _GRASP_TOLERANCE, _BUFFER_MARGIN)
         if room > 0.0:
-            room = self._room_ahead(base_pose, door, angle, roll, q_m, room)
-            self._search.stand(base_pose)
+            room = self._room_ahead(roll, q_m, room)
+            self._search.stand(self._base_pose)
         return room
 
-    def _room_ahead(
-        self, base_pose: Array, door: Door, angle: float, roll: float, q_start: Array, room: float
-    ) -> float:
+    def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
         """[-] number of further door angles that the arm can follow, plus the smallest margin.
 
         As in the controller, the arm stays near its starting posture in the task's null space.
         """
         q_m, followed = q_start, 0
         for turned in _AHEAD:
-            target = _rolled(door.handle(angle + turned), roll)
-            self._search.stand(self._backed_off(base_pose, door, angle + turned))
+            angle = self._angle + turned
+            target = self._grasp(angle, roll)
+            self._search.stand(self._backed_off(angle))
             for _ in range(_CORRECTIONS):
                 q_m = self._corrected(target, q_m, q_start)
             if (there := self._room(target, q_m, _LOOSE_TOLERANCE, -_MAX_INSIDE)) <= 0.0:
@@ -320,10 +343,11 @@ class GraspSolver:
             followed, room = followed + 1, min(room, there)
         return followed + room
 
-    def _backed_off(self, base_pose: Array, door: Door, angle: float) -> Array:
+    def _backed_off(self, angle: float) -> Array:
         """(3,) pose of the base, moved back until the door's free edge is d_b ahead of the base."""
+        door = self._door
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
-        x, y, heading = base_pose
+        x, y, heading = self._base_pose
         forwards = np.array([np.cos(heading), np.sin(heading)])
         gap = float((edge[:2] - [x, y]) @ forwards) - self._front
         return np.array(
@@ -350,35 +374,9 @@ class GraspSolver:
         return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 
-@kept_per_model(_CACHED)
-def find_grasp(
-    model: RobotModel,
-    pairs: LinkPairs,
-    d_b: float,
-    base_pose: _Place,
-    door: Door,
-    angle: float,
-    *,
-    seed: int = 0,
-) -> tuple[Array, pin.SE3]:
-    """The arm's posture (n_m,), read-only, and the end-effector's pose from `GraspSolver.solve`.
-
-    The result is cached.
-
-    Raises:
-        UnreachableError: The search has found no configuration.
-    """
-    q_m, T_ee = GraspSolver(model, pairs, d_b).solve(np.array(base_pose), door, angle, seed=seed)
-    return _frozen(q_m), T_ee
-
-
 def _frozen(q_m: Array) -> Array:
     q_m.flags.writeable = False
     return q_m
-
-
-def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:
-    return pose * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
 
 
 def _text(point: tuple[float, float, float]) -> str:

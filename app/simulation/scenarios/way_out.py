@@ -16,8 +16,8 @@ from app.strict import Array
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.config import Config
-    from app.robot.link_pairs import LinkPairs
     from app.robot.model import RobotModel
+    from app.simulation.scenarios.posture import PostureSearch
     from app.simulation.session import Session
 
 Begin = Literal["penetration", "buffer", "arm"]
@@ -47,65 +47,57 @@ class WayOutScenario(Scenario):
             raise ConfigError(f"--begin: {self.begin!r} is not one of {', '.join(BEGINS)}")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        starts = TroubledStarts(model, data.pairs, config.border.d_b)
-        return Setting(model, data, np.zeros(3), starts.draw(self.begin, seed), config)
+        """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
+
+        The pair is drawn first. For a pair of L_m, the direction is drawn too: the arm is above the
+        base or beside it. Some of these cases are rare among uniformly random postures.
+
+        Raises:
+            UnreachableError: The search has found no posture.
+        """
+        # Imported here: scipy would delay the start of every command.
+        from app.simulation.scenarios.posture import PostureSearch
+
+        pairs, d_b = data.pairs, config.border.d_b
+        search, mobile = PostureSearch(model, pairs, d_b), len(pairs.mobile)
+        rng = np.random.default_rng([seed, BEGINS.index(self.begin)])
+        depth = (-DEEPEST, 0.0) if self.begin == "penetration" else (0.0, d_b)
+        kinds: list[tuple[int, bool | None]] = []  # index of the pair; whether the arm is above
+        if self.begin != "arm":
+            kinds += product(range(mobile), (True, False))
+        if self.begin != "buffer":
+            kinds += [(i, None) for i in range(mobile, len(pairs.all))]
+        for k in rng.permutation(len(kinds)):
+            guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
+            judge = partial(_judge, search, *kinds[k], depth)
+            if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
+                return Setting(model, data, np.zeros(3), q_m, config)
+        raise UnreachableError(
+            f"no configuration of the arm has a start of the kind {self.begin!r} in {_TRIES} tries "
+            "for each pair"
+        )
 
     def driver(self, session: Session) -> Driver:
         del session
         return lambda _: StepInput()
 
 
-class TroubledStarts:
-    """Random arm configurations inside a buffer or in penetration, with the base at the origin.
+def _judge(
+    search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
+) -> float:
+    """1 if the present posture is a valid start for pair i, otherwise 0.
 
-    The pair is chosen first. For a pair of L_m, the direction is chosen too: the arm is above the
-    base or beside it. Some of these cases are rare among uniformly random configurations.
+    Args:
+        search: The search, whose present posture is judged.
+        i: Index of the pair, which must be the nearest one.
+        above: Whether the arm must be above the base; None means any direction.
+        depth: [m] range of the pair's distance.
+        _: The posture.
     """
-
-    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        """Prepare the search for a robot, its pairs and a buffer distance `d_b` [m]."""
-        # Imported here: scipy would delay the start of every command.
-        from app.simulation.scenarios.posture import PostureSearch
-
-        self._pairs, self._search = pairs, PostureSearch(model, pairs, d_b)
-
-    def draw(self, begin: Begin, seed: int) -> Array:
-        """Draw an arm configuration (n_m,) for a kind of start; equal seeds give equal results.
-
-        Raises:
-            UnreachableError: The search has found no configuration.
-        """
-        search, mobile = self._search, len(self._pairs.mobile)
-        model, rng = search.model, np.random.default_rng([seed, BEGINS.index(begin)])
-        depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, search.d_b)
-        kinds: list[tuple[int, bool | None]] = []  # index of the pair; whether the arm is above
-        if begin != "arm":
-            kinds += product(range(mobile), (True, False))
-        if begin != "buffer":
-            kinds += [(i, None) for i in range(mobile, len(self._pairs.all))]
-        for k in rng.permutation(len(kinds)):
-            guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
-            judge = partial(self._judge, *kinds[k], depth)
-            if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
-                return q_m
-        raise UnreachableError(
-            f"no configuration of the arm has a start of the kind {begin!r} in {_TRIES} tries "
-            "for each pair"
-        )
-
-    def _judge(self, i: int, above: bool | None, depth: tuple[float, float], _: Array) -> float:
-        """1 if the present posture is a valid start for pair i, otherwise 0.
-
-        Args:
-            i: Index of the pair, which must be the nearest one.
-            above: Whether the arm must be above the base; None means any direction.
-            depth: [m] range of the pair's distance.
-            _: The posture, which is already placed.
-        """
-        closest = self._search.monitor.find_closest_points()
-        pair = closest[i]
-        if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):
-            return 0.0
-        if above is not None and (abs(pair.n[2]) > _FROM_ABOVE) != above:
-            return 0.0
-        return float(self._search.above_floor() > _FLOOR_MARGIN)
+    closest = search.monitor.find_closest_points()
+    pair = closest[i]
+    if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):
+        return 0.0
+    if above is not None and (abs(pair.n[2]) > _FROM_ABOVE) != above:
+        return 0.0
+    return float(search.above_floor() > _FLOOR_MARGIN)

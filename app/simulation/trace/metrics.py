@@ -112,11 +112,6 @@ def jumps(run: Trace, quantity: str) -> dict[str, float]:
     }
 
 
-def torque_jump(run: Trace, at_least: float = 0.0) -> float:
-    """[N m or N] largest change of a joint's torque or force in one step."""
-    return largest(np.abs(np.diff(run.of("u_a"), axis=0)), at_least)
-
-
 def sign_changes(values: Array, band: float) -> int:
     """Largest number of sign changes in a column of values (N, k).
 
@@ -180,7 +175,7 @@ def _last(run: Trace, quantity: str) -> Any:
     return run.of(quantity)[-1].item()
 
 
-def total(run: Trace, quantity: str) -> int:
+def _total(run: Trace, quantity: str) -> int:
     """Number of rows in which a flag is true."""
     return int(run.of(quantity).sum())
 
@@ -194,16 +189,16 @@ FIGURES: dict[str, Figure] = {
         "Smallest distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
     ),
     "contacts": Figure(
-        "Steps in which the arm touched the base.", lambda r: total(r, "in_contact")
+        "Steps in which the arm touched the base.", lambda r: _total(r, "in_contact")
     ),
     "arm_min_clearance_m": Figure(
         "Smallest distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
     ),
     "arm_contacts": Figure(
-        "Steps in which the arm touched itself.", lambda r: total(r, "arm_in_contact")
+        "Steps in which the arm touched itself.", lambda r: _total(r, "arm_in_contact")
     ),
     "floor_contacts": Figure(
-        "Steps in which the arm touched the floor.", lambda r: total(r, "floor_contact")
+        "Steps in which the arm touched the floor.", lambda r: _total(r, "floor_contact")
     ),
     "ee_error_max_m": Figure(
         "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
@@ -249,7 +244,8 @@ FIGURES: dict[str, Figure] = {
         lambda r: _base_sign_changes(r, "avoidance_acceleration"),
     ),
     "torque_jump_max_nm": Figure(
-        "Largest change of a joint's torque or force in one step.", torque_jump
+        "Largest change of a joint's torque or force in one step.",
+        lambda r: largest(np.abs(np.diff(r.of("u_a"), axis=0))),
     ),
     "torque_rate_sign_changes": Figure(
         "Largest number of sign changes of a torque's rate.",

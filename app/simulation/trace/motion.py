@@ -44,14 +44,6 @@ class Frames:
         link = model.pin.frames[hand.parentFrame]
         self._hand = link.name, hand.name, link.placement.actInv(hand.placement)
 
-    def _carrier(self, number: int) -> int | None:
-        """Index of the parent link's frame; None means that the parent is the world."""
-        frames = self._whole.frames
-        while number := frames[number].parentFrame:
-            if frames[number].type == pin.FrameType.BODY:
-                return number
-        return None
-
     def at(self, s: Snapshot) -> list[tuple[str, str, pin.SE3]]:
         """Name of the parent, name of the link and T_parent_link, for each link at a snapshot.
 
@@ -66,10 +58,12 @@ class Frames:
         return [*map(self._place, self._links), self._hand]
 
     def _place(self, link: int) -> tuple[str, str, pin.SE3]:
-        oMf, name, carrier = self._data.oMf, self._whole.frames[link].name, self._carrier(link)
-        if carrier is None:
-            return WORLD, name, oMf[link].copy()
-        return self._whole.frames[carrier].name, name, oMf[carrier].actInv(oMf[link])
+        frames, oMf = self._whole.frames, self._data.oMf
+        parent = frames[link].parentFrame
+        while parent and frames[parent].type != pin.FrameType.BODY:
+            parent = frames[parent].parentFrame
+        name = frames[parent].name if parent else WORLD  # frame 0 is the world
+        return name, frames[link].name, oMf[parent].actInv(oMf[link])
 
 
 def joints_of(s: Snapshot, model: RobotModel) -> list[JointReading]:

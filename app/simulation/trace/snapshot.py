@@ -136,7 +136,7 @@ class Score(NamedTuple):
     torque_jump: float
     """[N m or N] largest change of a joint's torque or force in one step."""
     contacts: int
-    """Number of control steps in which arm and base touched."""
+    """Number of control steps with a contact of any kind (`Contacts`)."""
 
 
 class Refusal(NamedTuple):
@@ -450,7 +450,7 @@ class Snapshot:
     refusal: Refusal | None = None
     """The newest failure of a command, or None."""
     case: RunCase | None = None
-    """Case of the run that has just started, or of the free pulls that have just ended; or None."""
+    """Case of the scenario that started in the last simulated second, or None."""
     explanation: Explanation | None = None
     """Explanation of the robot's motion in the control step at `t`; None if not requested."""
 

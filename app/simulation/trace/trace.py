@@ -194,25 +194,16 @@ class Trace:
 class Recorder:
     """Records every control step of a run."""
 
-    def __init__(
-        self,
-        scenario: Scenario | None = None,
-        *,
-        quantities: Iterable[str] = QUANTITIES,
-        drawn: bool = False,
-        also: Iterable[int] = (),
-    ) -> None:
+    def __init__(self, scenario: Scenario | None = None, *, drawn: bool = False) -> None:
         """Start with no steps.
 
         Args:
             scenario: The scenario that moves the end-effector during the whole run, or None.
-            quantities: Names of the recorded quantities, which are fields of `Snapshot`.
             drawn: Whether to take snapshots at 50 Hz, beginning with the first step.
-            also: Numbers of further control steps with a snapshot, if `drawn`.
         """
-        self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
-        self._names = list(quantities)
-        self._rows: list[Take] = []
+        self._scenario, self._drawn = scenario, drawn
+        rows = (quantity.row for quantity in QUANTITIES.values())
+        self._rows: list[Take] = [row for row in rows if row is not None]
         self._layout: Layout | None = None
         self._cells = array("d")  # needs a fifth of a list's memory, and no garbage collection
         self._last: tuple[Session, Step] | None = None
@@ -251,17 +242,6 @@ class Recorder:
         table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
-    def taken(self) -> Trace:
-        """The last row of the previous call, if there was one, and all rows since."""
-        assert self._layout is not None, "no step was recorded"
-        wide = len(self._layout.columns)
-        table = np.array(self._cells).reshape(-1, wide)
-        del self._cells[:-wide]
-        return Trace(self._layout, table)
-
-    def __len__(self) -> int:
-        return len(self._cells) // len(self._layout.columns) if self._layout else 0
-
     def _begin(self, session: Session, step: Step) -> None:
         base = session.model.body_names[0]
         pairs = {pair.name: pair.a == base for pair in step.control.pairs}
@@ -273,16 +253,12 @@ class Recorder:
             physics=session.kind,
             seed=session.seed,
         )
-        self._layout = Layout.of(meta, self._names)
-        rows = (QUANTITIES[name].row for name in self._names)
-        self._rows = [row for row in rows if row is not None]
+        self._layout = Layout.of(meta)
 
     def _draw(self, session: Session, step: Step) -> None:
-        k = round(step.t / DT)
-        if k % EVERY and k not in self._also:
+        if round(step.t / DT) % EVERY:
             return
-        # Only pictures need explanations; a recorder for pictures records no rows.
-        fields: dict[str, Any] = {"explained": not self._rows}
+        fields: dict[str, Any] = {"explained": False}  # no file stores explanations
         if self._scenario is not None:
             fields |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
         self.snapshots.append(make_snapshot(session, step, None, paused=False, **fields))

@@ -9,10 +9,10 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from app.simulation.photographer import Camera, Photographer, Rgba, Solid
 from app.simulation.plants.door import BODY, Door, drawn_parts, with_door
 from app.simulation.run import RunResult
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
-from app.simulation.snapshots import Camera, Photographer, Rgba, Solid
 from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing

@@ -19,8 +19,8 @@ from matplotlib.patches import Polygon
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
+from app.simulation.photographer import Camera, Photographer, Picture, Solid
 from app.simulation.run import RunResult
-from app.simulation.snapshots import Camera, Photographer, Picture, Solid
 from app.strict import Array
 from app.studies import style
 from app.studies.runs import write_table

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from app.robot.model import RobotModel
-from app.simulation.snapshots import Camera, Photographer, Picture, Solid
+from app.simulation.photographer import Camera, Photographer, Picture, Solid
 
 YELLOW, RED = (1.0, 0.9, 0.0, 1.0), (0.9, 0.0, 0.0, 1.0)
 CAMERA = Camera(np.array([0.1, 0.0, 0.4]), 6.0, 0.8, 0.4, 200, 180)
