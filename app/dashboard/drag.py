@@ -1,4 +1,4 @@
-"""Drag: a viewer pulls the end-effector with a gizmo, or any link of the arm directly."""
+"""Pulls by a viewer: of the end-effector with a gizmo or keys, or of any link of the arm."""
 
 from collections.abc import Callable
 from time import monotonic
@@ -31,17 +31,17 @@ class Hold(NamedTuple):
 
 
 class Grip:
-    """Pull of one viewer. Several viewers may pull at once: their forces add up."""
+    """The pull of one viewer, who holds at most one point; forces of several viewers add up."""
 
     def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
-        """Create a grip without a pull; `who` is the viewer's number in commands to `sink`."""
+        """Start without a pull; `who` is the viewer's number in commands to `sink`."""
         self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
         self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
         self.reach: Callable[[Array], None] | None = None
-        """If set, called with the target (3,) [m] of the end-effector instead of a pull."""
+        """If set, targets (3,) [m] of the end-effector go to this function, and nothing is pulled."""
 
     @property
     def holds_hand(self) -> bool:
@@ -61,7 +61,7 @@ class Grip:
         self._by_keys = False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
-        """Pull the held point to a target (3,) [m] in the world, which the floor limits."""
+        """Pull the held point to a target (3,) [m] in the world, or above it if z is negative."""
         if self._hold is None:
             return
         self._moved = monotonic()
@@ -72,11 +72,11 @@ class Grip:
         x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._warned:
             self._warned = True  # warn once per drag
-            self._notifier.warn(client, "The floor is at z = 0; the hand stays above it.")
+            self._notifier.warn(client, "The floor is at z = 0; the target stays above it.")
         self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
-        """Pull the end-effector one step along `ahead` (3,) in the base's frame."""
+        """Pull the end-effector by `NUDGE` times `ahead` (3,), a vector in the base's frame."""
         if not self.holds_hand:
             self.take(Hold())
             self._target, self._by_keys = np.array(snapshot.p_ee), True
@@ -87,7 +87,7 @@ class Grip:
         self.pull(self._target, client)
 
     def release_keys(self) -> None:
-        """Release a pull by keys; a pull by the gizmo continues."""
+        """Release a pull by keys; another pull continues."""
         if self._by_keys:
             self.release()
 
@@ -98,7 +98,7 @@ class Grip:
             self._sink.send(Release(self._who))
 
     def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
-        """Release the held point if it was not pulled for `seconds` [s], and warn the viewer."""
+        """Release the held point if its last pull is older than `seconds`, and warn the viewer."""
         if self._hold is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
@@ -107,7 +107,7 @@ class Grip:
 
 
 class DragHandles:
-    """Gizmo on the end-effector, and links that can be dragged."""
+    """The gizmo on the end-effector, and the links of the arm, which can be dragged."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class DragHandles:
         self._links: object = None
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless this viewer drags it."""
+        """Move the gizmo to the end-effector unless this viewer pulls the end-effector."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:
@@ -140,7 +140,7 @@ class DragHandles:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
-        """Handle an event of the gizmo: start, update or end."""
+        """Handle an event of the gizmo, whose phase is "start", "update" or "end"."""
         if event.phase == "end":
             self.grip.release()
             return

@@ -1,4 +1,4 @@
-"""Verdict on an instant, which determines the colours of sentence, rows, bars, lines and labels."""
+"""Verdict on a snapshot: it determines the colours of texts, bars, lines and labels on the page."""
 
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
@@ -19,19 +19,20 @@ COLOURS: dict[State, Rgb] = {
     "resisting": RESISTS,
     "contact": CONTACT,
 }
-"""Colours by state, from best to worst; "near" means inside a buffer while the base is at rest."""
+"""Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
+is at rest, cannot help, or the controller does not react to this pair."""
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
 class Verdict(NamedTuple):
-    """State of the robot."""
+    """State of the robot in a snapshot."""
 
     state: State
-    """The worst state of all."""
+    """The worst state of all pairs; "resisting" or worse with the fallback command."""
     pairs: tuple[State, ...]
     """The state of each link pair, in the order of the snapshot."""
     touching: str
-    """Contacts, or the overlapping pair with its overlap; empty without contact."""
+    """Reported contacts and the deepest overlap, in words; empty without both."""
 
     @property
     def colour(self) -> Rgb:
@@ -40,7 +41,7 @@ class Verdict(NamedTuple):
 
 
 def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdict:
-    """Return the verdict on a snapshot for the whole page; `spoken` has words for pairs."""
+    """Return the verdict on a snapshot; `spoken` has words for pairs, by default their names."""
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
     moves = base_gives_way(snapshot)
@@ -51,12 +52,12 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     touching = _touching(snapshot, spoken or {})
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
-        states.append("resisting")  # the arm holds its position and the base brakes
+        states.append("resisting")  # the fallback command: the arm holds still, the base brakes
     return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
 
 
 def base_gives_way(snapshot: Snapshot) -> bool:
-    """Whether the base moves, or its commanded acceleration is about to move it."""
+    """Whether the speed of the base, or its commanded acceleration, exceeds its threshold."""
     rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
     return any(
         max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
@@ -64,12 +65,12 @@ def base_gives_way(snapshot: Snapshot) -> bool:
 
 
 def base_cannot_help(pair: NearPair) -> bool:
-    """Whether a pair is so close to vertical that only the arm can keep the distance."""
+    """Whether the pair's normal is so close to the vertical that base motion hardly helps."""
     return pair.above >= _NO_BASE_HELPS
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return the state of a pair; `near` is the pair's part of the explanation."""
+    """Return a pair's state; `near` is its part of the explanation, `moves` that the base moves."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.held:
