@@ -921,9 +921,10 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
     ]
 
 
-def test_who_pulls_inside_a_buffer_is_told_what_the_arm_bears(loop):
-    pull = PullReading(1, None, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
-    held = replace(loop.latest(), pulls=(pull,), hand_force=pull.force)
+@pytest.mark.parametrize(("link", "at_hand"), [(None, 1.0), ("panda_link4", 0.0)])
+def test_a_pull_of_hand_or_link_is_shown_with_the_force_that_the_arm_can_hold(loop, link, at_hand):
+    pull = PullReading(1, link, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
+    held = replace(loop.latest(), pulls=(pull,), hand_force=at_hand * pull.force)
     assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
     assert "30.0 N, arm can hold 62 N</td>" in status_html(held)

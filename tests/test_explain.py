@@ -17,7 +17,7 @@ from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, Level, NearPair
 from app.dashboard import phrases as words
 from app.dashboard.panels import why as why_panel
-from app.dashboard.panels.why import LONGEST, sentence
+from app.dashboard.panels.why import sentence
 from app.dashboard.verdict import judge
 from app.robot.bases.kind import FORWARD, TURN
 from app.simulation.trace.snapshot import Snapshot
