@@ -28,6 +28,7 @@ CHAIN = ("lm", "l1", "l2", "l3", "lEE")
 UNITS = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
 FRONT, LEFT, REAR, TOP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 CORNER = (0.8, -0.6, 0.0)
+LONGEST = 280  # [characters] a longer sentence would move the rows below it
 FORCE = ForceSplit((-80, -60), (-80, 0), (0, -60), (-0.4, 0), (0, -0.2), 2.3e-4, 98, 0.022, 0.021)
 BASE = NearPair("lm", "lEE", True, 0.08, 0.7, FRONT, 0.0, 0.0, False, FORCE)
 LINKS = NearPair("l1", "lEE", False, 0.09, 0.5, FRONT, 0.0, 0.0, False, None)

@@ -41,7 +41,7 @@ class Grip:
         self._moved = 0.0  # [s] time of the last pull
         self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
         self.reach: Callable[[Array], None] | None = None
-        """If set, targets (3,) [m] of the end-effector go to this function, and nothing is pulled."""
+        """If set, it gets targets (3,) [m] of the end-effector, and nothing is pulled."""
 
     @property
     def holds_hand(self) -> bool:

@@ -231,7 +231,9 @@ def serve_dashboard(
         loop: The simulation, which has published a snapshot.
         model: The simulated robot.
         clouds: Point cloud P_i of each pair of L_m, by the pair's name.
-        host, port, allowed: As in `open_server`.
+        host: Name or IP address of the server.
+        port: Port of the server; 0 selects a free port.
+        allowed: Further names under which browsers may reach the server.
         case: A scenario that a button plays, or None.
         parts: Meshes of the robot; by default they are loaded here.
         start_loop: Starts the simulation of another robot; by default the robot cannot be changed.

@@ -16,7 +16,7 @@ BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 def _shown(
     folder: str, label: str, hint: str | None = None, *, first: Any, choices: tuple[str, ...] = ()
 ) -> Any:
-    """Declare a field with the default `first` and a widget: a list of `choices`, or a check box."""
+    """Declare a field with its default `first` and its widget, a list or a check box."""
     about = {"folder": folder, "label": label, "hint": hint, "choices": choices}
     return field(default=first, metadata=about)
 

@@ -1,4 +1,4 @@
-"""Tab "Plots": curves of the last seconds on a common time axis, with a line at the shown instant."""
+"""Tab "Plots": curves over the last seconds, with a line at the shown instant."""
 
 import math
 import time
@@ -53,7 +53,7 @@ class Plots(Panel):
 
     @property
     def hints(self) -> dict[str, dict[str, str]]:
-        """Explanations of the curves under the pointer, by the plot's title and the curve's label."""
+        """Explanations of curves under the pointer, by the plot's title and the curve's label."""
         return {
             title: {curve.label: curve.hint for curve in (*plan.curves, _INSTANT)}
             for title, plan in self._plans.items()

@@ -56,8 +56,7 @@ _SCORES = (
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
     ("torque jump [N m]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
-"""Label with unit, field of `Score`, the value's text, and the function that selects the best value;
-None for base travel, which has no best value."""
+"""Label with unit, field of `Score`, text of a value, and function for the best value, or None."""
 
 
 class RunPanel(Panel):

@@ -149,11 +149,11 @@ class SavePanel(Panel):
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:
             data = self._write(folder / name).read_bytes()
-        # Without the first line, a comment, a CSV file is a plain table for spreadsheets and pandas.
+        # The first line is a comment; without it, spreadsheets and pandas read a plain table.
         return data.partition(b"\n")[2] if name.endswith(".csv") else data
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
-        """Return the file that `write(report, log, path, *more)` creates from the interval's log."""
+        """Return the file that `write(report, log, path, *more)` creates from a log."""
         with temporary_folder() as folder:
             log, path = self._write(folder / "log.parquet"), folder / name
             self._job.run(write, log, path, *more)

@@ -208,7 +208,7 @@ def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Return the distance or overlap of a pair in words, with the buffer distance d_b [m] if any."""
+    """Return distance or overlap of a pair in words, with the buffer distance d_b [m] if any."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:

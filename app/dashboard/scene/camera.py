@@ -263,7 +263,7 @@ class Camera:
         return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
     def _left(self, look: _Look) -> bool:
-        """Whether the viewer has moved the camera; False until the browser confirms its position."""
+        """Whether the viewer has moved the camera; False until the browser confirms a position."""
         away = float(np.linalg.norm(self._client.camera.position - look.eye))
         return self._arrived and self._set is None and away > _LEAST_STEP
 

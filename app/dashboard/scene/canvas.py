@@ -38,7 +38,7 @@ class Lens(NamedTuple):
     focal: float
     """[px] focal length."""
     free: tuple[float, float, float, float]
-    """[px] left, lower, right and upper edge of the uncovered part, in the coordinates of `pixel`."""
+    """[px] left, lower, right and upper edge of the uncovered part, as from `pixel`."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
         """Return coordinates [px] to the right and up from the picture's centre, and depth [m].
@@ -50,7 +50,7 @@ class Lens(NamedTuple):
         return scale * u, scale * v, depth
 
     def has(self, pixel: tuple[float, float, float]) -> bool:
-        """Whether a point, as returned by `pixel`, is before the camera and in the uncovered part."""
+        """Whether a point from `pixel` is in front of the camera and in the uncovered part."""
         (u, v, depth), (left, low, right, high) = pixel, self.free
         return depth > 0.0 and left < u < right and low < v < high
 

@@ -29,7 +29,7 @@ AGGRESSIONS = (3, 5, 7)
 Higher settings remove parts of meshes that consist of many parts, such as UR5's tubes. Lower
 settings leave such meshes too large."""
 LIGHT_FACES = 400
-"""[-] aim of the decimation of all meshes of one colour on one joint, for a page with low detail."""
+"""[-] aim of the decimation for a page with low detail, for each joint and colour."""
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
 BODY: Rgb = (64, 156, 224)  # colour of convex bodies

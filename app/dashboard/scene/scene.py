@@ -259,10 +259,7 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts; hide each ghost that the snapshot lacks or that coincides with the robot.
-
-        A ghost's meshes are sent at its first use.
-        """
+        """Move the ghosts, and hide those that are absent or coincide with the robot."""
         for i, ghost in enumerate(snapshot.ghosts):
             if i == len(self._ghosts):
                 colour = GHOSTS[i % len(GHOSTS)]
