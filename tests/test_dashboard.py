@@ -54,7 +54,7 @@ from app.dashboard.scene.canvas import (
 )
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import draw_distances, draw_motion, segments
-from app.dashboard.scene.legend import Legend, legend_html, tick_texts
+from app.dashboard.scene.legend import Legend, legend_html, tick_texts, title_of
 from app.dashboard.scene.robot import (
     GREY,
     MAX_FACES,
@@ -433,7 +433,7 @@ def test_wheels_turn_by_their_own_side_about_the_axle():
 @pytest.mark.slow
 def test_decimated_meshes_keep_their_extent():
     model = LinkPoses(husky_panda()).model
-    visuals = load_visuals(husky_panda().description, model)
+    visuals = load_visuals(husky_panda().description)
     geometry = pin.buildGeomFromUrdfString(
         model, resolved_urdf(husky_panda().description), pin.GeometryType.VISUAL
     )
@@ -471,7 +471,7 @@ def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path,
     urdf = SEVERAL_VISUALS.format(mesh=mesh)
     monkeypatch.setattr("app.dashboard.scene.robot.resolved_urdf", lambda _: urdf)
     model = pin.buildModelFromXML(urdf)
-    visuals = load_visuals(husky_panda().description, model)
+    visuals = load_visuals(husky_panda().description)
     whole = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL).geometryObjects
     assert [visual.name for visual in visuals] == [item.name for item in whole]
     for visual, item in zip(visuals, whole, strict=True):
@@ -496,7 +496,7 @@ def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, mo
     )
     monkeypatch.setattr("app.dashboard.scene.robot.resolved_urdf", lambda _: urdf)
     with pytest.raises(RobotFileError, match="lonely") as refusal:
-        load_visuals(husky_panda().description, pin.buildModelFromXML(urdf))
+        load_visuals(husky_panda().description)
     assert words in str(refusal.value)
 
 
@@ -612,6 +612,8 @@ def test_legend_numbers_are_those_of_the_border(borders, clouds, quantity):
         assert coloured.legend.high == values.max()
         assert coloured.legend.total == len(points)
         assert coloured.legend.drawn == len(coloured.points) == min(len(points), MAX_POINTS)
+        u = (function(coloured.points) - values.min()) / np.ptp(values)
+        np.testing.assert_allclose(coloured.colours.astype(int), viridis(u), atol=1)
 
 
 def test_what_one_viewer_has_asked_for_the_next_finds(borders):
@@ -647,13 +649,12 @@ def test_ticks_times_their_power_of_ten_are_the_values(scale):
 
 
 def test_legend_says_how_many_points_are_drawn():
-    base = husky_panda().description.base
-    legend = Legend.of("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
+    title, unit = title_of("score", "differential")
+    legend = Legend("lm-lEE", title, unit, 0.15, -1.0, 2.0, 20_000, 50_000, 0.38)
     html = legend_html([legend])
     assert "m⁴/rad⁴" in html
     assert "20,000 of 50,000 points" in html
     assert "0.150 m" in html
-    np.testing.assert_allclose(legend.normalised(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
 
 
 def test_subsample_is_steady_and_without_repetition():

@@ -1,6 +1,6 @@
 """HTML of panels: text, tables and banners in a uniform style."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from html import escape
 
 from app.errors import DbbError
@@ -24,12 +24,6 @@ def small(html: str, *styles: str) -> str:
     """Return a paragraph of a panel, with further CSS `styles`."""
     look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
     return _tag("div", html, look, *styles)
-
-
-def framed(html: str, colour: str) -> str:
-    """Return a paragraph of a panel in a coloured frame."""
-    frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
-    return small(html, frame)
 
 
 def problem(text: str) -> str:
@@ -67,20 +61,9 @@ def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str
     return f"<{name}{across}{_style(*styles)}>{html}</{name}>"
 
 
-def readings(values: Mapping[str, str], *styles: str) -> str:
-    """Return a table of values by their names; `styles` apply to the table."""
-    return table((reading(*each) for each in values.items()), *styles)
-
-
 def reading(name: str, value: str) -> str:
     """Return a row with a name and a value."""
     return row(cell(name, FAINT), cell(value, RIGHT))
-
-
-def spread(*texts: str) -> str:
-    """Distribute texts over the panel's width, from its left edge to its right edge."""
-    style = "display:flex;justify-content:space-between;font-variant-numeric:tabular-nums"
-    return _tag("div", "".join(_tag("span", text) for text in texts), style)
 
 
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:

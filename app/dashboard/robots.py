@@ -112,15 +112,12 @@ class RobotSwitch(Job):
         """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
         self._start_loop = start_loop
+        self.possible = start_loop is not None
+        """Whether the robot can be switched."""
         self._entries: list[RobotEntry] | None = None
         self._ready: RunningRobot | None = None
         self._taken = threading.Event()
         self._loop: OwnLoop | None = None
-
-    @property
-    def possible(self) -> bool:
-        """Whether the robot can be switched."""
-        return self._start_loop is not None
 
     @property
     def entries(self) -> list[RobotEntry]:
@@ -131,10 +128,6 @@ class RobotSwitch(Job):
         """Search for all robots, and return them; this reads the files of each robot."""
         self._entries = found = robot_entries()
         return found
-
-    def look_again(self) -> None:
-        """Search for new robots in a separate thread."""
-        threading.Thread(target=self.look, name="robots", daemon=True).start()
 
     def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; the simulation `running` ends once it is shown.

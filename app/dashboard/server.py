@@ -82,8 +82,7 @@ class DashboardServer:
         A simulation that replaced the initial one ends too; the caller ends the initial one.
         """
         self._stopping.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout=5.0)
+        self._thread.join(timeout=5.0)
         for page in list(self.pages.values()):
             page.end()
         self.shared.close()

@@ -73,9 +73,8 @@ class EditPanel(Panel):
                 viser.Icon.STRETCHING,
                 hint="The arm's posture in the scene: pull it, or use “Joint sliders” in Lab.",
             )
-            self._name = gui.add_text(
-                "Save as", own_name(self._robot.name), hint="A letter, then letters, digits and _"
-            )
+            own = self._robot.name if is_own(self._robot.name) else f"{self._robot.name}_by_hand"
+            self._name = gui.add_text("Save as", own, hint="A letter, then letters, digits and _")
             self.button("Save and use", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
             self.button("Discard", lambda _: self._discard(), viser.Icon.X, color="gray")
         self._discard()
@@ -116,10 +115,8 @@ class EditPanel(Panel):
             raise ConfigError(f"a robot {name!r} exists; choose another name")
         there = robot_folder(own)
         save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
-        shared, switch = self._shared, self._shared.robot_switch
-        switch.look_again()
-        controller = shared.loop.latest().controller
-        switch.begin(name, shared.tuning.changes, controller, shared.loop)
+        shared, controller = self._shared, self._shared.loop.latest().controller
+        shared.robot_switch.begin(name, shared.tuning.changes, controller, shared.loop)
 
     def _draw(self) -> None:
         """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
@@ -194,11 +191,6 @@ class EditPanel(Panel):
         for gizmo, act in ((whole, move), (corner, resize)):
             gizmo.on_update(self._notifier.guard(act))  # type: ignore[arg-type]
         return whole, corner
-
-
-def own_name(name: str) -> str:
-    """Return the default name under which a robot is saved: its own if it is the user's robot."""
-    return name if is_own(name) else f"{name}_by_hand"
 
 
 def half_extents(shape: Shape) -> Array:

@@ -66,7 +66,7 @@ class ExplorerPanel(Panel):
         if not newest.follows(self._since) or (self._paused and not newest.paused):
             self._end()
             return shown
-        explorer = self._shared.explorer()
+        explorer = self._shared.explorer
         place, self._target = self._target, None
         if place is not None:
             posture, self._error = explorer.reach(posture, place)

@@ -18,10 +18,8 @@ from app.dashboard.markup import (
     bar,
     cell,
     chip,
-    framed,
     mark,
     reading,
-    readings,
     row,
     small,
     table,
@@ -282,16 +280,15 @@ def course_html(course: Course, busy: str) -> str:
     title = f"{course.name} {f'stopped at {course.until:.1f} s' if course.stopped else 'ended'}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
-    figures = {
-        "least distance": millimetres(course.least),
-        "largest pull": f"{course.pull:.0f} N",
-        "peak hand speed": f"{course.speed:.2f} m/s",
-        "base travel": f"{course.path:.2f} m",
-    }
-    return framed(
-        f"<b>{title}: {result}</b><br>{about}{readings(figures)}",
-        css(COLOURS["contact" if met else "clear"]),
+    values = (
+        reading("least distance", millimetres(course.least)),
+        reading("largest pull", f"{course.pull:.0f} N"),
+        reading("peak hand speed", f"{course.speed:.2f} m/s"),
+        reading("base travel", f"{course.path:.2f} m"),
     )
+    colour = css(COLOURS["contact" if met else "clear"])
+    frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
+    return small(f"<b>{title}: {result}</b><br>{about}{table(values)}", frame)
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:

@@ -76,8 +76,8 @@ def details_html(snapshot: Snapshot) -> str:
 
 def _first_rows(snapshot: Snapshot) -> list[str]:
     why = snapshot.explanation
-    x, y = _sum([force.f for force in why.forces]) if why else (0.0, 0.0)
-    size, bounds = _size((x, y)), why.bounds if why and why.bearing else ()
+    x, y = _sum([force.f for force in why.forces] if why else [], 2)
+    size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
     force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
     limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
     more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
@@ -301,24 +301,19 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 
 def _force_rows(why: Explanation) -> list[str]:
     """Return rows for the resultant force, its two parts, and the base's accelerations."""
-    forces, on = why.forces, bool(why.forces)
-    f = _sum([force.f for force in forces])
-    away, turn = _sum([force.away for force in forces]), _sum([force.turn for force in forces])
-    still = [(0.0,) * len(why.axes)]
-    away_acc = _sum([force.away_acceleration for force in forces] or still)
-    turn_acc = _sum([force.turn_acceleration for force in forces] or still)
-    x, y = f
-    towards = f"{words.direction(x, y)}, {words.angle(x, y)}" if _size(f) > 0.05 else _NONE
+    forces, on, n_b = why.forces, bool(why.forces), len(why.axes)
+    f = _sum([force.f for force in forces], 2)
+    away = _sum([force.away for force in forces], 2)
+    turn = _sum([force.turn for force in forces], 2)
+    away_acc = _sum([force.away_acceleration for force in forces], n_b)
+    turn_acc = _sum([force.turn_acceleration for force in forces], n_b)
+    towards = f"{words.direction(*f)}, {words.angle(*f)}" if math.hypot(*f) > 0.05 else _NONE
+    about_away = "component along −n, Figure 7b"
+    about_turn = "component across n from (12) and (13), Figure 7c"
     return [
-        _row("direction", "angle from the base's forward axis", towards, span=1 + len(why.axes)),
-        _acceleration("away from the arm", away, away_acc, "component along −n, Figure 7b", on=on),
-        _acceleration(
-            "towards higher score",
-            turn,
-            turn_acc,
-            "component across n from (12) and (13), Figure 7c",
-            on=on,
-        ),
+        _row("direction", "angle from the base's forward axis", towards, span=1 + n_b),
+        _acceleration("away from the arm", away, away_acc, about_away, on=on),
+        _acceleration("towards higher score", turn, turn_acc, about_turn, on=on),
         _acceleration("sum × β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on),
         _acceleration("commanded", None, why.base_asked, "base part of the solution of (29)"),
         _acceleration("measured", None, why.base_given, "assumed in the arm's QP"),
@@ -386,15 +381,12 @@ def _acceleration(
     on: bool = True,
 ) -> str:
     """Return a row with the size of a force [N] and accelerations; dashes unless `on`."""
-    newtons = "" if f is None else f"{_size(f):.0f}"
+    newtons = "" if f is None else f"{math.hypot(*f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
     values = values if on else [_NONE] * len(values)
     return row(cell(label, FAINT, ONE_LINE), *(cell(value, RIGHT) for value in values), hint=hint)
 
 
-def _sum(vectors: Sequence[Sequence[float]]) -> tuple[float, ...]:
-    return tuple(sum(parts) for parts in zip(*vectors, strict=True)) or (0.0, 0.0)
-
-
-def _size(v: Sequence[float]) -> float:
-    return (v[0] ** 2 + v[1] ** 2) ** 0.5
+def _sum(vectors: Sequence[Sequence[float]], n: int) -> list[float]:
+    """Return the sum of vectors (n,); zeros without vectors."""
+    return [sum(vector[i] for vector in vectors) for i in range(n)]

@@ -17,7 +17,7 @@ from app.config import BorderConfig
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
-from app.dashboard.scene.legend import Legend, measure_of
+from app.dashboard.scene.legend import Legend, measure_of, title_of
 from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
@@ -103,10 +103,13 @@ class Borders:
             return None
         values = self.values(pair, quantity, points)
         keep = subsample(len(points), MAX_POINTS)
+        low, high = float(values.min()), float(values.max())
+        u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
+        title, unit = title_of(quantity, self._model.description.base.kind)
+        sizes = len(keep), len(points)
         top = None if whole else self.top
-        base = self._model.description.base
-        legend = Legend.of(pair, quantity, base, border.d_b, values, len(keep), top)
-        return ColouredCloud(points[keep], viridis(legend.normalised(values[keep])), legend)
+        legend = Legend(pair, title, unit, border.d_b, low, high, *sizes, top)
+        return ColouredCloud(points[keep], viridis(u), legend)
 
 
 def subsample(total: int, most: int) -> Array:

@@ -150,25 +150,24 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base over its `top` [m], as children of a scene node."""
+    """Draw an acceleration (n_b,) of the base over its `top` [m], as children of a scene node.
+
+    The linear part is a straight arrow, ω̇ an arc.
+    """
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
         along = METRES_PER_ACCELERATION * np.array([forward, left, 0.0])
         canvas.arrow(f"{node}/v", over, over + along, colours.ACCELERATION)
     if abs(w) > _LEAST_ACCELERATION:
-        points = over + arc(w)
+        angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
+        along = np.linspace(0.0, angle, _ARC_POINTS)
+        circle = np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
+        points = over + _RADIUS * circle
         canvas.lines(f"{node}/w_arc", [points], colours.ACCELERATION, 4.0)
         ahead = points[-1] - points[-2]  # the arrow is as long as its head
         tip = points[-1] + HEAD_LENGTH / max(float(np.linalg.norm(ahead)), 1e-9) * ahead
         canvas.arrow(f"{node}/w_head", points[-1], tip, colours.ACCELERATION)
-
-
-def arc(w: float) -> Array:
-    """Return the arc (K, 3) [m] that represents an acceleration ω̇ [rad/s²], in the base's frame."""
-    angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
-    along = np.linspace(0.0, angle, _ARC_POINTS)
-    return _RADIUS * np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
 
 
 def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:

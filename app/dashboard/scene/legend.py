@@ -3,16 +3,11 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-from typing_extensions import Self
-
-from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
+from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, table
 from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
-from app.robot.bases.kind import BaseKind
-from app.strict import Array
 
 QUANTITIES = ("determinant", "reachability", "score")  # quantities for the border's colour
 
@@ -65,34 +60,15 @@ class Legend(NamedTuple):
     top: float | None
     """[m] largest height of the shown part, or None if the whole border is shown."""
 
-    @classmethod
-    def of(
-        cls,
-        pair: str,
-        quantity: str,
-        base: BaseKind,
-        d_b: float,
-        values: Array,
-        drawn: int,
-        top: float | None,
-    ) -> Self:
-        """Create the legend of a border from the values (N,) of a quantity at all points.
 
-        The other arguments are fields of the legend.
-        """
-        low, high = float(values.min()), float(values.max())
-        measure = measure_of(base.kind)
-        title, unit = {
-            "determinant": (measure.title, measure.unit),
-            "reachability": ("Reachability by the arm, R (9)", ""),
-            "score": ("How well the base gives way: score S of (10)", measure.unit),
-        }[quantity]
-        return cls(pair, title, unit, d_b, low, high, drawn, len(values), top)
-
-    def normalised(self, values: Array) -> Array:
-        """Return positions (N,) of values on the bar, 0 to 1; 0.5 if all are equal."""
-        span = self.high - self.low
-        return np.full(len(values), 0.5) if span <= 0 else (values - self.low) / span
+def title_of(quantity: str, kind: str) -> tuple[str, str]:
+    """Return name (HTML) and unit of a quantity of `QUANTITIES`, for a kind of base."""
+    measure = measure_of(kind)
+    return {
+        "determinant": (measure.title, measure.unit),
+        "reachability": ("Reachability by the arm, R (9)", ""),
+        "score": ("How well the base gives way: score S of (10)", measure.unit),
+    }[quantity]
 
 
 def legend_html(legends: list[Legend]) -> str:
@@ -145,7 +121,8 @@ def _bar_html(legend: Legend) -> str:
     return small(
         f"<b>{legend.title}{unit}</b>"
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
-        f'{spread(*texts)}<div style="{FAINT}">'
+        '<div style="display:flex;justify-content:space-between">'
+        f'{"".join(f"<span>{text}</span>" for text in texts)}</div><div style="{FAINT}">'
         f"Border around the base for {legend.pair}, d<sub>b</sub> = {legend.d_b:.3f} m: {share} "
         f"{legend.total:,} points{part}. Gaps: the arm cannot reach these points.</div>"
     )

@@ -158,26 +158,22 @@ def _visuals(robot: RobotModel) -> list[Visual]:
     tree = ElementTree.fromstring(resolved_urdf(robot.description))
     size = mesh_bytes(tree) if is_own(robot.description.name) else 0
     try:
-        return within_budget(_visuals_of, robot.description, size=size)
+        return within_budget(load_visuals, robot.description, size=size)
     except BudgetError as error:
         raise RobotFileError(f"its meshes: {error}") from None
 
 
-def _visuals_of(description: RobotDescription) -> list[Visual]:
-    return load_visuals(description, LinkPoses(RobotModel(description)).model)
-
-
-def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
+def load_visuals(description: RobotDescription) -> list[Visual]:
     """Load the visual meshes of the URDF, decimated, in the URDF's colours.
 
-    Colours that are too dark for a dark page are brightened. `model` is pinocchio's model of the
-    whole URDF, with the joints that move the visuals.
+    Colours that are too dark for a dark page are brightened. Joints are those of `LinkPoses.model`.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
         RobotFileError: A shape of the URDF is invalid, or a mesh cannot be read.
     """
-    tree = ElementTree.fromstring(resolved_urdf(description))
+    urdf = resolved_urdf(description)
+    tree, model = ElementTree.fromstring(urdf), pin.buildModelFromXML(urdf)
     materials = {each.get("name"): each for each in tree.iterfind("material")}
     ready: dict[bytes, trimesh.Trimesh] = {}  # several visuals may share a file
     visuals = []
