@@ -93,7 +93,7 @@ def two_robots(monkeypatch: pytest.MonkeyPatch) -> None:
 def choose(server: DashboardServer, name: str) -> None:
     """Begin a change as the panel does, and wait until it has ended in one way or the other."""
     shared = server.shared
-    shared.robot_switch.begin(name, shared.tuning.changes, "dbb", shared.loop)
+    shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
     wait_for(lambda: shared.robot_switch.progress is None, what="the end of the change")
 
 
@@ -324,7 +324,7 @@ def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
             ("nobody", "robot 'nobody' does not exist"),
         ):
             with pytest.raises(Exception, match=words):
-                change.begin(name, {}, "dbb", server.shared.loop)
+                change.begin(name, {}, server.shared.loop)
         assert change.progress is None
 
 

@@ -129,11 +129,11 @@ class RobotSwitch(Job):
         self._entries = found = robot_entries()
         return found
 
-    def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
+    def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; the simulation `running` ends once it is shown.
 
-        The new robot gets its own defaults with `changes`, or its defaults only if it cannot start
-        with these changes.
+        The new robot gets the present controller and its own defaults with `changes`, or without
+        `changes` if it cannot start with them.
 
         Raises:
             ConfigError: The robot does not exist or cannot be used, or another switch is running.
@@ -144,6 +144,7 @@ class RobotSwitch(Job):
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
         replaced: LoopHandle | None = running
+        controller = running.latest().controller
 
         def work() -> None:
             nonlocal replaced

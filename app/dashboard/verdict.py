@@ -52,7 +52,7 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
     touching = _touching(snapshot, spoken or {})
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
-        states.append("resisting")  # the fallback command: the arm holds still, the base brakes
+        states.append("resisting")  # the fallback command damps the arm and brakes the base
     return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
 
 

@@ -335,11 +335,7 @@ def film_pictures(
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
     """Join pictures of equal size side by side."""
-    width, height = pictures[0].size
-    whole = Image.new("RGB", (len(pictures) * width, height))
-    for k, picture in enumerate(pictures):
-        whole.paste(picture, (k * width, 0))
-    return whole
+    return Image.fromarray(np.hstack([np.asarray(picture) for picture in pictures]))
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:

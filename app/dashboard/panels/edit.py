@@ -115,8 +115,8 @@ class EditPanel(Panel):
             raise ConfigError(f"a robot {name!r} exists; choose another name")
         there = robot_folder(own)
         save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
-        shared, controller = self._shared, self._shared.loop.latest().controller
-        shared.robot_switch.begin(name, shared.tuning.changes, controller, shared.loop)
+        shared = self._shared
+        shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _draw(self) -> None:
         """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
@@ -201,9 +201,7 @@ def half_extents(shape: Shape) -> Array:
 def placed(shape: Shape, T: pin.SE3) -> Shape:
     """Return the shape at the pose T in its body's frame."""
     if isinstance(shape, shapes.Capsule):
-        along = np.array([0.0, 0.0, shape.length_m / 2])
-        ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
-        return shape.model_copy(update=ends)
+        return shape.model_copy(update=_ends(T, shape.length_m / 2))
     rpy = _three(pin.rpy.matrixToRpy(T.rotation))
     return shape.model_copy(update={"xyz_m": _three(T.translation), "rpy_rad": rpy})
 
@@ -232,10 +230,15 @@ def resized(shape: Shape, half: Array) -> Shape:
         case shapes.Cylinder():
             changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
         case shapes.Capsule():
-            T, along = shape.placement(), np.array([0.0, 0.0, max(float(half[2]) - radius, 0.0)])
-            ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
-            changed = {"radius_m": radius, **ends}
+            half_length = max(float(half[2]) - radius, 0.0)
+            changed = {"radius_m": radius, **_ends(shape.placement(), half_length)}
     return shape.model_copy(update=changed)
+
+
+def _ends(T: pin.SE3, half_length: float) -> dict[str, tuple[float, float, float]]:
+    """Return the ends of a capsule's axis at the pose T, with half its length [m]."""
+    along = np.array([0.0, 0.0, half_length])
+    return {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
 
 
 def _three(values: Array) -> tuple[float, float, float]:

@@ -88,12 +88,8 @@ class RobotPanel(Panel):
 
     def _begin(self, _: viser.GuiEvent) -> None:
         shared, chosen = self._shared, self._chosen()
-        self._switch.begin(
-            chosen.name if chosen else "",
-            shared.tuning.changes,
-            shared.loop.latest().controller,
-            shared.loop,
-        )
+        name = chosen.name if chosen else ""
+        self._switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _show_report(self, event: viser.GuiEvent) -> None:
         """Open the robot's report over the page, with a button to save the report."""

@@ -83,7 +83,7 @@ def _first_rows(snapshot: Snapshot) -> list[str]:
     more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
     return [
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
-        _row("Base motion", "measured", words.speeds(snapshot.base_velocity)),
+        _row("Base motion", "measured velocity", words.speeds(snapshot.base_velocity)),
         _row("Limited by", "constraints that are active in this control step", limit + more),
     ]
 
@@ -129,7 +129,8 @@ def _hand_is_disturbed(why: Explanation) -> bool:
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if not why.solved:
-        return "The solver found no feasible motion: the arm holds still and the base brakes."
+        cause = "the readings are invalid or the solver found no solution"
+        return f"Fallback command, because {cause}: torques damp the arm, and the base brakes."
     pair = why.bearing
     if pair is None:
         return _nothing_near(snapshot, why)
@@ -315,8 +316,8 @@ def _force_rows(why: Explanation) -> list[str]:
         _acceleration("away from the arm", away, away_acc, about_away, on=on),
         _acceleration("towards higher score", turn, turn_acc, about_turn, on=on),
         _acceleration("sum × β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on),
-        _acceleration("commanded", None, why.base_asked, "base part of the solution of (29)"),
-        _acceleration("measured", None, why.base_given, "assumed in the arm's QP"),
+        _acceleration("commanded", None, why.base_asked, "input of the admittance law"),
+        _acceleration("assumed", None, why.base_given, "base acceleration in the arm's QP"),
     ]
 
 
