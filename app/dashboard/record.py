@@ -8,7 +8,7 @@ import numpy as np
 
 from app.config import tunable
 from app.dashboard import phrases as words
-from app.dashboard.verdict import judge
+from app.dashboard.verdict import touching
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import Outcome, outcome
@@ -84,7 +84,7 @@ class Course:
             self.until = self.duration
         if not self.running:
             return
-        place, touches = np.array(snapshot.base_pose[:2]), judge(snapshot).state == "contact"
+        place, touches = np.array(snapshot.base_pose[:2]), bool(touching(snapshot))
         if self._place is None:
             self.inside = touches
         else:
@@ -224,6 +224,6 @@ def happenings(
     )
     found += [("limit", text, text) for text in sorted(meets - met)]
     spoken = {pair.name: words.spoken(pair.name, chain) for pair in now.pairs}
-    if (touching := judge(now, spoken).touching) and not judge(before).touching:
-        found.append(("contact", "", touching))
+    if (text := touching(now, spoken)) and not touching(before):
+        found.append(("contact", "", text))
     return found

@@ -32,7 +32,7 @@ class Verdict(NamedTuple):
     pairs: tuple[State, ...]
     """The state of each link pair, in the order of the snapshot."""
     touching: str
-    """Reported contacts and the deepest overlap, in words; empty without both."""
+    """The text of the function `touching`."""
 
     @property
     def colour(self) -> Rgb:
@@ -49,11 +49,11 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
         _state(pair, known.get(pair.name), snapshot.controller, moves=moves)
         for pair in snapshot.pairs
     )
-    touching = _touching(snapshot, spoken or {})
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
         states.append("resisting")  # the fallback command damps the arm and brakes the base
-    return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
+    contacts = touching(snapshot, spoken)
+    return Verdict("contact" if contacts else max(states, key=list(COLOURS).index), pairs, contacts)
 
 
 def base_gives_way(snapshot: Snapshot) -> bool:
@@ -84,7 +84,8 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
     return "giving way" if moves else "near"
 
 
-def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
+def touching(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> str:
+    """Return the reported contacts and the deepest overlap in words; empty without both."""
     touches = {
         "arm and base": snapshot.in_contact,
         "links of the arm": snapshot.arm_in_contact,
@@ -94,5 +95,5 @@ def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
     texts = [text for text, touch in touches.items() if touch]
     name, _, d, *_ = snapshot.nearest
     if d < 0.0:
-        texts.append(f"{spoken.get(name, name)} overlap by {millimetres(-d)}")
+        texts.append(f"{(spoken or {}).get(name, name)} overlap by {millimetres(-d)}")
     return ", ".join(texts)

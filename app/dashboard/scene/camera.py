@@ -35,7 +35,6 @@ _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
 _FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the picture
 _OPEN = np.deg2rad(90.0)  # [rad] opening of a door that the picture includes
 _OVER_DOOR = 0.15  # [m] height of the angle's label above the door
-_BACK = 1e-3  # [s] at a restart, time decreases by more than this
 
 
 class Window(NamedTuple):
@@ -236,7 +235,7 @@ class Camera:
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
-            snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
+            not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
         )
         self._begun = self._begun or begun
         if begun and "door" in (first_view(snapshot), self._preset):
