@@ -28,7 +28,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.drag import Grip, Hold
+from app.dashboard.drag import Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
@@ -132,7 +132,7 @@ def held(link=None):
     """A grip that has taken hold, the commands it sends, and the one who sees its notifier."""
     sink, client = Recorder(), Recorder()
     grip = Grip(sink, Notifier(sink), 7)
-    grip.take(Hold(*link) if link else Hold())
+    grip.take(*(link or ()))
     return grip, sink, client
 
 
@@ -169,7 +169,7 @@ def test_who_holds_nothing_pulls_nothing():
 
 def test_taking_hold_elsewhere_lets_go_first():
     grip, sink, client = held()
-    grip.take(Hold(*LINK))
+    grip.take(*LINK)
     grip.pull(np.array([0.5, 0.0, 0.8]), client)
     assert sink.commands == [Release(7), Pull((0.5, 0.0, 0.8), *LINK, who=7)]
     assert not grip.holds_hand
@@ -181,7 +181,7 @@ def test_targets_below_the_floor_stop_at_it_with_one_notice_a_drag():
         grip.pull(np.array([0.5, 0.0, -0.3]), client)
     assert {command.target for command in sink.commands} == {(0.5, 0.0, 0.0)}
     assert len(client.notes) == 1
-    grip.take(Hold())
+    grip.take()
     grip.pull(np.array([0.5, 0.0, -0.3]), client)
     assert len(client.notes) == 2
 
@@ -294,7 +294,7 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
 def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
     with RawClient(dashboard.address):
         grip = page_of(dashboard).grip
-        grip.take(Hold())
+        grip.take()
         grip.pull(loop.latest().p_ee + np.array([0.1, 0.0, 0.0]), None)
         drawn = dashboard.pictures
         wait_for(lambda: dashboard.pictures > drawn + 1, 20.0)

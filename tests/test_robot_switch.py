@@ -14,7 +14,6 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.dashboard import markup, robots
-from app.dashboard.drag import Hold
 from app.dashboard.job import give_back
 from app.dashboard.robots import RobotEntry, RobotSwitch
 from app.dashboard.scene import robot
@@ -216,7 +215,7 @@ def test_what_a_viewer_held_is_let_go_of() -> None:
         old = server.shared.loop
         page = next(iter(server.pages.values()))
         assert isinstance(old, ScriptedLoop)
-        page.grip.take(Hold())
+        page.grip.take()
         page.grip.pull(old.latest().p_ee, None)
         assert isinstance(old.commands[-1], Pull)
         choose(server, OTHER)
