@@ -829,6 +829,16 @@ def test_plots_that_are_not_shown_are_not_sent(dashboard):
         wait_for(lambda: plots[hidden[0]].visible and len(plots[hidden[0]].data[0]) > 1)
 
 
+def test_the_tab_view_shows_choices_that_were_made_elsewhere(dashboard):
+    with RawClient(dashboard.address):
+        page, title = page_of(dashboard), "hand error [mm]"
+        boxes = [buttons_of(page, label) for label in ("Dark theme", title)]
+        wait_for(lambda: [box.value for box in boxes] == [True, False])
+        page._toggle_dark()
+        page.view.plots |= {title}
+        wait_for(lambda: [box.value for box in boxes] == [False, True])
+
+
 def status_html(snapshot):
     return "".join(status_rows(snapshot, judge(snapshot)))
 

@@ -220,7 +220,7 @@ class Page:
             self._add(LabPanel(viewer))
             self.explorer_panel = self._add(ExplorerPanel(viewer))
         with tabs.add_tab("View"):
-            ViewPanel(viewer)
+            self._add(ViewPanel(viewer))
         with tabs.add_tab("Tune"):
             self.tuning_panel = self._add(TuningPanel(viewer))
         self.robot_panel: RobotPanel | None = None
