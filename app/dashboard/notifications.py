@@ -54,7 +54,7 @@ class Notifier:
         return guarded
 
     def attempt(self, client: viser.ClientHandle | None, act: Callable[[], None]) -> None:
-        """Run an action of a viewer, and show its error to this viewer; to all if it is None."""
+        """Run an action of a viewer, and show its error; to all viewers if `client` is None."""
         try:
             act()
         except DbbError as error:

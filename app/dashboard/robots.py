@@ -247,7 +247,7 @@ class RobotBuild(Job):
         """Start without an upload; `switch` searches for robots again after each build."""
         super().__init__()
         self.package: Package | None = None
-        """The uploaded zip; None before an upload and after a successful build."""
+        """The last uploaded zip; None without a usable upload, and after a successful build."""
         self.built = ""
         """Name of the built robot; empty after the start of a new upload or build."""
         self._switch = switch

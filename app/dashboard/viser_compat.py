@@ -212,9 +212,9 @@ def finite(value: Any) -> float:
 class Channel:
     """Messages between the page's own scripts and this program, in addition to viser's widgets.
 
-    viser has no widget that spans the page, and none that reads a typed number only when it is
-    complete. It does not report whether a widget is visible. The page's own scripts do all this.
-    Each side calls functions of the other side by their names.
+    viser has no widget that spans the page. It sends each typed digit of a number, and it does not
+    report whether a widget is visible. The page's own scripts solve this. Each side calls functions
+    of the other side by their names.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:

@@ -52,7 +52,7 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """List of the robots, of which one is simulated for all viewers."""
+    """List of the robots; one of them is simulated for all viewers."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)

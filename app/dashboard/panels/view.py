@@ -10,7 +10,7 @@ from app.dashboard.view import BORDER, CHOICES, LAYERS, PAGE, View
 
 
 class ViewPanel(Panel):
-    """Check boxes and lists, each of which changes one field of the view, and camera buttons."""
+    """Check boxes and lists for the fields of the view, and camera buttons."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
