@@ -1,6 +1,7 @@
 """Borders: coloured points that move with the base, their values under the pointer, and a slice."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from app.config import BorderConfig
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
-from app.dashboard.scene.legend import Legend, measure_of, title_of
+from app.dashboard.scene.legend import QUANTITIES, Legend, measure_of, title_of
 from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
@@ -64,7 +65,7 @@ class Borders:
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
         """Scores by the pair's name."""
-        self._kept: dict[tuple[object, ...], ColouredCloud | None] = {}
+        self._cached = lru_cache(_KEPT)(self._colour)
 
     def coloured(
         self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
@@ -73,42 +74,29 @@ class Borders:
 
         `whole` includes points above the base's top. Returns None if there is no point.
         """
-        key = pair, quantity, border.d_b, border.eps, whole
-        if key not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = self._colour(pair, quantity, border, whole=whole)
-        return self._kept[key]
+        top = None if whole else self.top
+        return self._cached(pair, quantity, border.d_b, border.eps, top)
 
     def surface(self, border: BorderConfig) -> OffsetContours:
         """Return the contours of the border, which are the same for all pairs."""
         return offset_contours(self._model, border.d_b)
 
-    def values(self, pair: str, quantity: str, points: Array) -> Array:
-        """Return a quantity of `QUANTITIES` (N,) at points (N, 3) [m] in the base's frame."""
-        field = self.fields[pair]
-        return {
-            "determinant": field.singularity,
-            "reachability": field.reachability,
-            "score": field.score,
-        }[quantity](points)
-
     def _colour(
-        self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
+        self, pair: str, quantity: str, d_b: float, eps: float, top: float | None
     ) -> ColouredCloud | None:
-        points = construct_dbb(self._clouds[pair], border.d_b, border.eps).points
-        if not whole:
-            points = points[points[:, 2] <= self.top]
+        points = construct_dbb(self._clouds[pair], d_b, eps).points
+        if top is not None:
+            points = points[points[:, 2] <= top]
         if not len(points):
             return None
-        values = self.values(pair, quantity, points)
+        field = self.fields[pair]
+        functions = field.singularity, field.reachability, field.score
+        values = dict(zip(QUANTITIES, functions, strict=True))[quantity](points)
         keep = subsample(len(points), MAX_POINTS)
         low, high = float(values.min()), float(values.max())
         u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
         title, unit = title_of(quantity, self._model.description.base.kind)
-        sizes = len(keep), len(points)
-        top = None if whole else self.top
-        legend = Legend(pair, title, unit, border.d_b, low, high, *sizes, top)
+        legend = Legend(pair, title, unit, d_b, low, high, len(keep), len(points), top)
         return ColouredCloud(points[keep], viridis(u), legend)
 
 
