@@ -766,7 +766,7 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
 def buttons_of(page, label):
     """The buttons with a label."""
     handles = page.viewer.client.gui._gui_input_handle_from_uuid.values()
-    return next(handle for handle in handles if handle.label == label)
+    return next(handle for handle in handles if getattr(handle, "label", "") == label)
 
 
 def test_plots_are_fed_from_the_loop(dashboard, loop):
