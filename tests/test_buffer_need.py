@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.buffer_need import RESERVE, Approach, buffer_need, least_distance
-from app.control.buffer_watch import BufferReading, BufferWatch, approach_of, buffer_warning
+from app.control.buffer_watch import BufferReading, BufferWatch, approach_speeds, buffer_warning
 from app.control.drive import Drive
 from app.robot.bases.kind import BaseKind
 from app.robot.link_pairs import ClosestPoints
@@ -166,12 +167,17 @@ def test_with_the_need_a_simulated_hand_keeps_off_and_with_less_than_half_it_doe
 class Seen(list[ClosestPoints]):
     """Closest points of pairs of L_m, as the watch reads them from a control step."""
 
+    def __init__(self, points: Iterable[ClosestPoints]) -> None:
+        super().__init__(points)
+        self.pairs = [point.pair for point in self]
+        self.rows = [[i] for i in range(len(self))]
+        self.d = np.array([point.d for point in self])
+        self.normal = np.array([point.n for point in self])
+        self.p_b = np.array([point.p_b for point in self])
+
     @property
     def n_mob(self) -> int:
         return len(self)
-
-    def closest(self, i: int) -> ClosestPoints:
-        return self[i]
 
 
 @pytest.fixture
@@ -200,10 +206,12 @@ def test_the_approach_is_the_rate_at_which_the_distance_shrinks_while_the_base_r
     before, after = led(0.1, late=-h)[1], led(0.1, late=h)[1]
     state, pairs = led(0.1)
     for i, pair in enumerate(pairs):
-        approach, closing = approach_of(state, pair)
-        assert approach.v == closing
+        v, closing = approach_speeds(state, pair.pair, pair.p_b, pair.n)
+        assert v == closing
         assert closing == pytest.approx((before[i].d - after[i].d) / (2 * h), abs=1e-4)
-    assert approach_of(state, pairs[0])[0].v == pytest.approx(0.1, rel=0.1)
+    first = pairs[0]
+    v, _ = approach_speeds(state, first.pair, first.p_b, first.n)
+    assert v == pytest.approx(0.1, rel=0.1)
 
 
 def watched(watch: BufferWatch, led, speeds: list[float], *, gives_way=True) -> list[BufferReading]:

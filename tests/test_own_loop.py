@@ -133,6 +133,18 @@ def lossy(share: float) -> Bend:
     return bend
 
 
+def noisy(noise: float, bend: Bend) -> Bend:
+    """Noise [rad] of the encoders, and the noise of the velocities that a driver computes."""
+    rng = np.random.default_rng(0)
+
+    def bend_and_blur(k: int, m: Measurement) -> Measurement:
+        q, v = noise * rng.standard_normal((2, 7))
+        m = bend(k, m)
+        return m._replace(q_m=m.q_m + q, qd_m=m.qd_m + 60.0 * v)
+
+    return bend_and_blur
+
+
 def without(n: int) -> Bend:
     repeat = held(n)
     return lambda k, m: repeat(k, m)._replace(qd_m=NAN)
@@ -152,6 +164,9 @@ READINGS = {
     "half of them lost": (lambda: lossy(0.5), {"repeated"}),
     "5 ms late": (lambda: late(5), {"lag"}),
     "20 ms late": (lambda: late(20), {"lag"}),
+    "12 ms late with noise": (lambda: noisy(2e-5, late(12)), {"lag"}),
+    "20 ms late with noise": (lambda: noisy(5e-5, late(20)), {"lag"}),
+    "with noise": (lambda: noisy(1e-4, lambda _, m: m), set()),
     "one impossible velocity": (
         lambda: lambda k, m: m._replace(qd_m=m.qd_m + 1e200 * (k == 500)),
         {"velocity"},

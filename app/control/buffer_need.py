@@ -32,8 +32,8 @@ drives the base along its own side, until the force has a lever.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,9 +59,9 @@ def _gain(v: float, a: float, T: float) -> float:
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
 
-@compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
-def _least_distance(
-    d_b: Array,
+@compiled()
+def _bound(
+    d_b: float,
     channels: Array,
     v: float,
     late: float,
@@ -69,11 +69,11 @@ def _least_distance(
     f_max: float,
     alpha_min: float,
     d_full: float,
-) -> Array:
-    """[m] the largest d_* - x(d_*) of the module for each d_b (k,); minus infinity without any.
+) -> float:
+    """[m] the largest d_* - x(d_*) of the module; minus infinity without any.
 
     Args:
-        d_b: (k,) [m]
+        d_b: [m]
         channels: (c, 6) J · n and J · t, with the horizontal part of n and the perpendicular t of
             the same length, m_k [kg], upper bounds of a_k and w_k along n, and T_k [s].
         v: [m/s] approach speed.
@@ -84,38 +84,80 @@ def _least_distance(
         d_full: [m] distance of full activation.
     """
     count = len(channels)
-    found = np.full(len(d_b), -np.inf)
+    found = -np.inf
     a, w, a_worse, w_worse = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    for i in range(len(d_b)):
-        for depth in _DEPTHS:
-            below = d_b[i] * depth
-            aside = math.hypot(below, alpha_min)
-            rise = min(max(below / (d_b[i] - d_full), 0.0), 1.0)
-            f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b[i]
-            least = np.inf
-            fill(a_worse, 0.0)
-            fill(w_worse, 0.0)
-            for side in (1.0, -1.0):
-                for k in range(count):
-                    J, J_t, mass, a_max, w_max, T = channels[k]
-                    asked = f * J / mass * (below * J + side * alpha_min * J_t) / aside
-                    a[k] = kept * min(max(asked, -a_max), a_max)
-                    w[k] = min(max(a[k] * T, -kept * w_max), kept * w_max)
-                if w.sum() <= least:
-                    least = w.sum()
-                    put(a_worse, a)
-                    put(w_worse, w)
-            total = against = 0.0
+    for depth in _DEPTHS:
+        below = d_b * depth
+        aside = math.hypot(below, alpha_min)
+        rise = min(max(below / (d_b - d_full), 0.0), 1.0)
+        f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b
+        least = np.inf
+        fill(a_worse, 0.0)
+        fill(w_worse, 0.0)
+        for side in (1.0, -1.0):
             for k in range(count):
-                total += max(w_worse[k], 0.0)
-                against += max(-w_worse[k], 0.0)  # a channel that moves in the wrong direction
-            if total > v + against:
-                gained = v * late
-                for k in range(count):
-                    share = max(w_worse[k], 0.0) * (v + against) / total
-                    gained += _gain(share, a_worse[k], channels[k, 5])
-                found[i] = max(found[i], d_b[i] - below - gained)
+                J, J_t, mass, a_max, w_max, T = channels[k]
+                demand = f * J / mass * (below * J + side * alpha_min * J_t) / aside
+                a[k] = kept * min(max(demand, -a_max), a_max)
+                w[k] = min(max(a[k] * T, -kept * w_max), kept * w_max)
+            if w.sum() <= least:
+                least = w.sum()
+                put(a_worse, a)
+                put(w_worse, w)
+        total = against = 0.0
+        for k in range(count):
+            total += max(w_worse[k], 0.0)
+            against += max(-w_worse[k], 0.0)  # a channel that moves in the wrong direction
+        if total > v + against:
+            gained = v * late
+            for k in range(count):
+                share = max(w_worse[k], 0.0) * (v + against) / total
+                gained += _gain(share, a_worse[k], channels[k, 5])
+            found = max(found, d_b - below - gained)
     return found
+
+
+@compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
+def _bounds(
+    d_b: Array,
+    channels: Array,
+    v: float,
+    late: float,
+    kept: float,
+    f_max: float,
+    alpha_min: float,
+    d_full: float,
+) -> Array:
+    """`_bound` (k,) of each d_b (k,) [m]."""
+    found = np.empty(len(d_b))
+    for i in range(len(d_b)):
+        found[i] = _bound(d_b[i], channels, v, late, kept, f_max, alpha_min, d_full)
+    return found
+
+
+@compiled("i8(f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
+def _first_sufficient(
+    d_b: Array,
+    channels: Array,
+    v: float,
+    late: float,
+    kept: float,
+    f_max: float,
+    alpha_min: float,
+    d_full: float,
+) -> int:
+    """Index of the smallest sufficient of some ascending d_b (k,) [m], or k; `_bound` grows with
+    d_b.
+    """
+    low, high = 0, len(d_b)
+    while low < high:
+        middle = (low + high) // 2
+        bound = _bound(d_b[middle], channels, v, late, kept, f_max, alpha_min, d_full)
+        if bound >= RESERVE:
+            high = middle
+        else:
+            low = middle + 1
+    return low
 
 
 class Approach(NamedTuple):
@@ -143,13 +185,18 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     if approach.v <= 0.0:
         return least
     sizes = np.maximum(_SIZES, least + 1e-6)
-    low = int(np.searchsorted(least_distance(sizes, approach, base, config) >= RESERVE, True))
+    return min(_smallest(sizes, way) for way in _ways(approach, base, config))
+
+
+def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
+    """[m] the smallest sufficient d_b for one motion of the base; infinite without any."""
+    low = _first_sufficient(sizes, *way)
     if low == len(sizes):
-        return float("inf")
+        return math.inf
     if low > 0:
         sizes = np.linspace(sizes[low - 1], sizes[low], 20)
-        low = int(np.searchsorted(least_distance(sizes, approach, base, config) >= RESERVE, True))
-    return float(sizes[min(low, len(sizes) - 1)])
+        low = min(_first_sufficient(sizes, *way), len(sizes) - 1)
+    return float(sizes[low])
 
 
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
@@ -157,10 +204,14 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
 
     It is minus infinity if the base does not reach the approach speed at all.
     """
+    return np.max([_bounds(d_b, *way) for way in _ways(approach, base, config)], axis=0)
+
+
+def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[Any, ...]]:
+    """The arguments of `_bound` after d_b, for each of the base's motions away from the arm."""
     lead, force = dead_time(base, config), config.force
-    ways = [
-        _least_distance(
-            d_b,
+    for way in base.retreats():
+        yield (
             _channels(way, approach, base, config),
             approach.v,
             lead + max(channel.delay for channel in way),
@@ -169,9 +220,6 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
             force.alpha_min,
             config.activation.d_full,
         )
-        for way in base.retreats()
-    ]
-    return np.max(ways, axis=0)
 
 
 def dead_time(base: BaseKind, config: Config) -> float:
@@ -180,7 +228,7 @@ def dead_time(base: BaseKind, config: Config) -> float:
 
 
 def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(c, 6) data of one of the base's motions away from the arm, for `_least_distance`."""
+    """(c, 6) data of one of the base's motions away from the arm, for `_bound`."""
     admittance, n, p = config.admittance, approach.n, approach.p_b
     lever = n[1] * p[0] - n[0] * p[1]
     lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)

@@ -8,8 +8,9 @@ from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
 from app.control.quantities import ControlStep
 from app.robot.bases.kind import BaseKind
-from app.robot.link_pairs import ClosestPoints
+from app.robot.link_pairs import Pair
 from app.robot.state import RobotState
+from app.strict import Array
 
 _SAMPLE = 10  # control steps between two readings of the speed
 _EVERY = 50  # control steps between two evaluations of the mean reading
@@ -70,7 +71,7 @@ class BufferWatch:
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0
             for i in range(control.n_mob):
-                self._sample(state, control.closest(i), look=look)
+                self._sample(state, control, i, look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
             self._speed = max((v for _, v, _ in self._recent), default=0.0)
@@ -87,22 +88,24 @@ class BufferWatch:
         self._steps += 1
         return self._reading
 
-    def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
-        """Record the speed of a pair; with `look`, evaluate the mean: a tremor is no approach."""
-        speeds = self._speeds.setdefault(pair.pair.name, deque(maxlen=_EVERY // _SAMPLE))
-        if pair.d > _FARTHEST or float(pair.n[2]) ** 2 > 0.5:
+    def _sample(self, state: RobotState, control: ControlStep, i: int, *, look: bool) -> None:
+        """Record the speed of the i-th pair; with `look`, evaluate the mean: a tremor is no
+        approach.
+        """
+        pair, row = control.pairs[i], control.rows[i][0]
+        speeds = self._speeds.setdefault(pair.name, deque(maxlen=_EVERY // _SAMPLE))
+        d, n, p = control.d.item(row), control.normal[row], control.p_b[row]
+        if d > _FARTHEST or n.item(2) ** 2 > 0.5:
             speeds.clear()
             return
-        approach, closing = approach_of(state, pair)
-        speeds.append((approach.v, closing))
+        speeds.append(approach_speeds(state, pair, p, n))
         if look:
             v, closing = (sum(column) / len(speeds) for column in zip(*speeds, strict=True))
-            base = state.model.description.base
-            self._judge(approach._replace(v=v), closing, pair.d, base)
+            if min(v, closing) >= _SLOW:  # neither at rest, nor moving away
+                approach = Approach(v, state.R_world_base.T @ n, state.to_base(p))
+                self._judge(approach, d, state.model.description.base)
 
-    def _judge(self, approach: Approach, closing: float, d: float, base: BaseKind) -> None:
-        if min(approach.v, closing) < _SLOW:  # at rest, or no nearer
-            return
+    def _judge(self, approach: Approach, d: float, base: BaseKind) -> None:
         needed = buffer_need(approach, base, self.config)
         if d > self.config.border.d_b and not d <= needed < float("inf"):
             return
@@ -111,17 +114,24 @@ class BufferWatch:
         self._needed_max = max(self._needed_max, needed)
 
 
-def approach_of(state: RobotState, pair: ClosestPoints) -> tuple[Approach, float]:
-    """The approach of the arm's closest point of a pair of L_m to the base.
+def approach_speeds(state: RobotState, pair: Pair, p_b: Array, n: Array) -> tuple[float, float]:
+    """Speeds of the arm's closest point of a pair of L_m towards the base.
+
+    Args:
+        state: The robot's state.
+        pair: The pair.
+        p_b: (3,) [m] the arm's closest point, in the world.
+        n: (3,) the pair's normal, in the world.
 
     Returns:
-        The approach relative to the floor, and [m/s] the rate at which the distance shrinks, by the
-        arm's motion alone.
+        [m/s] the speed relative to the floor, and the speed by the arm's motion alone, which
+        reduces the distance.
     """
-    J = state.point_jacobian(state.model.body_joints[pair.pair.b], pair.p_b)
-    along, n_b = -(pair.n @ J), state.model.n_b  # (n,)
-    v, closing = float(along @ state.qd), float(along[n_b:] @ state.qd[n_b:])
-    return Approach(v, state.R_world_base.T @ pair.n, state.to_base(pair.p_b)), closing
+    arm, base = (
+        -float(n @ state.point_velocity(state.model.body_joints[body], p_b))
+        for body in (pair.b, pair.a)
+    )
+    return arm, arm - base
 
 
 def needed_text(needed: float) -> str:

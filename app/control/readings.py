@@ -55,8 +55,9 @@ _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the 
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
-_CLEARLY = 10.0  # [-] factor by which a lag's squared error must be smaller than the others
-_CONVINCING = 10.0  # evidence, in readings, for a change of the lag
+_CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
+_PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
+_CONVINCING = 2.0, 8.0  # evidence for a change of the lag: readings, and periods
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _LOAD_BEGINS = 0.03  # [s] time within which a load reaches its mass
 _LOAD_TIME = 0.15  # [s] time from the beginning of a load after which a constant mass is reported
@@ -240,11 +241,17 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     Each possible lag predicts the deviation of the newest reading from the parabola through the
     three readings before it. A lag gains evidence if its prediction is far better than that of the
     present lag and than a prediction of 0; otherwise it loses evidence (the sums of a CUSUM test).
-    A single reading adds at most 1, so no single event can decide.
+    A single reading adds at most 1, so no single event can decide. More readings are necessary if
+    the intervals between them are short.
+
+    Noise of the positions hides the effect of an acceleration, which grows with the square of the
+    interval between the readings. Thus the interval grows with the root of the noise.
     """
     ages = w.read_ages
     for k in range(3):
         ages[k] += age + 1.0
+    if ages[0] < 1.0 + round(math.sqrt(math.sqrt(w.noise_var[0].max()) / _PRECISE)):
+        return
     weights, measured, size = _parabola(ages), q.copy(), 0.0
     for i in range(len(q)):
         for k in range(3):
@@ -284,7 +291,8 @@ def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: floa
         gained = (others - error) / (others + error + _LEAST_CURVE)
         w.evidence[lag] = max(w.evidence[lag] + gained, 0.0)
     best = int(np.argmax(w.evidence))
-    if best <= _MOST_LAG and w.evidence[best] > _CONVINCING:
+    readings, periods = _CONVINCING
+    if best <= _MOST_LAG and w.evidence[best] > readings + periods / w.read_ages[0]:
         w.lag[()] = best
         w.samples[()] = 0.0
         fill(w.noise_var, 0.0)

@@ -31,7 +31,7 @@ _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages 
 FRAME = 1 / 30  # [s] period of drawing
 TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
 LIGHT_EVERY = 2  # [frames] a page with low detail is drawn in every second frame
-LARGEST_SHARE = 0.5  # [-] largest share of the processor time of a core for drawing
+LARGEST_SHARE = 0.5  # [-] largest share of a core's time for drawing, and for building pages
 
 
 class DashboardServer:
@@ -48,7 +48,7 @@ class DashboardServer:
         """Number of frames so far."""
         self.error: BaseException | None = None
         """Exception that ended the drawing thread, or None."""
-        self._texts_due = 0.0  # [s] of `time.monotonic`
+        self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
         self._notifier = Notifier(viser_server)
         self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
@@ -119,18 +119,17 @@ class DashboardServer:
     def _draw_frames(self) -> None:
         due = time.monotonic()
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
+            self._open_and_close_pages()
             begin = time.thread_time()
             self._draw_picture()
             # With many viewers the frame rate drops, so that drawing does not use all the time.
             # After a delay that is not computing time, continue from now: a burst of late frames
             # would only add to the delay.
-            rest = (time.thread_time() - begin) * (1.0 / LARGEST_SHARE - 1.0)
-            due = max(due + FRAME, time.monotonic() + rest)
+            due = max(due + FRAME, _rested(begin))
 
     def _draw_picture(self) -> None:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
-        self._open_and_close_pages()
         self._switch_robot()
         shared = self.shared
         shared.update()
@@ -157,10 +156,16 @@ class DashboardServer:
             page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
-        """Build at most one page, because this takes long; end pages of disconnected viewers."""
-        client = self._newcomer()
+        """Build at most one page, and end the pages of disconnected viewers.
+
+        Between two pages, which take long to build, the other viewers get frames.
+        """
+        due = time.monotonic() >= self._newcomer_due
+        client = self._newcomer() if due else None
         if client is not None:
+            begin = time.thread_time()
             self._open_page(client)
+            self._newcomer_due = _rested(begin)
         for number in self.pages.keys() - self.viser.get_clients().keys():
             self.pages.pop(number).end()
 
@@ -255,6 +260,15 @@ def serve_dashboard(
     except BaseException:
         close_server(server)
         raise
+
+
+def _rested(begin: float) -> float:
+    """Return the time [s] of `time.monotonic` until which a thread rests after work.
+
+    `begin` [s] is `time.thread_time` at the start of the work.
+    """
+    work = time.thread_time() - begin
+    return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 
 
 def is_loopback(host: str) -> bool:

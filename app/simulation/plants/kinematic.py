@@ -13,6 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from app.compiled import compiled
 from app.control.drive import Drive
 from app.robot.link_pairs import distance_view
 from app.robot.model import RobotModel
@@ -87,27 +88,45 @@ class Kinematic(Physics):
         """(n_m,) q̈_a from the arm's rows of the equation of motion, within the joint limits."""
         M, h, n_b = self._state.M, self._state.h, self._model.n_b
         u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
-        M_aa = M[n_b:, n_b:]
-        qdd = np.linalg.solve(M_aa, u)
-        held = np.zeros(len(qdd), dtype=bool)
-        while (stopped := self._beyond_limits(qdd) & ~held).any():
-            qdd[stopped] = self._stopping_acceleration()[stopped]
-            held |= stopped
-            free = ~held
-            u_free = u[free] - M_aa[np.ix_(free, held)] @ qdd[held]
-            qdd[free] = np.linalg.solve(M_aa[np.ix_(free, free)], u_free)
-        return qdd
+        limits = self._model.q_lower, self._model.q_upper
+        return _within_limits(M[n_b:, n_b:], u, self._q, self._qd, *limits, self.dt)
 
-    def _beyond_limits(self, qdd: Array) -> Array:
-        """(n_m,) whether an acceleration would move each joint beyond a limit in this step."""
-        q = self._q + (self._qd + qdd * self.dt) * self.dt
-        return (q < self._model.q_lower) | (q > self._model.q_upper)
 
-    def _stopping_acceleration(self) -> Array:
-        """(n_m,) acceleration that moves each joint to its nearer limit in this step."""
-        lower, upper = self._model.q_lower, self._model.q_upper
-        limit = np.where(self._q - lower < upper - self._q, lower, upper)
-        return ((limit - self._q) / self.dt - self._qd) / self.dt
+@compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8)")
+def _within_limits(
+    M: Array, u: Array, q: Array, qd: Array, lower: Array, upper: Array, dt: float
+) -> Array:
+    """The acceleration of joints with ideal stops: each joint that would leave its range in this
+    step moves to its nearer limit.
+
+    Args:
+        M: (n, n) mass matrix.
+        u: (n,) [N m or N] generalised forces.
+        q: (n,) [rad or m] positions.
+        qd: (n,) [rad/s or m/s] velocities.
+        lower: (n,) [rad or m] lower limits.
+        upper: (n,) [rad or m] upper limits.
+        dt: [s] duration of the step.
+
+    Returns:
+        (n,) [rad/s² or m/s²] accelerations.
+    """
+    n = len(u)
+    A, b = M.copy(), u.copy()
+    stopped = np.zeros(n, np.bool_)
+    qdd = np.linalg.solve(A, b)
+    for _ in range(n):
+        beyond = False
+        for i in range(n):
+            after = q[i] + (qd[i] + qdd[i] * dt) * dt
+            if not stopped[i] and (after < lower[i] or after > upper[i]):
+                limit = lower[i] if q[i] - lower[i] < upper[i] - q[i] else upper[i]
+                A[i], A[i, i], b[i] = 0.0, 1.0, ((limit - q[i]) / dt - qd[i]) / dt
+                stopped[i] = beyond = True
+        if not beyond:
+            break
+        qdd = np.linalg.solve(A, b)
+    return qdd
 
 
 class _Overlaps:

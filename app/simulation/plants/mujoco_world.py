@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from app.compiled import compiled, direct
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
@@ -21,7 +22,6 @@ from app.strict import Array
 # Otherwise MuJoCo writes a file into the working directory.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
 
-_NO_TORQUE = np.zeros(3)
 _AWAY = 100.0  # [m] displacement of the refrigerator while a base settles on its wheels
 _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
 _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
@@ -47,10 +47,10 @@ class MujocoWorld(PlanarWorld):
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._per_step = 1.0 / model.opt.timestep
         self._motors = [int(model.joint(name).dofadr[0]) for name in robot.motors]
-        self._guess = self.data.qacc_warmstart
-        self._applied = self.data.qfrc_applied
-        self._torques = self._applied[self.arm_v]
-        self._origins, self._axes = self.data.xpos, self.data.xmat.reshape(-1, 3, 3)
+        data = self.data
+        self._guess, self._torques = data.qacc_warmstart, data.qfrc_applied[self.arm_v]
+        self._forces = data.xfrc_applied
+        self._places = data.xpos, data.xmat.reshape(-1, 3, 3), data.xipos
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         tool = source.pin.frames[source.ee_frame]
         self._hand = model.body(source.pin.names[tool.parentJoint]).id
@@ -104,12 +104,11 @@ class MujocoWorld(PlanarWorld):
         for joint, speed in zip(self._motors, speeds, strict=True):
             aref[row] = guess[joint] = aref.item(row) + self._per_step * speed
             row += 1
-        self._applied.fill(0.0)
         self._torques[:] = u_a
-        if hand_force.any():
-            self._press(self._hand, self._tool, hand_force)
+        self._forces.fill(0.0)
+        _press_once(self._forces, *self._places, self._hand, self._tool, hand_force)
         for push in pushes:
-            self._press(self._body_of[push.joint], push.p, push.force)
+            _press_once(self._forces, *self._places, self._body_of[push.joint], push.p, push.force)
         mujoco.mj_step2(self.model, data)
 
     def contacts(self) -> Contacts:
@@ -136,10 +135,40 @@ class MujocoWorld(PlanarWorld):
                 found[i] = at
         return found
 
-    def _press(self, body: int, point: Array, force: Array) -> None:
-        """Apply a force (3,) [N] in the world to a point (3,) [m] of a body's frame."""
-        place = self._origins[body] + self._axes[body] @ point
-        mujoco.mj_applyFT(self.model, self.data, force, _NO_TORQUE, place, body, self._applied)
+
+@compiled("void(f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,::1], i8, f8[:], f8[:])")
+def _press(
+    forces: Array,
+    origins: Array,
+    axes: Array,
+    centres: Array,
+    body: int,
+    point: Array,
+    force: Array,
+) -> None:
+    """Add a force on a point of a body to the bodies' forces.
+
+    Args:
+        forces: (n, 6) [N, N m] force on each body and torque about its centre of mass, in the
+            world; changed in place.
+        origins: (n, 3) [m] origins of the bodies, in the world.
+        axes: (n, 3, 3) orientations of the bodies, in the world.
+        centres: (n, 3) [m] centres of mass of the bodies, in the world.
+        body: Number of the body.
+        point: (3,) [m] the point in the body's frame.
+        force: (3,) [N] the force in the world.
+    """
+    R = axes[body]
+    arm = R[:, 0] * point[0] + R[:, 1] * point[1] + R[:, 2] * point[2]
+    x, y, z = origins[body] + arm - centres[body]
+    f_x, f_y, f_z = force
+    forces[body, :3] += force
+    forces[body, 3] += y * f_z - z * f_y
+    forces[body, 4] += z * f_x - x * f_z
+    forces[body, 5] += x * f_y - y * f_x
+
+
+_press_once = direct(_press)
 
 
 class MujocoDoor(HeldDoor):
