@@ -122,6 +122,11 @@ def late(n: int) -> Bend:
     return bend
 
 
+def late_and_held(n: int) -> Bend:
+    delay, repeat = late(n), held(n)
+    return lambda k, m: repeat(k, delay(k, m))
+
+
 def lossy(share: float) -> Bend:
     rng, last = np.random.default_rng(0), []
 
@@ -164,6 +169,7 @@ READINGS = {
     "half of them lost": (lambda: lossy(0.5), {"repeated"}),
     "5 ms late": (lambda: late(5), {"lag"}),
     "20 ms late": (lambda: late(20), {"lag"}),
+    "20 ms late at 50 Hz": (lambda: late_and_held(20), {"lag", "repeated"}),
     "12 ms late with noise": (lambda: noisy(2e-5, late(12)), {"lag"}),
     "20 ms late with noise": (lambda: noisy(5e-5, late(20)), {"lag"}),
     "with noise": (lambda: noisy(1e-4, lambda _, m: m), set()),

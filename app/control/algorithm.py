@@ -115,7 +115,7 @@ FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 _READING = types.Array(types.f8, 1, "A")
 
 
-@compiled(Signature(types.void, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5), None))
+@compiled(Signature(types.b1, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5), None))
 def update_estimate(
     robot: Any,
     gains: Any,
@@ -125,10 +125,13 @@ def update_estimate(
     q_m: Array,
     qd_m: Array,
     drive: Array,
-) -> None:
+) -> bool:
     """Estimate the arm's state from the readings, and convert it to pinocchio's coordinates.
 
     Paper: Algorithm 2, line 2, before pinocchio's part of it.
+
+    Returns:
+        Whether the readings have a fault; invalid readings have one.
     """
     way = BUFFER_RATE * gains.dt
     if math.isnan(w.d_b[()]):
@@ -139,18 +142,19 @@ def update_estimate(
     if w.valid[()] == 0.0 or w.faults[JUMP] != 0.0 or w.faults[LOCALISATION] != 0.0:
         forget_reference(w)
     if w.valid[()] == 0.0:
-        return
+        return True
     qd, q_pin, v_pin = coordinates(
         w.base_pose, w.base_velocity, w.q_m, w.qd_m, robot.T_J_m, robot.J_m_inv
     )
     put(w.qd, qd)
     put(w.q_pin, q_pin)
     put(w.v_pin, v_pin)
+    return w.faults.max() > 0.0
 
 
 def algorithm_2(
     robot: Any, gains: Any, slow: Any, border: Any, w: Any, base_source: int, tracking: bool
-) -> None:
+) -> float:
     """Self-collision avoidance: one control step.
 
     Without valid readings the kinematics of the last valid step stay, no QP is solved, and
@@ -168,6 +172,10 @@ def algorithm_2(
         base_source: One of `DRIVE_MODEL`, `BASE_MEASURED` (in `w.a_base_meas`) and
             `BASE_AS_COMMANDED`.
         tracking: Whether there is a reference (in `w.x_ref`, `w.v_ref`, `w.a_ref`).
+
+    Returns:
+        `w.qp_open`: the number of the QP that Python has to solve before the step is repeated; 0
+        if the step is complete.
     """
     # fmt: off
     update_kinematics(robot, gains, w)               # line 2, closest points of lines 4 and 9
@@ -178,15 +186,16 @@ def algorithm_2(
     w.qp_open[()] = 0.0
     if gains.hierarchy:
         take_hierarchy(robot, gains, w, base_source)
-        return
+        return w.qp_open[()]
     command_base(robot, gains, slow, w)              # line 14, (29) of the base
     if w.qp_open[()] != 0.0:
-        return
+        return w.qp_open[()]
     assume_base(robot, w, base_source)
     accelerate_arm(robot, gains, w)                  # line 15, (29) of the arm
     if w.qp_open[()] != 0.0:
-        return
+        return w.qp_open[()]
     put_commands(robot, gains, w, base_source)       # line 15, (26), §4.1
+    return 0.0
     # fmt: on
 
 
@@ -693,7 +702,7 @@ def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
 
 run_algorithm_2 = compiled(
     Signature(
-        types.void,
+        types.f8,
         (ROBOT.type, GAINS.type, GAINS.type, BORDER.type, STEP.type, types.i8, types.b1),
         None,
     )

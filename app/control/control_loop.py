@@ -4,8 +4,6 @@ import logging
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
 from app.control.contract import JointOrder
@@ -23,8 +21,8 @@ logger = logging.getLogger(__name__)
 class Command(NamedTuple):
     """The commands of one control step.
 
-    `step` and the properties below belong to the loop's last step; `copy.deepcopy(command)` stays
-    the same.
+    `step` and the properties below always refer to the loop's last step. A copy by `copy.deepcopy`
+    does not change in later steps.
     """
 
     u_a: Array
@@ -138,7 +136,7 @@ class ControlLoop:
         """
         step = self.controller.step_with_drive(measured, reference)
         command = Command(step.u_cmd.copy(), step.v_cmd.copy(), step)
-        if np.count_nonzero(step.faults):
+        if self.controller.faulty:
             self._report(command)
         return command
 

@@ -106,6 +106,8 @@ class Controller:
         """The table of quantities of the last step."""
         self.last.pinocchio = self.state.data  # owns the memory of the views
         self.state.share(self.last)
+        self.faulty = False
+        """Whether the readings of the last step have a fault."""
         self.use(name)
         self._own_drive = _overrides(self._base, "drive_acceleration")
         self._own_commands = _overrides(self._base, "admissible")
@@ -232,23 +234,21 @@ class Controller:
             if not _take(gains, w.struct, R, p, v, a, self._interpolate):
                 raise no_motion(reference)
         measurement = checked(measurement, self._model)
-        _estimate(robot, gains, w.struct, *measurement)
-        if w.faults[PERIOD]:
+        self.faulty = _estimate(robot, gains, w.struct, *measurement)
+        if self.faulty and w.faults[PERIOD]:
             self._dt = min(max(self._dt * float(w.ratio), SHORTEST), LONGEST)
             self._set_gains()
-        if w.faults[IMPLAUSIBLE] and np.isnan(w.q_posture[0]):
+        if self.faulty and w.faults[IMPLAUSIBLE] and np.isnan(w.q_posture[0]):
             raise implausible(self._model, measurement.q_m)
-        if w.valid:
+        if not self.faulty or w.valid:
             self.state.drive = measurement.drive
             compute_dynamics(self.state.pin, data, w.q_pin, w.v_pin)
         self._distances.update_from(data)
         self._distances.write_distances(w.d)
         tracking = reference is not None
         problem = robot, gains, self._slow, self._border, w.struct, base_source
-        _law(*problem, tracking)
-        while w.qp_open:
-            self._rescue(int(w.qp_open) - 1)
-            _law(*problem, tracking)
+        while left_open := _law(*problem, tracking):
+            self._rescue(int(left_open) - 1)
         if self._own_commands and w.command_due:
             w.v_cmd[:] = admissible_command(self._base, w.v_cmd, w.v_before, self._largest_command)
         return w

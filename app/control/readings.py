@@ -57,6 +57,7 @@ _AGREED = 2  # intervals that must agree with the first one on a ratio other tha
 _MOST_LAG = 24  # [periods] largest lag
 _CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
 _PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
+_INTERVALS = 3.0, 16.0  # [periods] shortest and longest of these intervals
 _CONVINCING = 2.0, 8.0  # evidence for a change of the lag: readings, and periods
 _LEAST_LOAD = 0.3  # [kg] smallest reported load
 _LOAD_BEGINS = 0.03  # [s] time within which a load reaches its mass
@@ -250,7 +251,8 @@ def _find_lag(w: Any, q: Array, age: int, gains: Any) -> None:
     ages = w.read_ages
     for k in range(3):
         ages[k] += age + 1.0
-    if ages[0] < 1.0 + round(math.sqrt(math.sqrt(w.noise_var[0].max()) / _PRECISE)):
+    noise = math.sqrt(w.noise_var[0].max())
+    if ages[0] < min(max(math.sqrt(noise / _PRECISE), _INTERVALS[0]), _INTERVALS[1]):
         return
     weights, measured, size = _parabola(ages), q.copy(), 0.0
     for i in range(len(q)):

@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from app.compiled import compiled, direct
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -88,6 +89,25 @@ class LinkPairs:
         return self.mobile + self.manipulator
 
 
+@compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
+def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
+    """Write the smallest value of each group into an array.
+
+    Args:
+        values: (n,) the values.
+        order: (m,) indices of the values, group by group.
+        firsts: (k + 1,) index in `order` at which each group begins; the last one is m.
+        into: (k,) the smallest value of each group; changed in place.
+    """
+    for k in range(len(into)):
+        into[k] = values[order[firsts[k]]]
+        for j in range(firsts[k] + 1, firsts[k + 1]):
+            into[k] = min(into[k], values[order[j]])
+
+
+_write_least = direct(_put_least)
+
+
 class PairDistances:
     """Distances and closest points of some pairs, efficiently from Python.
 
@@ -122,7 +142,7 @@ class PairDistances:
         there are several."""
         by_part = [whole for whole, *_ in groups] + [part for _, *parts in groups for part in parts]
         self._order = np.concatenate([np.arange(0), *by_part])
-        self._starts = np.cumsum([0, *map(len, by_part)])[:-1]
+        self._firsts = np.cumsum([0, *map(len, by_part)])
         self._signed = distance_view(results)
 
     def update(self, q: Array) -> None:
@@ -141,7 +161,7 @@ class PairDistances:
 
     def distances(self) -> tuple[float, ...]:
         """[m] signed distances of all pairs."""
-        rows = np.empty(len(self._starts))
+        rows = np.empty(len(self._firsts) - 1)
         self.write_distances(rows)
         return tuple(rows[: len(self.pairs)].tolist())
 
@@ -149,10 +169,7 @@ class PairDistances:
         """Write the distances [m] of all pairs into an array; then those of each part of the bodies
         `a` with several parts.
         """
-        if len(self._starts) == len(self._signed):
-            into[:] = self._signed
-        else:
-            into[:] = np.minimum.reduceat(self._signed[self._order], self._starts)
+        _write_least(self._signed, self._order, self._firsts, into)
 
     def sampled(self, q_m: Array) -> Array:
         """(N, pairs) [m] signed distances at joint positions (N, n_m), the base at the origin."""

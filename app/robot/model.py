@@ -39,7 +39,7 @@ class RobotModel:
         n_b: Degrees of freedom of the base.
         n_d: Number of states of the base's drive besides its velocity.
         n_m: Degrees of freedom of the arm.
-        reading_shapes: Valid shapes of each array of a `Measurement`, in the order of its fields.
+        reading_shapes: Shapes of the arrays of a `Measurement`, with and without a drive's state.
         J_m: (n_b, n_b) Jacobian of the base; for a differential base that of (19).
         J_m_inv: (n_b, n_b) inverse of J_m.
         base_rows: (n_b, n) [J_m O], the rows of (16), and of the base's acceleration limits.
@@ -68,8 +68,8 @@ class RobotModel:
         base = description.base
         self.n_b, self.n_d = base.n_b, len(base.drive_at_rest())
         self.n = self.n_b + self.n_m
-        sizes = (3,), (self.n_b,), (self.n_m,), (self.n_m,), (self.n_d, 0)
-        self.reading_shapes = tuple(tuple((size,) for size in each) for each in sizes)
+        arrays = (3,), (self.n_b,), (self.n_m,), (self.n_m,)
+        self.reading_shapes = (*arrays, (self.n_d,)), (*arrays, (0,))
         self.J_m = base.J_m
         self.J_m_inv = np.linalg.inv(self.J_m)
         self.base_rows = np.hstack([self.J_m, np.zeros((self.n_b, self.n_m))])

@@ -69,15 +69,18 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
             f"measured must be a Measurement({', '.join(Measurement._fields)}), was "
             f"{type(measurement).__name__}"
         )
-    for each, shapes in zip(measurement, model.reading_shapes, strict=True):
-        if type(each) is not Array or each.dtype != _FLOAT or each.shape not in shapes:
-            break
-    else:
-        return measurement
-    fields = zip(Measurement._fields, measurement, model.reading_shapes, strict=True)
+    pose, v, q, qd, drive = measurement
+    if type(pose) is type(v) is type(q) is type(qd) is type(drive) is Array:
+        shapes = pose.shape, v.shape, q.shape, qd.shape, drive.shape
+        floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
+        if floats and shapes in model.reading_shapes:
+            return measurement
+    fields = zip(
+        Measurement._fields, measurement, zip(*model.reading_shapes, strict=True), strict=True
+    )
     return Measurement(
         *[
-            numbers(f"measurement.{name}", each, *[size for (size,) in shapes])
+            numbers(f"measurement.{name}", each, *dict.fromkeys(size for (size,) in shapes))
             for name, each, shapes in fields
         ]
     )
