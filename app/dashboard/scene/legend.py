@@ -9,7 +9,8 @@ from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTO
 from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
 
-QUANTITIES = ("determinant", "reachability", "score")  # quantities for the border's colour
+QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")
+"""Quantities for the colour of a border."""
 
 
 class BaseMeasure(NamedTuple):
