@@ -1,7 +1,6 @@
 """Borders: coloured points that move with the base, their values under the pointer, and a slice."""
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +64,8 @@ class Borders:
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
         """Scores by the pair's name."""
-        self._cached = lru_cache(_KEPT)(self._colour)
+        # A cache of functools would refer to this object, which then waits for the collector.
+        self._kept: dict[tuple[object, ...], ColouredCloud | None] = {}
 
     def coloured(
         self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
@@ -74,8 +74,12 @@ class Borders:
 
         `whole` includes points above the base's top. Returns None if there is no point.
         """
-        top = None if whole else self.top
-        return self._cached(pair, quantity, border.d_b, border.eps, top)
+        key = pair, quantity, border.d_b, border.eps, None if whole else self.top
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = self._colour(*key)
+        return self._kept[key]
 
     def surface(self, border: BorderConfig) -> OffsetContours:
         """Return the contours of the border, which are the same for all pairs."""
