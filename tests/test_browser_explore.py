@@ -46,7 +46,7 @@ def test_an_explored_posture_is_what_a_run_from_there_begins_with(robot, border_
     q_m = np.array((0.3, 0.9, 0.0, -1.9, 0.1, 2.3, 0.8))
     ensemble = Ensemble(Session(robot, border_data, Config(), physics="kinematic"), 0.9 * q_m)
     snapshot = ScriptedLoop(robot).latest()
-    found = Explorer(robot, border_data.clouds, snapshot).ask(
+    found = Explorer(robot, border_data.clouds, snapshot).respond(
         Posture(np.array((0.5, -0.2, 0.7)), q_m), snapshot
     )
     ensemble.reset(tuple(q_m), (0.5, -0.2, 0.7))
@@ -68,7 +68,7 @@ def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data)
     place = np.add(snapshot.p_ee, (0.05, 0.05, -0.1))
     posture, off = explorer.reach(begin, place)
     assert off < 1e-3
-    np.testing.assert_allclose(explorer.ask(posture, snapshot).p_ee, place, atol=1e-3)
+    np.testing.assert_allclose(explorer.respond(posture, snapshot).p_ee, place, atol=1e-3)
     _, off = explorer.reach(begin, np.array((5.0, 0.0, 0.5)))
     assert off > 1.0
 

@@ -134,7 +134,7 @@ LAYERS = (
     Layer("Robot", robot, 110, 9_000, ROOT),
     Layer("Convex bodies", robot, 110, 5000, ROOT),
     Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
-    Layer("Slice at the hand", contour, 20, 150, ROOT),
+    Layer("Slice at the arm", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
     Layer("Acting points", of(acting), 60, 200, share=0.7),
     Layer("Forces", of(pushed), 60, 100),

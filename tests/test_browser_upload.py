@@ -124,13 +124,13 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
         choose_file(tab, zipped(tmp_path, files))
         see(tab, words)
     choose_file(tab, zipped(tmp_path, good))
-    see(tab, "Choose its links.")
+    see(tab, "Choose the base link and the tip link.")
     tab.click("Create robot")
     see(tab, "is ready: choose it")
     report = tmp_path / "robots" / "toy" / "report.html"
     report.write_text(FOREIGN + report.read_text(encoding="utf-8"), encoding="utf-8")
     tab.click("Report")
-    see(tab, "How toy was made")
+    see(tab, "Report on the creation of toy")
     tab.page.frame_locator("iframe").get_by_text("not the robot's").wait_for()
     assert tab.page.evaluate("window.foreign") is None
     tab.click("Close")

@@ -28,7 +28,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.drag import Grip, Hold
+from app.dashboard.drag import Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
@@ -54,7 +54,7 @@ from app.dashboard.scene.canvas import (
 )
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import draw_distances, draw_motion, segments
-from app.dashboard.scene.legend import Legend, legend_html, tick_texts
+from app.dashboard.scene.legend import Legend, legend_html, tick_texts, title_of
 from app.dashboard.scene.robot import (
     GREY,
     MAX_FACES,
@@ -132,7 +132,7 @@ def held(link=None):
     """A grip that has taken hold, the commands it sends, and the one who sees its notifier."""
     sink, client = Recorder(), Recorder()
     grip = Grip(sink, Notifier(sink), 7)
-    grip.take(Hold(*link) if link else Hold())
+    grip.take(*(link or ()))
     return grip, sink, client
 
 
@@ -169,7 +169,7 @@ def test_who_holds_nothing_pulls_nothing():
 
 def test_taking_hold_elsewhere_lets_go_first():
     grip, sink, client = held()
-    grip.take(Hold(*LINK))
+    grip.take(*LINK)
     grip.pull(np.array([0.5, 0.0, 0.8]), client)
     assert sink.commands == [Release(7), Pull((0.5, 0.0, 0.8), *LINK, who=7)]
     assert not grip.holds_hand
@@ -181,7 +181,7 @@ def test_targets_below_the_floor_stop_at_it_with_one_notice_a_drag():
         grip.pull(np.array([0.5, 0.0, -0.3]), client)
     assert {command.target for command in sink.commands} == {(0.5, 0.0, 0.0)}
     assert len(client.notes) == 1
-    grip.take(Hold())
+    grip.take()
     grip.pull(np.array([0.5, 0.0, -0.3]), client)
     assert len(client.notes) == 2
 
@@ -294,7 +294,7 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
 def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
     with RawClient(dashboard.address):
         grip = page_of(dashboard).grip
-        grip.take(Hold())
+        grip.take()
         grip.pull(loop.latest().p_ee + np.array([0.1, 0.0, 0.0]), None)
         drawn = dashboard.pictures
         wait_for(lambda: dashboard.pictures > drawn + 1, 20.0)
@@ -433,7 +433,7 @@ def test_wheels_turn_by_their_own_side_about_the_axle():
 @pytest.mark.slow
 def test_decimated_meshes_keep_their_extent():
     model = LinkPoses(husky_panda()).model
-    visuals = load_visuals(husky_panda().description, model)
+    visuals = load_visuals(husky_panda().description)
     geometry = pin.buildGeomFromUrdfString(
         model, resolved_urdf(husky_panda().description), pin.GeometryType.VISUAL
     )
@@ -471,7 +471,7 @@ def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path,
     urdf = SEVERAL_VISUALS.format(mesh=mesh)
     monkeypatch.setattr("app.dashboard.scene.robot.resolved_urdf", lambda _: urdf)
     model = pin.buildModelFromXML(urdf)
-    visuals = load_visuals(husky_panda().description, model)
+    visuals = load_visuals(husky_panda().description)
     whole = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL).geometryObjects
     assert [visual.name for visual in visuals] == [item.name for item in whole]
     for visual, item in zip(visuals, whole, strict=True):
@@ -496,7 +496,7 @@ def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, mo
     )
     monkeypatch.setattr("app.dashboard.scene.robot.resolved_urdf", lambda _: urdf)
     with pytest.raises(RobotFileError, match="lonely") as refusal:
-        load_visuals(husky_panda().description, pin.buildModelFromXML(urdf))
+        load_visuals(husky_panda().description)
     assert words in str(refusal.value)
 
 
@@ -612,6 +612,8 @@ def test_legend_numbers_are_those_of_the_border(borders, clouds, quantity):
         assert coloured.legend.high == values.max()
         assert coloured.legend.total == len(points)
         assert coloured.legend.drawn == len(coloured.points) == min(len(points), MAX_POINTS)
+        u = (function(coloured.points) - values.min()) / np.ptp(values)
+        np.testing.assert_allclose(coloured.colours.astype(int), viridis(u), atol=1)
 
 
 def test_what_one_viewer_has_asked_for_the_next_finds(borders):
@@ -647,13 +649,12 @@ def test_ticks_times_their_power_of_ten_are_the_values(scale):
 
 
 def test_legend_says_how_many_points_are_drawn():
-    base = husky_panda().description.base
-    legend = Legend.of("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
+    title, unit = title_of("score", "differential")
+    legend = Legend("lm-lEE", title, unit, 0.15, -1.0, 2.0, 20_000, 50_000, 0.38)
     html = legend_html([legend])
     assert "m⁴/rad⁴" in html
     assert "20,000 of 50,000 points" in html
     assert "0.150 m" in html
-    np.testing.assert_allclose(legend.normalised(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
 
 
 def test_subsample_is_steady_and_without_repetition():
@@ -765,7 +766,7 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
 def buttons_of(page, label):
     """The buttons with a label."""
     handles = page.viewer.client.gui._gui_input_handle_from_uuid.values()
-    return next(handle for handle in handles if handle.label == label)
+    return next(handle for handle in handles if getattr(handle, "label", "") == label)
 
 
 def test_plots_are_fed_from_the_loop(dashboard, loop):
@@ -826,6 +827,16 @@ def test_plots_that_are_not_shown_are_not_sent(dashboard):
         assert all(len(plots[title].data[0]) == 1 for title in hidden)
         page.view.plots |= {hidden[0]}
         wait_for(lambda: plots[hidden[0]].visible and len(plots[hidden[0]].data[0]) > 1)
+
+
+def test_the_tab_view_shows_choices_that_were_made_elsewhere(dashboard):
+    with RawClient(dashboard.address):
+        page, title = page_of(dashboard), "hand error [mm]"
+        boxes = [buttons_of(page, label) for label in ("Dark theme", title)]
+        wait_for(lambda: [box.value for box in boxes] == [True, False])
+        page._toggle_dark()
+        page.view.plots |= {title}
+        wait_for(lambda: [box.value for box in boxes] == [False, True])
 
 
 def status_html(snapshot):
@@ -921,9 +932,10 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
     ]
 
 
-def test_who_pulls_inside_a_buffer_is_told_what_the_arm_bears(loop):
-    pull = PullReading(1, None, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
-    held = replace(loop.latest(), pulls=(pull,), hand_force=pull.force)
+@pytest.mark.parametrize(("link", "at_hand"), [(None, 1.0), ("panda_link4", 0.0)])
+def test_a_pull_of_hand_or_link_is_shown_with_the_force_that_the_arm_can_hold(loop, link, at_hand):
+    pull = PullReading(1, link, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
+    held = replace(loop.latest(), pulls=(pull,), hand_force=at_hand * pull.force)
     assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
     assert "30.0 N, arm can hold 62 N</td>" in status_html(held)

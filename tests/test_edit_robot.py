@@ -13,7 +13,7 @@ import pytest
 from app.border.cache import BorderData, kept_border_data
 from app.config import Config
 from app.dashboard import robots
-from app.dashboard.panels.edit import SIZE, half_extents, placed, resized
+from app.dashboard.panels.edit import SIZE, changes_html, half_extents, placed, resized
 from app.errors import DescriptionError, OutputError
 from app.jobs.bounded import Budget
 from app.onboarding.write import BY_HAND, HandMade, save_by_hand
@@ -66,6 +66,13 @@ CHANGES = HandMade(
     {"l1-lEE": BY_HAND},
     (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8),
 )
+
+
+def test_the_panel_lists_every_kind_of_unsaved_change() -> None:
+    before = {"lm-l3": "far apart"}
+    text = changes_html(CHANGES, before)
+    assert "lEE: box; l1-lEE: not monitored; lm-l3: monitored; ready pose 0, -0.5" in text
+    assert "Not saved" not in changes_html(HandMade({}, before, None), before)
 
 
 def test_what_is_saved_by_hand_says_so_and_all_else_stays(

@@ -17,7 +17,7 @@ from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, Level, NearPair
 from app.dashboard import phrases as words
 from app.dashboard.panels import why as why_panel
-from app.dashboard.panels.why import LONGEST, sentence
+from app.dashboard.panels.why import sentence
 from app.dashboard.verdict import judge
 from app.robot.bases.kind import FORWARD, TURN
 from app.simulation.trace.snapshot import Snapshot
@@ -28,6 +28,7 @@ CHAIN = ("lm", "l1", "l2", "l3", "lEE")
 UNITS = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
 FRONT, LEFT, REAR, TOP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 CORNER = (0.8, -0.6, 0.0)
+LONGEST = 280  # [characters] a longer sentence would move the rows below it
 FORCE = ForceSplit((-80, -60), (-80, 0), (0, -60), (-0.4, 0), (0, -0.2), 2.3e-4, 98, 0.022, 0.021)
 BASE = NearPair("lm", "lEE", True, 0.08, 0.7, FRONT, 0.0, 0.0, False, FORCE)
 LINKS = NearPair("l1", "lEE", False, 0.09, 0.5, FRONT, 0.0, 0.0, False, None)
@@ -269,7 +270,7 @@ def test_the_base_gives_way_with_each_controller_that_moves_it(blank, controller
 
 def test_a_failed_solver_is_said_before_all_else(blank):
     text = said(blank, explanation(NEAR["base"], solved=False))
-    assert text.startswith("The solver found no feasible motion")
+    assert text.startswith("Fallback command")
 
 
 def test_of_several_pairs_it_speaks_of_the_one_that_is_inside(blank):

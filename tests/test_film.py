@@ -173,7 +173,7 @@ def test_words_for_strangers_say_method_cause_distance_and_way(run: list[Snapsho
     without = replace(run[0], controller="none", mode="tracking", ee_error=0.086, pairs=inside)
     texts = [line if isinstance(line, str) else line[0] for line in story(without, run[0])]
     assert texts[0] == "Without avoidance"
-    assert texts[1] == "task: a line for the hand; it is 86 mm off"
+    assert texts[1] == "task: the hand follows a line, error 86 mm"
     assert texts[2] == "arm hits its base"
 
 

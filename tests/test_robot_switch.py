@@ -14,7 +14,6 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.dashboard import markup, robots
-from app.dashboard.drag import Hold
 from app.dashboard.job import give_back
 from app.dashboard.robots import RobotEntry, RobotSwitch
 from app.dashboard.scene import robot
@@ -93,7 +92,7 @@ def two_robots(monkeypatch: pytest.MonkeyPatch) -> None:
 def choose(server: DashboardServer, name: str) -> None:
     """Begin a change as the panel does, and wait until it has ended in one way or the other."""
     shared = server.shared
-    shared.robot_switch.begin(name, shared.tuning.changes, "dbb", shared.loop)
+    shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
     wait_for(lambda: shared.robot_switch.progress is None, what="the end of the change")
 
 
@@ -216,7 +215,7 @@ def test_what_a_viewer_held_is_let_go_of() -> None:
         old = server.shared.loop
         page = next(iter(server.pages.values()))
         assert isinstance(old, ScriptedLoop)
-        page.grip.take(Hold())
+        page.grip.take()
         page.grip.pull(old.latest().p_ee, None)
         assert isinstance(old.commands[-1], Pull)
         choose(server, OTHER)
@@ -324,7 +323,7 @@ def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
             ("nobody", "robot 'nobody' does not exist"),
         ):
             with pytest.raises(Exception, match=words):
-                change.begin(name, {}, "dbb", server.shared.loop)
+                change.begin(name, {}, server.shared.loop)
         assert change.progress is None
 
 

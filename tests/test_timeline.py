@@ -8,11 +8,13 @@ import pytest
 
 from app.dashboard.record import BIN, Strip
 from app.dashboard.scene.scene import SceneData
-from app.dashboard.timeline import FRAME, MOST_MARKED, Timeline
+from app.dashboard.timeline import MOST_MARKED, Timeline
 from app.errors import ConfigError, LogError
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
+
+FRAME = 0.02  # [s] between two snapshots
 
 
 class Past:

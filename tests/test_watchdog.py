@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from app.dashboard import viser_compat
-from app.dashboard.drag import Hold
 from app.dashboard.page import Page, hung_html
 from app.simulation.loop.commands import Release
 from tests.browser import wait_for
@@ -31,7 +30,7 @@ def served():
 def visitor(served):
     with RawClient(served.server.address) as raw:
         page = served.page()
-        page.grip.take(Hold())
+        page.grip.take()
         page.grip.pull(np.array([0.6, 0.0, 0.7]), None)
         yield raw, page
 

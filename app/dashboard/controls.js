@@ -13,7 +13,7 @@ window.dbbControls = (box, ranges) => {
     for (const kind of kinds.split(" ")) to.addEventListener(kind, act, { signal: ending.signal, ...more });
   };
   let count = 0;
-  const told = new Map(); // the last values of each message
+  const sent = new Map(); // the last values of each message
   const ask = (word, ...values) =>
     window.__viserMutable?.sendMessage({ type: "GuiUpdateMessage", uuid: box,
       updates: { value: JSON.stringify([`${Date.now()}.${count++}`, word, ...values]) } });
@@ -52,18 +52,18 @@ window.dbbControls = (box, ranges) => {
   button(row, "−20 ms", "One snapshot back", () => ask("step", -0.02));
   button(row, "+20 ms", "One snapshot forward; at the newest snapshot, one simulation step", () => ask("step", 0.02));
   button(row, "+1 s", "F", () => ask("step", 1));
-  const play = button(row, "▶ Replay", "Play the past from here", () => ask("play", Number(rate.value)));
+  const play = button(row, "▶ Replay", "Replay from the shown instant; at the newest one, the last 10 s", () => ask("play", Number(rate.value)));
   const rate = make("select", row);
   rate.setAttribute("aria-label", "Replay speed");
   for (const x of [0.1, 0.25, 0.5, 1, 2, 4]) Object.assign(make("option", rate, "", `${x} ×`), { value: x, selected: x === 1 });
   button(row, "Back to now", "N", () => ask("now"));
-  button(row, "Nearest", "Go to the least distance", () => ask("nearest"));
-  button(row, "Largest pull", "Go to the largest pull", () => ask("pull"));
+  button(row, "Nearest", "Go to the instant with the least distance", () => ask("nearest"));
+  button(row, "Largest pull", "Go to the instant with the largest force", () => ask("pull"));
   button(row, "◂ Event", "Previous event", () => beside(-1));
   button(row, "Event ▸", "Next event", () => beside(1));
   button(row, "Mark start", "Start of the interval to save", () => ask("begin"));
   button(row, "Mark end", "End of the interval to save", () => ask("end"));
-  button(row, "Clear marks", "Save all of the last minute", () => ask("unmark"));
+  button(row, "Clear marks", "Without marks, the last minute is saved", () => ask("unmark"));
   button(row, "−", "Zoom out: more time (mouse wheel, or two fingers)", () => zoom(2, middle())).setAttribute("aria-label", "Zoom out");
   button(row, "+", "Zoom in: less time (mouse wheel, or two fingers)", () => zoom(0.5, middle())).setAttribute("aria-label", "Zoom in");
   const marked = make("span", row);
@@ -345,13 +345,13 @@ window.dbbControls = (box, ranges) => {
   listen(window, "keyup blur", (e) => (e.key === "Shift" || e.type === "blur") && ask("drop"));
 
   // ---- the pointer over the scene, for the values there: at most ten reports per second
-  let pointer = [], told_at = 0, later = 0;
-  const point = () => ((later = 0), (told_at = performance.now()), api.tell("pointer", ...pointer));
+  let pointer = [], sent_at = 0, later = 0;
+  const point = () => ((later = 0), (sent_at = performance.now()), api.tell("pointer", ...pointer));
   listen(window, "pointermove pointerout", (e) => {
     const canvas = window.__viserMutable?.canvas, box = canvas?.getBoundingClientRect();
     pointer = e.type === "pointermove" && canvas?.contains(e.target) && !e.buttons
       ? [e.clientX - (box.left + box.right) / 2, (box.top + box.bottom) / 2 - e.clientY] : [];
-    later ||= setTimeout(point, Math.max(0, 100 - performance.now() + told_at));
+    later ||= setTimeout(point, Math.max(0, 100 - performance.now() + sent_at));
   }, { capture: true }); // viser's gizmos keep some events to themselves
 
   // ---- a double click resets the view
@@ -375,8 +375,8 @@ window.dbbControls = (box, ranges) => {
       for (const label of labels) button(card, label, "", () => ask("card", label));
     },
     tell: (word, ...values) => {
-      if (told.get(word) === String(values)) return;
-      told.set(word, String(values));
+      if (sent.get(word) === String(values)) return;
+      sent.set(word, String(values));
       ask(word, ...values);
     },
     clear: (most, width) => {
@@ -396,8 +396,8 @@ window.dbbControls = (box, ranges) => {
       for (const [k, e] of events) if (e[1] < oldest - 1) events.delete(k);
       draw();
     },
-    state: (...told) => {
-      [now, at, begin, end, live, paused, d_b, playing] = told;
+    state: (...values) => {
+      [now, at, begin, end, live, paused, d_b, playing] = values;
       say();
     },
     // For tests: position of a time on the page, and the content of the time line.

@@ -1,8 +1,7 @@
-"""Drag: a viewer pulls the end-effector with a gizmo, or any link of the arm directly."""
+"""Pulls by a viewer: of the end-effector with a gizmo or keys, or of any link of the arm."""
 
 from collections.abc import Callable
 from time import monotonic
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -10,7 +9,7 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.scene.scene import RobotScene
-from app.simulation.loop.commands import Pull, Release
+from app.simulation.loop.commands import Point, Pull, Release
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
@@ -21,64 +20,58 @@ MOST_NUDGED = 0.15  # [m] largest distance between the end-effector and its targ
 SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
-class Hold(NamedTuple):
-    """The point of the robot that a person holds."""
-
-    link: str | None = None
-    """Name of the joint that moves the link; None for the end-effector."""
-    point: tuple[float, float, float] | None = None
-    """(3,) [m] position in the joint's frame; None for the end-effector."""
-
-
 class Grip:
-    """Pull of one viewer. Several viewers may pull at once: their forces add up."""
+    """The pull of one viewer, who holds at most one point; forces of several viewers add up."""
 
     def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
-        """Create a grip without a pull; `who` is the viewer's number in commands to `sink`."""
+        """Start without a pull; `who` is the viewer's number in commands to `sink`."""
         self._sink, self._notifier, self._who = sink, notifier, who
-        self._hold: Hold | None = None
+        self._held: tuple[str | None, Point | None] | None = None
+        """Link and point as in `take`; None without a pull."""
         self._warned = False
         self._moved = 0.0  # [s] time of the last pull
         self._target, self._by_keys = np.zeros(3), False  # [m] target of a pull by keys
         self.reach: Callable[[Array], None] | None = None
-        """If set, called with the target (3,) [m] of the end-effector instead of a pull."""
+        """If set, it gets targets (3,) [m] of the end-effector, and nothing is pulled."""
 
     @property
     def holds_hand(self) -> bool:
         """Whether this viewer pulls the end-effector."""
-        return self._hold is not None and self._hold.link is None
+        return self._held is not None and self._held[0] is None
 
     @property
     def holds_anything(self) -> bool:
         """Whether this viewer pulls any point of the robot."""
-        return self._hold is not None
+        return self._held is not None
 
-    def take(self, hold: Hold) -> None:
-        """Start to hold a point of the robot; release the previous one."""
-        if self._hold is not None:
-            self.release()
-        self._hold, self._warned, self._moved = hold, False, monotonic()
+    def take(self, link: str | None = None, point: Point | None = None) -> None:
+        """Start to hold a point of the robot, by default the end-effector; release the last one.
+
+        `link` is the name of the joint that moves the link, and `point` (3,) [m] is in its frame.
+        """
+        self.release()
+        self._held, self._warned, self._moved = (link, point), False, monotonic()
         self._by_keys = False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
-        """Pull the held point to a target (3,) [m] in the world, which the floor limits."""
-        if self._hold is None:
+        """Pull the held point to a target (3,) [m] in the world, or above it if z is negative."""
+        if self._held is None:
             return
         self._moved = monotonic()
         if self.reach is not None:
-            if self._hold.link is None:
+            if self.holds_hand:
                 self.reach(target)
             return
         x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._warned:
             self._warned = True  # warn once per drag
-            self._notifier.warn(client, "The floor is at z = 0; the hand stays above it.")
-        self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
+            self._notifier.warn(client, "The floor is at z = 0; the target stays above it.")
+        self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._who))
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
-        """Pull the end-effector one step along `ahead` (3,) in the base's frame."""
+        """Pull the end-effector by `NUDGE` times `ahead` (3,), a vector in the base's frame."""
         if not self.holds_hand:
-            self.take(Hold())
+            self.take()
             self._target, self._by_keys = np.array(snapshot.p_ee), True
         step = pin.utils.rotate("z", float(snapshot.base_pose[2])) @ (NUDGE * ahead)
         reach = self._target + step - snapshot.p_ee
@@ -87,19 +80,19 @@ class Grip:
         self.pull(self._target, client)
 
     def release_keys(self) -> None:
-        """Release a pull by keys; a pull by the gizmo continues."""
+        """Release a pull by keys; another pull continues."""
         if self._by_keys:
             self.release()
 
     def release(self) -> None:
         """Release the held point."""
-        if self._hold is not None:
-            self._hold = None
+        if self._held is not None:
+            self._held = None
             self._sink.send(Release(self._who))
 
     def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
-        """Release the held point if it was not pulled for `seconds` [s], and warn the viewer."""
-        if self._hold is not None and monotonic() - self._moved > seconds:
+        """Release the held point if its last pull is older than `seconds`, and warn the viewer."""
+        if self._held is not None and monotonic() - self._moved > seconds:
             self.release()
             self._notifier.warn(
                 client, "Your pull has ended, because your browser did not respond. Pull again."
@@ -107,7 +100,7 @@ class Grip:
 
 
 class DragHandles:
-    """Gizmo on the end-effector, and links that can be dragged."""
+    """The gizmo on the end-effector, and the links of the arm, which can be dragged."""
 
     def __init__(
         self,
@@ -130,7 +123,7 @@ class DragHandles:
         self._links: object = None
 
     def update(self, snapshot: Snapshot) -> None:
-        """Move the gizmo to the end-effector unless this viewer drags it."""
+        """Move the gizmo to the end-effector unless this viewer pulls the end-effector."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:
@@ -140,12 +133,12 @@ class DragHandles:
             self._gizmo.position = snapshot.p_ee
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
-        """Handle an event of the gizmo: start, update or end."""
+        """Handle an event of the gizmo, whose phase is "start", "update" or "end"."""
         if event.phase == "end":
             self.grip.release()
             return
         if event.phase == "start":
-            self.grip.take(Hold())
+            self.grip.take()
         if self.grip.holds_hand:
             self.grip.pull(np.asarray(event.target.position), event.client)
 
@@ -156,8 +149,8 @@ class DragHandles:
                 return
             if event.phase == "start":
                 T: pin.SE3 = self._robot.world_pose(joint)
-                point = T.actInv(np.array(event.start_position))
-                self.grip.take(Hold(name, (float(point[0]), float(point[1]), float(point[2]))))
+                x, y, z = map(float, T.actInv(np.array(event.start_position)))
+                self.grip.take(name, (x, y, z))
             self.grip.pull(np.array(event.end_position), event.client)
 
         mesh.on_drag(self._notifier.guard(dragged))  # type: ignore[arg-type]

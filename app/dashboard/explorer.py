@@ -1,4 +1,4 @@
-"""Postures of the robot, and the controller's response to them, while the simulation is paused."""
+"""The controller's response to postures of the robot that a viewer chooses."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -29,10 +29,13 @@ class Posture(NamedTuple):
 
 
 class Explorer:
-    """Evaluates the control law for postures, by one control step from rest; not thread-safe."""
+    """Computes the response to a posture, by one control step from rest; not thread-safe."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
-        """Start with the posture of a snapshot."""
+        """Prepare a session of the robot, with the link pairs and parameters of a snapshot.
+
+        `clouds` has P_i of each pair of L_m, by the pair's name.
+        """
         mobile, manipulator = (
             tuple(Pair(*pair.name.split("-")) for pair in snapshot.pairs if pair.mobile == kind)
             for kind in (True, False)
@@ -42,45 +45,46 @@ class Explorer:
         self._model = model
         self._session = Session(model, data, snapshot.config, physics="kinematic")
         self._search = PostureSearch(model, found, snapshot.d_b)
-        self._asked: tuple[object, ...] = ()
-        self._answer = snapshot
+        self._request: tuple[object, ...] = ()
+        self._response = snapshot
 
-    def ask(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
-        """Return a snapshot of the robot in `posture`; other values are those of `snapshot`."""
-        asked = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
-        if asked != self._asked:
+    def respond(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
+        """Return a snapshot of the robot in `posture`, with joint positions within their limits.
+
+        Parameters and controller are those of `snapshot`, and so are times, scenario and scores.
+        """
+        request = *map(np.ndarray.tobytes, posture), snapshot.config, snapshot.controller
+        if request != self._request:
             session = self._session
             if session.config != snapshot.config:
                 session.configure(snapshot.config)
             session.controller.use(snapshot.controller)
-            session.reset(np.clip(posture.q_m, *self.limits), posture.base_pose)
+            q_m = np.clip(posture.q_m, self._model.q_lower, self._model.q_upper)
+            session.reset(q_m, posture.base_pose)
             step = session.step()
-            self._answer = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
-            self._asked = asked
+            self._response = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
+            self._request = request
         about = ("t", "speed", "scenario", "scores", "step_time_us", "realtime_factor", "overruns")
-        return replace(self._answer, **{name: getattr(snapshot, name) for name in about})
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits (n_m,) [rad or m] of the arm's joints."""
-        return self._model.q_lower, self._model.q_upper
+        return replace(self._response, **{name: getattr(snapshot, name) for name in about})
 
     def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
-        """Find a posture with the end-effector at a position, starting from another posture.
+        """Find a posture with the end-effector at `place` (3,) [m] in the world.
 
-        The end-effector keeps its direction if possible. Returns the posture that comes closest to
-        the position `place` (3,) [m] in the world, and its distance [m] to the position.
+        The search starts from `posture`. The base stays, and the end-effector's z axis keeps its
+        direction if the position can be reached so.
+
+        Returns:
+            The posture whose end-effector comes closest to `place`, and the remaining distance [m].
         """
-        search, best = self._search, (posture, np.inf)
+        search, found = self._search, []
         search.stand(posture.base_pose)
         search.place(posture.q_m)
-        points = search.state.T_world_ee.rotation[:, 2].copy()
-        for direction in (points, None):
+        z_axis = search.state.T_world_ee.rotation[:, 2].copy()
+        for direction in (z_axis, None):
             q_m = search.reach(Target(place, direction), posture.q_m)
             search.place(q_m)
-            off = float(np.linalg.norm(search.state.T_world_ee.translation - place))
-            if off < best[1]:
-                best = posture._replace(q_m=q_m), off
-            if off < CLOSE:
+            error = float(np.linalg.norm(search.state.T_world_ee.translation - place))
+            found.append((posture._replace(q_m=q_m), error))
+            if error < CLOSE:
                 break
-        return best
+        return min(found, key=lambda each: each[1])

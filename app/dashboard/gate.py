@@ -1,8 +1,8 @@
 """Checks of connections and of the pages' messages, before viser handles them.
 
-viser has no hook for these checks. Therefore the functions that viser passes to `websockets` when
-it starts are wrapped. `is_allowed` checks requests, and each answer gets headers that keep other
-websites out. `checked` checks each message before viser reads it. The types of messages are viser's
+viser has no hook for these checks. Therefore this module wraps the functions that viser passes to
+`websockets` when its server starts. `is_allowed` checks requests, and each answer gets headers that
+exclude other websites. `checked` checks each message before viser reads it, against viser's type
 annotations, which viser itself does not check.
 """
 
@@ -36,7 +36,7 @@ from websockets.http11 import Request, Response
 from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half this size
-LARGEST_PICTURE = 32 * 2**20  # [bytes] size of a screenshot, which a page sends on request
+LARGEST_PICTURE = 32 * 2**20  # [bytes] of a screenshot, which a page sends on request
 _MOST_PIXELS = 2**24  # [-] pixels of a screenshot
 _MOST_WAITING = 2  # [-] unread messages of a connection
 _SLOWEST = 10.0  # [s] time from the first part of a message to the last
@@ -44,11 +44,11 @@ _MOST_VIEWERS = 32  # [-] simultaneous connections
 _QUERY = re.compile(r"(fixedDpr=([1-4]|[0-3]\.\d{1,3}))?")
 """The only allowed parameter of a page's address: drawn pixels per pixel of the page. viser's other
 parameters are refused, because one of them selects another server."""
-_LONGEST_PATH = 255  # [characters] length of a path; no file has a longer path
+_LONGEST_PATH = 255  # [characters] length of a path; no file of the page has a longer one
 _MOST_UPLOADS = 2  # [-] simultaneous uploads
 _LONGEST_NAME = 1000  # [characters] length of a name of an element, a file or a scene node
 _LONGEST_VALUE = 2**16  # [characters] length of a widget's new value
-_DEEPEST = 6  # [-] nested containers
+_DEEPEST = 6  # [-] levels of nested containers
 _LARGEST_NUMBER = 2**53  # [-] JavaScript represents all smaller integers exactly
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
@@ -56,7 +56,8 @@ _POLICY = (
     "connect-src 'self' ws://{host} data: blob:; worker-src 'self' blob: data:; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""viser's page contains its scripts and compiles its markdown. It connects only to this server."""
+"""Content policy: viser's page contains its scripts, evaluates code of its markdown, and connects
+only to this server."""
 _HEADERS = {
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
@@ -64,7 +65,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
-"""Headers of each answer, with the policy."""
+"""Headers of each answer, in addition to the policy."""
 _ANSWER = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
 <meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
 <style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
@@ -76,7 +77,7 @@ _WAY_OUT = """<p>To reach this server under this name, restart it with
 <code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
 _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
-"""Headers of which this module or viser reads a single value."""
+"""Headers that may occur once only, because this module or viser reads a single value."""
 _SCRIPT, _CONTROLS, _STYLE = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
     for name in ("page.js", "controls.js", "page.css")
@@ -98,8 +99,8 @@ _TAKEN = (
     _messages.FileTransferPart,
     _messages.FileTransferPartAck,
 )
-"""Messages of this program's page. viser accepts others too: one opens a tunnel to this machine;
-another one about an unknown form is stored forever and sent to every viewer."""
+"""Types of messages that this program's page sends. viser accepts further types: one opens a tunnel
+to this machine; another one, about an unknown form, is stored forever and sent to every viewer."""
 _VERSION = f"viser-v{__version__}"  # name of the websocket protocol
 
 
@@ -109,7 +110,7 @@ class RefusedError(ValueError):
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
-        """The message if its types are valid (its sender then gets the current value), or None."""
+        """The message if its types are valid, or None. Its sender gets the widget's value again."""
 
 
 class GarbageError(RefusedError):
@@ -125,9 +126,9 @@ class Gate:
         self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
-        """Find a widget of a page, from the page's connection and the widget's name."""
+        """Returns a widget of a page, by the page's connection and the widget's name, or None."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-        """Called with the connection and the reason when a message is refused."""
+        """Called with the connection and the reason if a message is refused."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:
@@ -241,7 +242,7 @@ class _Checked:
         return getattr(self._connection, name)
 
     async def recv(self) -> bytes:
-        """Return the next allowed message; answer refused ones, and disconnect on garbage."""
+        """Return the next allowed message; report refused ones, and disconnect after garbage."""
         while True:
             try:
                 data = await self._message()
@@ -252,7 +253,7 @@ class _Checked:
                 self._gate.on_refused(self, refused)
 
     async def _message(self) -> bytes:
-        """Return the next message; `websockets` limits its size, and this method its duration."""
+        """Return the next message; this method limits its duration, `websockets` its size."""
         message, late, abort = bytearray(), None, self._connection.transport.abort
         try:
             async for part in self._connection.recv_streaming(decode=False):
@@ -266,7 +267,7 @@ class _Checked:
 
 @lru_cache(maxsize=2)
 def with_script(page: bytes, encoding: str) -> bytes:
-    """Insert `_HEAD` into viser's page; `encoding` is "gzip" or "identity"."""
+    """Insert `_HEAD` into viser's page, which is compressed if `encoding` is "gzip"."""
     html = (gzip.decompress if encoding == "gzip" else bytes)(page)
     html = html.replace(b"<head>", _HEAD.encode(), 1)
     return gzip.compress(html) if encoding == "gzip" else html
@@ -281,12 +282,12 @@ def is_allowed(origin: str | None, host: str | None, own_names: Collection[str])
     """Whether a request may be answered.
 
     A browser sends the page's origin with each websocket request. The origin must be the address of
-    the request. This address must be a number, localhost or a name of this server. Otherwise
-    another website could let its own name point to this machine, and would be accepted.
+    the request. This address must be an IP address, localhost, or a name of this server or machine.
+    Without the second rule, another website could let its own name point to this machine.
 
     Args:
-        origin: The request's header `Origin`; None for programs that are not browsers.
-        host: The request's header `Host`.
+        origin: The request's header `Origin`; None without this header, as from other programs.
+        host: The request's header `Host`; None without this header.
         own_names: Names under which browsers may reach the server, in lower case.
     """
     if host is None:
@@ -313,7 +314,7 @@ def _is_here(name: str | None, own_names: Collection[str]) -> bool:
 
 
 def _record(message: type) -> type:
-    """Return a record with the fields of a viser message, whose types msgspec checks."""
+    """Return a record type with the fields of a viser message, whose types msgspec checks."""
     hints = get_type_hints(message)
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
@@ -339,17 +340,18 @@ class Uploads:
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
         """Create an empty list; `largest` is the largest size of a file [bytes].
 
-        `everyone` has the uploads of all viewers, who share `_MOST_UPLOADS`.
+        `everyone` has the uploads of all viewers: together they have at most `_MOST_UPLOADS`.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
-        """Number of missing bytes and missing parts of each transfer."""
+        """Number of missing bytes and indices of the missing parts, by the transfer's name."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Register an announced file; an empty file has no parts.
+        """Register an announced file of `size` [bytes] in `parts`; an empty file has no parts.
 
         Raises:
-            RefusedError: The file is too large, or too many uploads are unfinished.
+            RefusedError: The file is too large, the number of parts is impossible, or too many
+                uploads are unfinished.
         """
         if size > self._largest:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
@@ -364,7 +366,7 @@ class Uploads:
         """Register a received part with its `size` [bytes].
 
         Raises:
-            RefusedError: The part is not the next part of an announced file.
+            RefusedError: It is not the next part of an announced file, or has an impossible size.
         """
         left, parts = self.unfinished.get(transfer, (0, range(0)))
         if part not in parts[:1] or size > left or (size < left and not parts[1:]):
@@ -375,10 +377,12 @@ class Uploads:
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
-    """Return the bytes of an allowed message; `widget` finds a widget of the page by its name.
+    """Return the unchanged bytes of an allowed message; register parts of uploads in `uploads`.
+
+    `widget` returns a widget of the page by its name, or None.
 
     Raises:
-        GarbageError: A page does not send messages of this type, or a field has a wrong type.
+        GarbageError: The data are no message of the types `_TAKEN`, or a field has a wrong type.
         RefusedError: A value does not match its widget, is too large, or is not finite.
     """
     if not isinstance(data, bytes):
@@ -419,7 +423,7 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
 
 def is_picture(content: bytes) -> bool:
-    """Whether `content` is empty (the page has no picture) or a PNG of limited size."""
+    """Whether `content` is empty (the page has no picture), or a PNG of limited size."""
     head = content.partition(b"IDAT")[0]
     size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
     whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS
@@ -427,7 +431,7 @@ def is_picture(content: bytes) -> bool:
 
 
 def is_alike(value: object, current: object) -> bool:
-    """Whether `value` has the type of a widget's current value; all numbers have one type."""
+    """Whether `value` has the type of a widget's current value; int and float count as one type."""
     if isinstance(current, tuple):
         return (
             isinstance(value, list)
@@ -442,7 +446,7 @@ def is_alike(value: object, current: object) -> bool:
 
 
 def _is_plain(value: Any, longest: int, depth: int) -> bool:
-    """Check numbers, the length of texts (at most `longest`) and the nesting (at most `depth`)."""
+    """Whether numbers, lengths of texts (`longest`) and nesting (`depth`) are within limits."""
     if isinstance(value, int | float):
         return abs(value) <= _LARGEST_NUMBER  # False for NaN
     if isinstance(value, str):

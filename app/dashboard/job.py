@@ -1,7 +1,7 @@
 """Background jobs of the page: cancellable work in parallel to the simulation.
 
 Work that fully occupies a core runs in a separate process (`Job.run`), which imports this module
-first. Therefore each function here imports the modules that it needs.
+first. Therefore each function of such work imports the modules that it needs.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ from app.errors import ConfigError, DbbError
 from app.jobs.bounded import Budget
 from app.jobs.process import Cancelled, Report, run_in_process
 from app.onboarding import helpers
-from app.system import (
-    give_freed_memory_back,
-    limited,
-    usable_cores,
-    write_whole,
-)
+from app.system import give_freed_memory_back, limited, usable_cores, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -35,7 +30,7 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
 
 logger = logging.getLogger("app.dashboard")  # for all jobs that viewers can start
-_CORES = max(1, usable_cores() - 1)  # for a job; the simulation needs one core
+_CORES = max(1, usable_cores() - 1)  # [-] cores for a job; the simulation needs one core
 FILM_RATE = 25.0  # [1/s] frame rate of a film
 _PATIENCE = 10.0  # [s] timeout for the end of a thread
 
@@ -43,8 +38,8 @@ _PATIENCE = 10.0  # [s] timeout for the end of a thread
 def give_back() -> None:
     """Run the garbage collector and return the freed memory to the system.
 
-    Python collects old reference cycles only if they are a quarter of all objects. A few objects
-    can use much memory, for example a model, a border or an open pipe.
+    Python searches old objects for reference cycles only rarely, but a few such objects can use
+    much memory, for example a model or a border.
     """
     gc.collect()
     give_freed_memory_back()
@@ -52,17 +47,20 @@ def give_back() -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of the work `title`: `share` is from 0 to 1, or negative if unknown."""
+    """Progress of a job."""
 
     title: str
+    """Name of the job."""
     text: str
+    """Present step of the job."""
     share: float = -1.0
+    """[-] completed share of this step, 0 to 1; negative if unknown."""
     began: float = field(default_factory=time.monotonic)
-    """[s] start, on the monotonic clock."""
+    """[s] start of the job, by `time.monotonic`."""
 
 
 class Job:
-    """A background job; at most one runs at a time.
+    """Runs background jobs, at most one at a time.
 
     All methods are thread-safe.
     """
@@ -71,15 +69,16 @@ class Job:
         self.progress: Progress | None = None
         """Progress of the running job, or None."""
         self.problem = ""
-        """Error message of the last job, or an empty string."""
+        """Error message of the last job; empty if it succeeded or still runs."""
         self._cancelled = threading.Event()
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
 
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
-        """Run `work` in a new thread.
+        """Run `work` in a new thread, with a title and the text of its first step.
 
-        If `work` raises `Cancelled` or another exception, `problem` is its message.
+        After a `Cancelled`, a `DbbError` or an `OSError` of `work`, `problem` is its message; after
+        another exception, `problem` refers to the log.
 
         Raises:
             ConfigError: Another job is running.
@@ -97,16 +96,20 @@ class Job:
         self._thread.start()
 
     def run(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Run `work(report, *args)` by `run_in_process`; called by a running job."""
+        """Return `work(report, *args)`, computed in a separate process; for a running job.
+
+        Raises:
+            Cancelled: The job was cancelled.
+        """
         return run_in_process(work, *args, report=self.report, cancelled=self._cancelled)
 
     def report(self, text: str, share: float = -1.0) -> None:
-        """Update `progress`; called by a running job."""
+        """Set text and share of `progress`; for a running job."""
         if self.progress is not None:
             self.progress = replace(self.progress, text=text, share=share)
 
     def check(self) -> None:
-        """End the job that calls this if it was cancelled.
+        """End a cancelled job; for a running job.
 
         Raises:
             Cancelled: The job was cancelled.
@@ -120,7 +123,7 @@ class Job:
 
     @property
     def cancelled(self) -> bool:
-        """Whether the running job was cancelled; it may end later."""
+        """Whether the last job was cancelled; it may still run."""
         return self._cancelled.is_set()
 
     def close(self) -> None:
@@ -137,7 +140,7 @@ class Job:
             problem = f"{title}: cancelled"
         except (DbbError, OSError) as error:
             problem = f"{title}: {str(error).removeprefix(f'{title}: ')}"
-        except Exception as error:  # no thread joins this one: tell the viewers
+        except Exception as error:  # no thread joins this one: show it to the viewers
             logger.exception("%s failed", title)
             problem = f"{title}: {plain(error)}"
         finally:
@@ -147,7 +150,10 @@ class Job:
 
 
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
-    """Return a robot's model and border; `sampling` applies to a border that is not cached."""
+    """Return a robot's model and border.
+
+    `sampling` has arguments of `load_border_data` for a border that is not cached.
+    """
     from app.border.cache import load_border_data
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
@@ -164,7 +170,11 @@ def sample_border(report: Report, robot: str) -> BorderData:
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
-    """Return the URDFs of an uploaded zip, which is untrusted and may take long to read."""
+    """Return the contents of an uploaded zip's URDFs, by path, within a budget of time and memory.
+
+    Raises:
+        RobotFileError: The zip cannot be used.
+    """
     from app.onboarding.read.package import look_into
 
     report("reading the zip", -1.0)
@@ -176,9 +186,9 @@ def build_robot(report: Report, request: Request) -> None:
     """Create description, border and report of a new robot in the folder of the request."""
     text = ""
 
-    def say(what: str) -> None:
+    def say(step: str) -> None:
         nonlocal text
-        text = what
+        text = step
         report(text, -1.0)
 
     with helpers(_CORES) as workers:
@@ -222,7 +232,7 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
 
 
 def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
-    """Write the film of a log, which plays in real time."""
+    """Write a film of a log with `FILM_RATE`; it plays in real time."""
     from contextlib import closing
 
     from app.dashboard.export.browser import chromium

@@ -1,6 +1,6 @@
 """HTML of panels: text, tables and banners in a uniform style."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from html import escape
 
 from app.errors import DbbError
@@ -12,24 +12,18 @@ BAD_COLOUR = "light-dark(#c92a2a, #ff8787)"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
 DEFECT = "A defect of the program; the log in the terminal has the details."
-"""Text of a page for an unexpected exception."""
+"""Text for an exception that is not a `DbbError`."""
 
 
 def plain(error: BaseException) -> str:
-    """Return a page's text for an error, without the name of a Python exception."""
+    """Return the text of an error for viewers: its message, or `DEFECT`."""
     return str(error) if isinstance(error, DbbError) else DEFECT
 
 
 def small(html: str, *styles: str) -> str:
-    """Return a text of a panel."""
+    """Return a paragraph of a panel, with further CSS `styles`."""
     look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
     return _tag("div", html, look, *styles)
-
-
-def framed(html: str, colour: str) -> str:
-    """Return a text of a panel in a coloured frame."""
-    frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
-    return small(html, frame)
 
 
 def problem(text: str) -> str:
@@ -38,7 +32,7 @@ def problem(text: str) -> str:
 
 
 def banner(kind: str, title: str, text: str) -> str:
-    """Return a banner above all tabs, an "error" or a "notice", whose texts are escaped."""
+    """Return a coloured box of the kind "error" or "notice"; title and text are escaped."""
     return _tag(
         "div",
         f"<b>{escape(title)}</b><br>{escape(text)}",
@@ -49,27 +43,22 @@ def banner(kind: str, title: str, text: str) -> str:
 
 
 def table(rows: Iterable[str], *styles: str, tight: bool = False) -> str:
-    """Return a table of rows from `row`, as wide as its panel; `tight`: no space between cells."""
+    """Return a table of rows from `row`, as wide as its panel; `tight` cells have no padding."""
     style = _style("width:100%;font-variant-numeric:tabular-nums", *styles)
     space = ' cellpadding="0"' if tight else ""
     return f"<table{space}{style}>{''.join(rows)}</table>"
 
 
 def row(*cells: str, hint: str = "", style: str = "") -> str:
-    """Return a row of cells from `cell`; `hint` is shown under the pointer."""
+    """Return a row of cells from `cell`; `hint` appears while the pointer is over the row."""
     title = f' title="{escape(hint)}"' if hint else ""
     return f"<tr{title}{_style(style)}>{''.join(cells)}</tr>"
 
 
 def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str:
-    """Return a cell that covers `span` columns; `head` for the title of a column of data."""
+    """Return a cell that covers `span` columns; `head` marks the title of a column."""
     name, across = "th" if head else "td", f' colspan="{span}"' if span > 1 else ""
     return f"<{name}{across}{_style(*styles)}>{html}</{name}>"
-
-
-def readings(values: Mapping[str, str], *styles: str) -> str:
-    """Return a table of values by their names; `styles` apply to the table."""
-    return table((reading(*each) for each in values.items()), *styles)
 
 
 def reading(name: str, value: str) -> str:
@@ -77,14 +66,8 @@ def reading(name: str, value: str) -> str:
     return row(cell(name, FAINT), cell(value, RIGHT))
 
 
-def spread(*texts: str) -> str:
-    """Distribute texts over the panel's width, from its left edge to its right edge."""
-    style = "display:flex;justify-content:space-between;font-variant-numeric:tabular-nums"
-    return _tag("div", "".join(_tag("span", text) for text in texts), style)
-
-
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
-    """Return a bar filled to `share` (0 to 1), with a mark at `stroke` (0 to 1)."""
+    """Return a bar that is filled to `share` (0 to 1), with a mark at `stroke` (0 to 1) if any."""
     filled = f"width:{100 * share:.0f}%;height:100%;background:{colour};border-radius:2px"
     html = _tag("div", "", filled)
     if stroke is not None:

@@ -1,4 +1,4 @@
-"""Notifications to viewers, and callbacks whose exceptions become notifications."""
+"""Notifications to viewers, also of the exceptions of callbacks."""
 
 import logging
 from collections.abc import Callable, Coroutine
@@ -14,7 +14,7 @@ _LONGEST = 2000  # [characters] of a notification
 
 
 class Notifier:
-    """Notifications, to one client or to all."""
+    """Shows notifications to one viewer or to all."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -22,27 +22,27 @@ class Notifier:
         """Text, number of repetitions and handle of each message, by viewer and title."""
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
-        """Report for some seconds that an action was refused."""
+        """Show for 6 s that an action was refused; to all viewers if `client` is None."""
         self._show(client, "Not possible", text, "orange", 6.0)
 
     def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
-        """Show a message to one viewer, or to all if `client` is None, for some seconds."""
+        """Show a message for 6 s; to all viewers if `client` is None."""
         self._show(client, title, text, "blue", 6.0)
 
     def fail(self, client: viser.ClientHandle | None, error: BaseException) -> None:
-        """Report an internal error for half a minute, and log it."""
+        """Log an internal error and show it for 30 s; to all viewers if `client` is None."""
         logger.error("the dashboard failed", exc_info=error)
         self._show(client, "Internal error", plain(error), "red", 30.0)
 
     def clear(self, client: viser.ClientHandle) -> None:
-        """Remove all messages of a viewer."""
+        """Remove all messages to a viewer."""
         for key, (_, _, handle) in list(self._shown.items()):
             if key[0] == client.client_id:
                 handle.remove()
                 del self._shown[key]
 
     def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """Wrap a callback for viser so that its exceptions are reported; its event has a `client`.
+        """Wrap a callback for viser so that its exceptions are shown to the event's `client`.
 
         The result is `async`, so that viser runs it in its event loop, one call after the other.
         Therefore the callback must be short.
@@ -54,7 +54,7 @@ class Notifier:
         return guarded
 
     def attempt(self, client: viser.ClientHandle | None, act: Callable[[], None]) -> None:
-        """Run an action of a viewer, and show its error to this viewer."""
+        """Run an action of a viewer, and show its error; to all viewers if `client` is None."""
         try:
             act()
         except DbbError as error:
@@ -63,12 +63,7 @@ class Notifier:
             self.fail(client, error)
 
     def _show(
-        self,
-        client: viser.ClientHandle | None,
-        title: str,
-        text: str,
-        colour: Any,
-        seconds: float,
+        self, client: viser.ClientHandle | None, title: str, text: str, colour: Any, seconds: float
     ) -> None:
         text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may come from a file
         clients = [client] if client is not None else list(self._server.get_clients().values())
@@ -80,7 +75,7 @@ class Notifier:
             key = (each.client_id, title)
             before, count, old = self._shown.get(key, ("", 0, None))
             if old is not None:
-                old.remove()  # one message of each kind at a time
+                old.remove()  # at most one message of each title
             count = count + 1 if before == text else 1
             body = text if count == 1 else f"{text} ({count} times)"
             handle = each.add_notification(title, body, color=colour, auto_close_seconds=seconds)

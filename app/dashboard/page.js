@@ -13,7 +13,7 @@
   if (software) {
     const { getParameter } = WebGL2RenderingContext.prototype;
     WebGL2RenderingContext.prototype.getParameter = function (asked) {
-      return asked === name ? "told" : getParameter.call(this, asked);
+      return asked === name ? "hidden" : getParameter.call(this, asked);
     };
   }
 

@@ -47,12 +47,12 @@ PRODUCT = "dbb self-collision avoidance"
 PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
 LIGHT = (
     "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
-    "shadows. Change it in the tab View."
+    "shadows. To change this, use “Low detail” in the tab View."
 )
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
 SHOWN = "guiding-lateral"
 """The scenario of the demonstration: the arm is pulled along the wheels' axis."""
-FARTHER = 1.5  # [-] factor on its path, with which the arm hits a base that does not give way
+FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
 UNTOUCHED = 20.0  # [s] without input before a demonstration starts
 REST = 3.0  # [s] pause between two demonstrations
 
@@ -60,7 +60,7 @@ REST = 3.0  # [s] pause between two demonstrations
 class Page:
     """Panels, layers, camera and point in time of one viewer.
 
-    Only one thread creates and draws a page. Callbacks only assign to the view or send commands.
+    The drawing thread creates and draws a page. Callbacks only assign to the view or send commands.
     Create a page within the client's `atomic`, so that the viewer never sees an incomplete page.
     """
 
@@ -71,7 +71,7 @@ class Page:
         notifier: Notifier,
         before: Page | None = None,
     ) -> None:
-        """Create the page of a client; `before` is its closed page of another robot."""
+        """Create the page of a client; `before` is the client's closed page of another robot."""
         self._client, self._shared, self._notifier = client, shared, notifier
         plots = [plan.title for plan in shared.plans]
         view = View.first(shared.mobile, plots)
@@ -94,7 +94,7 @@ class Page:
         self.channel.on("scene", self._camera.cover)
         self.closed = False
         newest = shared.loop.latest()
-        self._refusal, self._newest = newest.refusal, newest  # older than this page
+        self._refusal, self._newest = newest.refusal, newest  # this refusal precedes the page
         self._dark, self._light = self.view.dark, self.view.light
         set_theme(client.gui, dark=self.view.dark)
         client.gui.set_panel_label(shared.parts.title)
@@ -111,7 +111,7 @@ class Page:
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
-        border = self._scene.border
+        self._border = border = self._scene.border
         self.channel.on("pointer", lambda *at: setattr(border, "pointer", at[:2] if at[1:] else ()))
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
@@ -129,10 +129,10 @@ class Page:
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
-        if self._scene.select_border(shown):
-            spoken = self._shared.spoken
+        spoken = self._shared.spoken
+        if self._border.update(self.view, shown.border):
             self._why.legend.content = legend_html(
-                [each._replace(pair=spoken[each.pair]) for each in self._scene.legends]
+                [each._replace(pair=spoken[each.pair]) for each in self._border.legends]
             )
         with self._client.atomic():
             if self._dark != self.view.dark:
@@ -145,10 +145,10 @@ class Page:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
             if texts:
-                self._renew(Moment(newest, shown, judge(shown, self._shared.spoken)))
+                self._renew(Moment(newest, shown, judge(shown, spoken)))
 
     def _renew(self, moment: Moment) -> None:
-        """Update all panels; a page shows them together with the picture."""
+        """Update all panels."""
         for panel in self._panels:
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
@@ -184,7 +184,7 @@ class Page:
         self.grip.release()
 
     def end(self) -> None:
-        """Close the page of a disconnected viewer, and cancel the export of files."""
+        """Close the page of a disconnected viewer, and cancel the creation of files."""
         self.close()
         self.viewer.files.cancel()
 
@@ -220,7 +220,7 @@ class Page:
             self._add(LabPanel(viewer))
             self.explorer_panel = self._add(ExplorerPanel(viewer))
         with tabs.add_tab("View"):
-            ViewPanel(viewer)
+            self._add(ViewPanel(viewer))
         with tabs.add_tab("Tune"):
             self.tuning_panel = self._add(TuningPanel(viewer))
         self.robot_panel: RobotPanel | None = None
@@ -233,19 +233,11 @@ class Page:
             add_help(gui, self._shortcuts())
 
     def _shows(self) -> dict[str, Callable[[], None]]:
-        """Return the guide's demonstrations by the guide's states."""
-        loop = self._shared.loop
-
-        def watch() -> None:
-            play = shown_play(self._shared.model.description)
-            loop.send(Compare(("none",)))
-            loop.send(play)
-
+        """Return the actions of the guide's button `SHOW` by the guide's states."""
+        shared = self._shared
         return {
-            "watch": watch,
-            "tour 1": lambda: self._run.play(SHOWN),
-            "tour 2": lambda: self._run.play(SHOWN),
-            "tour 3": lambda: self._run.play(SHOWN),
+            "watch": lambda: play_with_ghost(shared.loop, shared.model.description),
+            **dict.fromkeys(("tour 1", "tour 2", "tour 3"), lambda: self._run.play(SHOWN)),
             "tour 4": lambda: self.timeline.step(-3.0),
         }
 
@@ -277,7 +269,7 @@ class Page:
         self._notifier.clear(self._client)
 
     def _nudge(self, x: float, y: float, z: float) -> None:
-        """Pull the end-effector along x, y, z in the base's frame, as a key requests."""
+        """Pull the end-effector by `NUDGE` times x, y, z from −1 to 1 in the base's frame."""
         ahead = np.clip((x, y, z), -1.0, 1.0)
         self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
 
@@ -285,30 +277,31 @@ class Page:
         self.view.dark = not self.view.dark
 
     def _show_refusal(self, newest: Snapshot) -> None:
-        """Show a new refusal of the simulation."""
+        """Show the viewer each new refusal of a command by the simulation."""
         if newest.refusal is not None and newest.refusal != self._refusal:
             self._notifier.warn(self._client, newest.refusal.message)
         self._refusal = newest.refusal
 
 
-def shown_play(robot: RobotDescription) -> Play:
-    """Return the command that plays the demonstration of a robot.
+def play_with_ghost(loop: LoopHandle, robot: RobotDescription) -> None:
+    """Play the demonstration on a robot and on a ghost without avoidance.
 
     Raises:
-        UnreachableError: The robot cannot follow the scenario's line.
+        UnreachableError: The robot has no line for this scenario.
     """
     scenario = scenario_of(robot, SHOWN)
     if isinstance(scenario, LineScenario):
         x, y, z = (FARTHER * part for part in scenario.move)
         scenario = scenario.changed(move=(x, y, z))
-    return Play(scenario)
+    loop.send(Compare(("none",)))
+    loop.send(Play(scenario))
 
 
 class Demonstration:
-    """A demonstration for a single viewer who has not touched the page; the first input ends it.
+    """A repeated demonstration for a single viewer who has not touched the page.
 
-    It plays a scenario and shows a ghost robot without avoidance. The drawing thread calls
-    `update`.
+    It shows a scenario with the controller dbb, and a ghost without avoidance. It starts after
+    `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first input ends it.
     """
 
     def __init__(self) -> None:
@@ -316,7 +309,7 @@ class Demonstration:
         self._plays = False
 
     def update(self, pages: Sequence[Page], loop: LoopHandle, robot: RobotDescription) -> None:
-        """Start, continue or end the demonstration, depending on the viewers."""
+        """Start, continue or end the demonstration; called by the drawing thread."""
         newest = loop.latest()
         alone = len(pages) == 1 and pages[0].untouched and newest.controller == "dbb"
         if self._plays and not alone:
@@ -337,17 +330,14 @@ class Demonstration:
         elif monotonic() > self._due:
             self._due, self._plays = None, True
             try:
-                play = shown_play(robot)
-                loop.send(Compare(("none",)))
-                loop.send(play)
+                play_with_ghost(loop, robot)
                 pages[0].guide.go("demo")
             except DbbError:  # the robot cannot play the scenario
                 self._plays = False
-                loop.send(Compare())
 
 
 def hung_html(silence: float) -> str:
-    """Return a message that the simulation hangs, or "" if `silence` [s] is short."""
+    """Return an error message if the simulation's `silence` [s] exceeds `PATIENCE`, or ""."""
     if silence < PATIENCE:
         return ""
     text = f"No response for {silence:.0f} s. Commands wait until it continues."

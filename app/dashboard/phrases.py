@@ -1,4 +1,4 @@
-"""Words for numbers: directions, places on the base, bodies, motions, limits."""
+"""Words for directions, places on the base, motions, limits and numbers."""
 
 import math
 from collections.abc import Sequence
@@ -9,8 +9,8 @@ from app.simulation.trace.words import pair as pair
 from app.simulation.trace.words import spoken as spoken
 from app.strict import Array
 
-AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below these speeds the base stands still
-SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commands move nothing yet
+AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below these speeds the base counts as at rest
+SLIGHT = (0.05, 0.1)  # [m/s²], [rad/s²] smaller commanded accelerations are not mentioned
 
 _SECTORS = (
     ("forward", "front"),
@@ -22,7 +22,7 @@ _SECTORS = (
     ("right", "right side"),
     ("forward right", "front right corner"),
 )
-"""Direction and place on the base for each eighth of a turn, from forward to the left."""
+"""Direction, and place on the base, for each eighth of a turn, counterclockwise from forward."""
 _TOP = 0.8  # [-] z of a normal above which it points upwards
 
 _BOUNDS: dict[BoundKind, str] = {
@@ -52,7 +52,7 @@ def direction(x: float, y: float) -> str:
 
 
 def place(n: Sequence[float]) -> str:
-    """Return a place on the base, from the outward unit normal (3,) there in the base's frame."""
+    """Return the place on the base with this outward unit normal (3,), in the base's frame."""
     if abs(n[2]) > _TOP:
         return "top" if n[2] > 0 else "underside"
     return _sector(n[0], n[1])[1]
@@ -67,14 +67,14 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
 
 
 def length(d: float) -> str:
-    """Return a length [m] in whole centimetres, or in millimetres below one centimetre."""
+    """Return a length [m] in whole centimetres; below one centimetre, in whole millimetres."""
     return f"{1000 * d:.0f} mm" if abs(d) < 0.01 else f"{100 * d:.0f} cm"
 
 
 def borne(bound: float) -> str:
-    """Return the text after a person's force, as in ", arm can hold 62 N".
+    """Return an addition to a person's force, as in ", arm can hold 62 N"; empty if unknown.
 
-    `bound` [N] is `Snapshot.force_bound`; the text is empty if the bound is unknown.
+    `bound` [N] is `Snapshot.force_bound`, which is NaN if it is unknown.
     """
     return "" if math.isnan(bound) else f", arm can hold {bound:.0f} N"
 
@@ -82,8 +82,8 @@ def borne(bound: float) -> str:
 def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """Describe a base's motion, as in "backs away at 0.21 m/s and turns left"; None at rest.
 
-    The motion is v [m/s] forward, w [rad/s] about the vertical, and `left` [m/s] of a base that can
-    move sideways. `ahead`: the avoided body is in front of the base or beside it.
+    The velocity is v [m/s] forward, w [rad/s] counterclockwise, and `left` [m/s] to the left if the
+    base can move sideways. `ahead`: whether the avoided body is in front of the base or beside it.
     """
     speed = f" at {math.hypot(v, left):.2f} m/s"
     turning = f" at {math.degrees(abs(w)):.0f}°/s"
@@ -91,9 +91,9 @@ def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
 
 
 def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
-    """Describe the next motion of a base at rest, as in "back away and turn left", or None.
+    """Describe the next motion of a base at rest, as in "back away and turn left"; None if slight.
 
-    The arguments are those of `motion`, for commanded accelerations.
+    The arguments are those of `motion`, for the commanded acceleration.
     """
     return _moves((v_dot, left, w_dot), ahead, SLIGHT, ("", "", ""))
 
@@ -104,10 +104,10 @@ def _moves(
     threshold: tuple[float, float],
     verb: tuple[str, str, str],
 ) -> str | None:
-    """Describe the parts of a motion that reach a threshold along the floor or about the vertical.
+    """Describe the parts of a motion that reach a threshold; None if no part does.
 
-    `along` is the motion forward, to the left, and about the vertical. `verb` has the ending of the
-    verbs, and the texts of both speeds.
+    `along` has the parts forward, to the left, and about the vertical. `threshold` is for the
+    linear parts and for the rotation. `verb` has the ending of the verbs, and texts of both speeds.
     """
     (v, left, w), (s, speed, turning) = along, verb
     parts = []
@@ -124,7 +124,7 @@ def _moves(
 
 
 def speeds(velocity: Array) -> str:
-    """Return a base's velocity, as in "0.09 m/s, 5°/s left"; its last entry is the rotation."""
+    """Return a base's velocity (n_b,) in words, as in "0.09 m/s, 5°/s left"."""
     *linear, w = velocity
     turn = math.degrees(abs(w))
     side = "" if turn < 0.5 else " left" if w > 0 else " right"
@@ -132,12 +132,12 @@ def speeds(velocity: Array) -> str:
 
 
 def signed(value: float, digits: int = 2) -> str:
-    """Format a number with a sign (a true minus), and without a minus before zero."""
+    """Format a number with a sign, a typographic minus; zero has a plus."""
     return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")
 
 
 def scientific(value: float) -> str:
-    """Format a number as in 2.3·10⁻⁴, with a true minus; zero is "0"."""
+    """Format a number as in 2.3·10⁻⁴, with a typographic minus; zero is "0"."""
     if value == 0.0:
         return "0"
     mantissa, _, exponent = f"{value:.1e}".partition("e")

@@ -1,4 +1,4 @@
-"""Plots of a robot: titles, curves and ranges, and every quantity of a log as a curve."""
+"""Content of the plots: titles, curves and ranges, and further quantities for curves."""
 
 import math
 from collections.abc import Callable
@@ -46,32 +46,30 @@ class PlotPlan(NamedTuple):
     height: int = 100
     """[px] height without title and legend."""
     fill: bool = False
-    """Whether the area under the lines is filled."""
+    """Whether the areas under the curves are filled."""
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
     """Return all plots of a robot; `names` are its link pairs, in the order of the snapshots.
 
-    The pair `door` of base and door has a separate plot.
+    `door` is the name of the pair of base and door, which has a plot of its own.
     """
-    axes = model.description.base.axes
+    axes, joints = model.description.base.axes, model.description.arm.joints
     colours = (*map(_series, range(len(axes) - 2)), css(PERSON), css(ACTING))[-len(axes) :]
     torques = tuple(
         Curve(
             f"{i + 1}",
-            lambda s, i=i, most=float(most): s.u_a[i] / most,
+            lambda s, i=i, limit=float(limit): s.u_a[i] / limit,
             _series(i),
-            f"{name}: torque u_a divided by its limit of {most:g} N m, −1 to 1, (26)",
+            f"{name}: torque u_a divided by its limit of {limit:g} N m, −1 to 1, (26)",
         )
-        for i, (name, most) in enumerate(
-            zip(model.description.arm.joints, model.tau_max, strict=True)
-        )
+        for i, (name, limit) in enumerate(zip(joints, model.tau_max, strict=True))
     )
     beta = Curve("activation β_m", lambda s: s.beta_m, BETA, _ACTIVATION)
-    off = "distance [mm] of the end-effector from its target"
-    error = Curve("hand error", lambda s: 1000.0 * s.ee_error, BETA, off)
-    duration = "time [µs] of Algorithm 2 in a control step; the period is 1000"
-    step = Curve("mean over 1 s", lambda s: s.step_time_us, css(PERSON), duration)
+    about = "distance [mm] of the end-effector from its target"
+    error = Curve("hand error", lambda s: 1000.0 * s.ee_error, BETA, about)
+    about = "time [µs] of Algorithm 2 in a control step; the period is 1000 µs"
+    step = Curve("mean over 1 s", lambda s: s.step_time_us, css(PERSON), about)
     avoidance = tuple(map(_avoidance, range(len(axes)), axes, colours))
     return [
         _distances("distance [m]", model, names, 160),
@@ -85,13 +83,13 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
 
 
 def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Value]:
-    """Return the numeric columns of a robot's log, by their names, as values of a snapshot."""
+    """Return functions from a snapshot to its value in each numeric column of a log, by column."""
     pairs = {pair.name: pair.mobile for pair in snapshot.pairs}
     meta = TraceMeta.of(model, pairs, snapshot.config)
 
     def value(field: str, i: int, s: Snapshot) -> float:
         data = getattr(s, field)
-        if field == "pairs":  # a door adds a pair
+        if field == "pairs":  # without the pair of a door
             data = [pair for pair in data if pair.name in pairs]
         return float(QUANTITIES[field].cells(data, meta)[i])
 
@@ -104,14 +102,14 @@ def quantities(model: RobotModel, snapshot: Snapshot) -> dict[str, Value]:
 
 
 def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
-    """Plan a plot of the distances of some pairs and of d_b, with a height [px]."""
-    apart = "signed distance d [m] of the convex bodies, negative where they overlap"
+    """Return a plot with a `height` [px] of the distances of the pairs `names` and of d_b."""
+    meaning = "signed distance d [m] of the convex bodies, negative if they overlap"
     curves = (
         Curve(
             words.spoken(name, model.body_names),
             lambda s, name=name: distance(s, name),
             _series(i),
-            f"{name}: {apart}",
+            f"{name}: {meaning}",
         )
         for i, name in enumerate(names)
     )
@@ -137,7 +135,7 @@ def _avoidance(i: int, axis: Axis, colour: str) -> Curve:
 
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:
-    """Return a range of at least [low, high], which grows with the data with a margin of 10 %."""
+    """Return uPlot's range from `low` to `high`, which data beyond it extend, with 10 % margin."""
     return {
         "min": {"pad": 0.1, "soft": low, "mode": 1},
         "max": {"pad": 0.1, "soft": high, "mode": 1},

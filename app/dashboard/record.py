@@ -1,4 +1,4 @@
-"""History for the page: paths of the base and the end-effector, results and events."""
+"""History for the page: paths of base and end-effector, results of a scenario, and events."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -8,7 +8,7 @@ import numpy as np
 
 from app.config import tunable
 from app.dashboard import phrases as words
-from app.dashboard.verdict import judge
+from app.dashboard.verdict import touching
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import Outcome, outcome
@@ -16,17 +16,17 @@ from app.strict import Array
 
 KEPT = 600.0  # [s] length of the history
 SPACING = 0.01  # [m] distance between two points of a track
-_LONGEST = 1500  # largest number of points of a track
+_LONGEST = 1500  # [-] largest number of points of a track
 BIN = 0.1  # [s] length of a bin of the time line
-_QUIET = 1.0  # [s] after this pause the same event counts as a new one
-_MOST_EVENTS = 400  # largest number of stored events
+_QUIET = 1.0  # [s] after a pause of this length, the same event counts as a new one
+_MOST_EVENTS = 400  # [-] largest number of stored events
 
 
 class Track:
-    """The path of a point of the robot, in bounded memory."""
+    """The last `_LONGEST` points of a path."""
 
     def __init__(self, place: Callable[[Snapshot], Array]) -> None:
-        """Start without points; `place` returns a snapshot's position (3,) [m]."""
+        """Start without points; `place` returns the position (3,) [m] in a snapshot."""
         self._place = place
         self.begin()
 
@@ -50,17 +50,17 @@ class Course:
 
     Attributes:
         name: Name of the scenario; empty if none has started.
-        running: Whether the scenario is moving the robot.
+        running: Whether the scenario is running.
         duration: [s] end of the scenario.
         until: [s] time of the scenario's last snapshot, or `duration` if the scenario completed.
-        stopped: Whether the scenario was stopped before its end.
         least: [m] least distance of all pairs.
         pull: [N] largest external force.
         speed: [m/s] peak speed of the end-effector.
         path: [m] length of the base's path.
-        touched: Whether a contact or penetration began after the first snapshot.
-        inside: Whether bodies have been in contact or penetration since the first snapshot.
-        left: Whether a contact or penetration of the first snapshot has ended.
+        inside: Whether a contact or overlap of the first snapshot still lasts.
+        left: Whether a contact or overlap of the first snapshot has ended.
+        touched: Whether a contact or overlap began after the first snapshot.
+        contact: Whether the plant has reported a contact.
         case: The case that repeats the last run, or None.
     """
 
@@ -72,19 +72,19 @@ class Course:
         self.case: RunCase | None = None
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
-        self.least, self.touched, self.inside, self.left = np.inf, False, False, False
-        self.contact = False  # reported by the plant
+        self.least = np.inf
+        self.touched = self.inside = self.left = self.contact = False
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """Add the snapshot's values."""
+        """Add a snapshot; without a scenario, only the end of the last one counts."""
         ended = self.running and not snapshot.scenario
         self.running, self.case = bool(snapshot.scenario), snapshot.case or self.case
         if ended and snapshot.t >= self.duration:
             self.until = self.duration
         if not self.running:
             return
-        place, touches = np.array(snapshot.base_pose[:2]), judge(snapshot).state == "contact"
+        place, touches = np.array(snapshot.base_pose[:2]), bool(touching(snapshot))
         if self._place is None:
             self.inside = touches
         else:
@@ -102,11 +102,12 @@ class Course:
 
     @property
     def stopped(self) -> bool:
+        """Whether the scenario was stopped before its end."""
         return not self.running and self.until < self.duration
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome in one word; a contact counts only if the plant reports it."""
+        """The outcome in words; a contact counts only if the plant has reported it."""
         return outcome(self.least, touched=self.contact)
 
 
@@ -126,24 +127,25 @@ class Strip:
     def __init__(self, chain: Sequence[str]) -> None:
         """Create an empty history; `chain` has the names of the robot's bodies, the base first."""
         self._chain, self.runs = chain, -1
-        """Number of restarts."""
+        """Number of restarts since the creation."""
         self.begin()
 
     def begin(self) -> None:
-        """Reset everything except the number of restarts, which increases by one."""
+        """Delete all data, and increase the number of restarts by one."""
         self.runs += 1
         self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
         """Start [s] of each bin, least distance [m] and largest β in this bin."""
         self.closed = self._numbered = 0
-        """Numbers of rows and of events since the restart, with those that were deleted."""
+        """Numbers of rows and of events since the restart, including deleted ones."""
         self.events: dict[int, Event] = {}
         """Events by their numbers, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Snapshot] = deque(maxlen=round(KEPT / BIN / 2))
-        """Snapshots: from each two bins, the snapshot with the least distance."""
+        """For every two bins, the snapshot with the least distance."""
         self.nearest: Snapshot | None = None
+        """Snapshot with the least distance since the restart; None without snapshots."""
         self.hardest: Snapshot | None = None
-        """Snapshots with the least distance and with the largest external force so far."""
+        """Snapshot with the largest external force since the restart; None without a force."""
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
 
@@ -192,7 +194,10 @@ def pulled(snapshot: Snapshot) -> float:
 def happenings(
     before: Snapshot | None, now: Snapshot, chain: Sequence[str]
 ) -> list[tuple[str, str, str]]:
-    """Return kind, subject and text of each event that began between two snapshots."""
+    """Return kind, subject and text of each event between two snapshots.
+
+    Without a snapshot `before`, only the start of a scenario is an event.
+    """
     if before is None:
         return [("scenario", "", f"{now.scenario} starts")] if now.scenario else []
     found = []
@@ -219,6 +224,6 @@ def happenings(
     )
     found += [("limit", text, text) for text in sorted(meets - met)]
     spoken = {pair.name: words.spoken(pair.name, chain) for pair in now.pairs}
-    if (touching := judge(now, spoken).touching) and not judge(before).touching:
-        found.append(("contact", "", touching))
+    if (text := touching(now, spoken)) and not touching(before):
+        found.append(("contact", "", text))
     return found

@@ -25,7 +25,8 @@ from app.simulation.plants import default_plant
 from app.system import remove_abandoned, temporary_folder
 
 _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
-"""pybullet needs every mesh; MuJoCo and the viewer use the convex bodies if one is missing."""
+"""Checks the files that a robot needs: pybullet needs every mesh; MuJoCo and the page use the
+convex bodies if a mesh is missing."""
 
 
 class RobotEntry(NamedTuple):
@@ -34,11 +35,11 @@ class RobotEntry(NamedTuple):
     name: str
     title: str
     about: str
-    """Base and arm in a few words."""
+    """Base and arm in a few words; empty if the description is invalid."""
     problem: str | None
-    """Reason why the robot cannot be shown, with a command that helps if there is one; or None."""
+    """Reason why the robot cannot be used, with a remedy if one is known; or None."""
     own: bool
-    """Whether the user has created the robot."""
+    """Whether the robot is one of the user's own robots."""
     report: bool
     """Whether a report about the robot's creation exists."""
 
@@ -77,9 +78,9 @@ class OwnLoop(LoopHandle, Protocol):
 
 
 Changes = Mapping[str, float | str]
-"""Parameters that differ from a robot's defaults, by path."""
+"""Values of parameters that differ from a robot's defaults, by the parameter's path."""
 StartLoop = Callable[[RobotModel, BorderData, Config, str], OwnLoop]
-"""Create the simulation of a robot with parameters and a controller; `start` then starts it."""
+"""Creates the simulation of a robot with parameters and a controller, which `start` then starts."""
 
 
 class RunningRobot(NamedTuple):
@@ -90,6 +91,7 @@ class RunningRobot(NamedTuple):
     clouds: Mapping[str, Cloud]
     """Point clouds P_i of all pairs of L_m, by the pairs' names."""
     parts: RobotParts
+    """Meshes of the robot."""
     config: Config
     """Parameters of the simulation."""
     note: str
@@ -110,37 +112,31 @@ class RobotSwitch(Job):
         """Create an idle switch; if `start_loop` is None, the robot cannot be switched."""
         super().__init__()
         self._start_loop = start_loop
+        self.possible = start_loop is not None
+        """Whether the robot can be switched."""
         self._entries: list[RobotEntry] | None = None
         self._ready: RunningRobot | None = None
         self._taken = threading.Event()
         self._loop: OwnLoop | None = None
 
     @property
-    def possible(self) -> bool:
-        """Whether the robot can be switched at all."""
-        return self._start_loop is not None
-
-    @property
     def entries(self) -> list[RobotEntry]:
-        """All robots that the last search found."""
+        """All robots that the last search found; the first call searches."""
         return self.look() if (known := self._entries) is None else known
 
     def look(self) -> list[RobotEntry]:
-        """Search for robots; this reads the files of every robot."""
+        """Search for all robots, and return them; this reads the files of each robot."""
         self._entries = found = robot_entries()
         return found
 
-    def look_again(self) -> None:
-        """Search for new robots in a separate thread."""
-        threading.Thread(target=self.look, name="robots", daemon=True).start()
+    def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
+        """Start to prepare the robot `name`; the simulation `running` ends once it is shown.
 
-    def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
-        """Prepare another robot; the running one ends when the other one is shown.
-
-        The new robot gets its own defaults with `changes`.
+        The new robot gets the present controller and its own defaults with `changes`, or without
+        `changes` if it cannot start with them.
 
         Raises:
-            ConfigError: The robot does not exist or is incomplete, or another switch is running.
+            ConfigError: The robot does not exist or cannot be used, or another switch is running.
         """
         entry = _named(name, self.entries) or _named(name, self.look())  # the robot may be new
         if entry is None or self._start_loop is None:
@@ -148,6 +144,7 @@ class RobotSwitch(Job):
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
         replaced: LoopHandle | None = running
+        controller = running.latest().controller
 
         def work() -> None:
             nonlocal replaced
@@ -165,21 +162,20 @@ class RobotSwitch(Job):
         return ready
 
     def shown(self) -> None:
-        """Report that every viewer sees the new robot."""
+        """Report that no page draws the old robot any longer."""
         self._taken.set()
 
     def close(self) -> None:
-        """Cancel the switch, and stop the last simulation that it started."""
+        """Cancel the running switch, and stop the last simulation that was started here."""
         self._taken.set()
         super().close()
         if self._loop is not None:
             self._loop.stop()
 
     def _replace(self, replaced: LoopHandle | None, robot: RunningRobot) -> None:
-        """Let the new robot be shown, then stop the simulation of the old one."""
-        self._loop = robot.loop
-        self._ready = robot
-        self._taken.wait()  # until no page draws the old robot
+        """Wait until the pages show the new robot, then stop the simulation of the old one."""
+        self._loop, self._ready = robot.loop, robot
+        self._taken.wait()
         if isinstance(replaced, OwnLoop):
             replaced.stop()
 
@@ -205,7 +201,11 @@ class RobotSwitch(Job):
     def _start_suited(
         self, model: RobotModel, data: BorderData, changes: Changes, controller: str
     ) -> tuple[OwnLoop, Config, str]:
-        """Start with the present changes, or with the defaults if this robot cannot use them."""
+        """Start the simulation with `changes`, or without them if the robot cannot start so.
+
+        Returns:
+            The simulation, its parameters, and a note for the viewers about dropped changes.
+        """
         usual = model.description.config
         config = usual.changed(changes)
         try:
@@ -235,26 +235,26 @@ class Package(NamedTuple):
     """An uploaded zip and its content."""
 
     archive: Path
-    """File of the zip, which is deleted after the build or at the next upload."""
+    """File of the zip, which is deleted after a successful build or at the next upload."""
     urdfs: Mapping[str, Contents]
-    """URDFs of the zip, by their path in the zip."""
+    """Contents of the zip's URDFs, by their path in the zip."""
 
 
 class RobotBuild(Job):
     """Upload of a zip, and build of a robot from it; at most one job runs at a time."""
 
     def __init__(self, switch: RobotSwitch) -> None:
-        """Create an empty build; `switch` searches again after a build."""
+        """Start without an upload; `switch` searches for robots again after each build."""
         super().__init__()
         self.package: Package | None = None
-        """The last usable upload, or None."""
+        """The last uploaded zip; None without a usable upload, and after a successful build."""
         self.built = ""
-        """Name of the last built robot, or an empty string."""
+        """Name of the built robot; empty after the start of a new upload or build."""
         self._switch = switch
         self._folder = ExitStack()
 
     def receive(self, name: str, content: bytes) -> None:
-        """Store a zip and read its content.
+        """Store an uploaded zip, and read its content in a job.
 
         Raises:
             ConfigError: The zip is too large, or another job is running.
@@ -272,7 +272,7 @@ class RobotBuild(Job):
         self.start(_file_name(name), "reading", work)
 
     def build(self, request: Request) -> None:
-        """Build the robot in a separate process.
+        """Build the requested robot from the upload, in a job with a separate process.
 
         Raises:
             ConfigError: A robot of this name exists, or another job is running.

@@ -30,12 +30,12 @@ _PAGE_ENDED = "This page has stopped; reload it. The simulation and other pages 
 
 FRAME = 1 / 30  # [s] period of drawing
 TEXTS_EVERY = 0.2  # [s] period of updates of panels, plots and labels, also at a low frame rate
-LIGHT_EVERY = 2  # frames per frame of a page without a GPU
-LARGEST_SHARE = 0.5  # [-] largest share of time for drawing, and for building pages
+LIGHT_EVERY = 2  # [frames] a page with low detail is drawn in every second frame
+LARGEST_SHARE = 0.5  # [-] largest share of a core's time for drawing, and for building pages
 
 
 class DashboardServer:
-    """Pages that show a simulation and send it commands: one page for each viewer's number."""
+    """Pages that show a simulation and send it commands, one page for each viewer."""
 
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         self.viser, self.shared = viser_server, shared
@@ -43,8 +43,9 @@ class DashboardServer:
         host = f"[{host}]" if ":" in host else host  # IPv6
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
+        """Page of each viewer, by the number that viser assigns to the viewer."""
         self.pictures = 0
-        """Number of frames so far; all pages are drawn in a frame."""
+        """Number of frames so far."""
         self.error: BaseException | None = None
         """Exception that ended the drawing thread, or None."""
         self._texts_due = self._newcomer_due = 0.0  # [s] of `time.monotonic`
@@ -76,30 +77,32 @@ class DashboardServer:
             raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread, the pages, and the simulations that this server started."""
+        """End the drawing thread, the pages, the background jobs, and the server.
+
+        A simulation that replaced the initial one ends too; the caller ends the initial one.
+        """
         self._stopping.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout=5.0)
+        self._thread.join(timeout=5.0)
         for page in list(self.pages.values()):
             page.end()
         self.shared.close()
         close_server(self.viser)
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        """Release all pulls of a disconnected viewer at once."""
+        """End the page of a disconnected viewer at once, before the next frame."""
         page = self.pages.get(client.client_id)
         if page is not None:
             page.end()
 
     def _newcomer(self) -> viser.ClientHandle | None:
-        """Return the first viewer who has connected since the last calls, or None."""
+        """Return a viewer whom no earlier call has returned, or None."""
         clients = self.viser.get_clients()
         first = sorted(clients.keys() - self._here)[:1]
         self._here = self._here & clients.keys() | {*first}
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
-        """Release the pulls of a browser that may be asleep, unless its last pull is recent."""
+        """Release the pull of a viewer whose browser does not answer, unless it is recent."""
         page = self.pages.get(number)
         if page is not None:
             page.grip.release_if_still(PATIENCE, page.viewer.client)
@@ -107,7 +110,7 @@ class DashboardServer:
     def _draw_until_stopped(self) -> None:
         try:
             self._draw_frames()
-        except Exception as error:  # no thread joins this one: tell the viewers
+        except Exception as error:  # no thread joins this one: show it to the viewers
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has stopped", error)
@@ -128,30 +131,29 @@ class DashboardServer:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
         self.shared.watch(bool(self.viser.get_clients()))
         self._switch_robot()
-        self.shared.update()
-        pages = [page for page in self.pages.values() if not page.closed]
         shared = self.shared
+        shared.update()
+        pages = [page for page in self.pages.values() if not page.closed]
         self._demonstration.update(pages, shared.loop, shared.model.description)
         texts = time.monotonic() >= self._texts_due
         if texts:
             self._texts_due = time.monotonic() + TEXTS_EVERY
-        self._draw_pages(texts=texts)
+        for page in pages:
+            if texts or not page.view.light or self.pictures % LIGHT_EVERY == 0:
+                self._draw_page(page, texts=texts)
         self.pictures += 1
-        error = self.shared.loop.error
+        error = shared.loop.error
         if error is not None and self._failure is None:
             logger.error("the simulation ended", exc_info=error)
             self._fail("The simulation has stopped", error)
 
-    def _draw_pages(self, *, texts: bool) -> None:
-        for page in self.pages.values():
-            rests = page.view.light and self.pictures % LIGHT_EVERY and not texts
-            if not page.closed and not rests:
-                try:
-                    page.draw(texts=texts)
-                except Exception as error:  # ends only this viewer's page
-                    logger.exception("a page has ended")
-                    page.close()
-                    page.fail(_PAGE_ENDED, error)
+    def _draw_page(self, page: Page, *, texts: bool) -> None:
+        try:
+            page.draw(texts=texts)
+        except Exception as error:  # ends only this viewer's page
+            logger.exception("a page has ended")
+            page.close()
+            page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
         """Build at most one page, and end the pages of disconnected viewers.
@@ -189,7 +191,7 @@ class DashboardServer:
             self._show(robot)
         finally:
             switch.shown()  # also after an error: the switch's thread waits for this
-        note = robot.note or "your parameters are kept"
+        note = robot.note or "your parameters remain"
         self._notifier.tell(None, "Robot", f"{robot.model.description.title} is in use; {note}.")
 
     def _show(self, robot: RunningRobot) -> None:
@@ -226,15 +228,23 @@ def serve_dashboard(
 ) -> DashboardServer:
     """Open the dashboard and start drawing.
 
-    The `loop` has started, and `clouds` has P_i of each pair of L_m, by the pair's name. A button
-    plays the scenario `case` from the loop's initial state. `start_loop` starts the simulation of
-    another robot; without it, the robot cannot be changed. `host`, `port` and `allowed` are those
-    of `open_server`. viser has neither password nor encryption: use an address other than this
-    machine's only in a trusted network.
+    There is neither a password nor encryption: use an address other than this machine's only in a
+    trusted network.
+
+    Args:
+        loop: The simulation, which has published a snapshot.
+        model: The simulated robot.
+        clouds: Point cloud P_i of each pair of L_m, by the pair's name.
+        host: Name or IP address of the server.
+        port: Port of the server; 0 selects a free port.
+        allowed: Further names under which browsers may reach the server.
+        case: A scenario that a button plays, or None.
+        parts: Meshes of the robot; by default they are loaded here.
+        start_loop: Starts the simulation of another robot; by default the robot cannot be changed.
 
     Raises:
         ServerError: The address cannot be bound.
-        AssetError: A mesh of the robot is missing.
+        AssetError: The robot's URDF or the mesh of a convex body is missing.
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
@@ -244,39 +254,34 @@ def serve_dashboard(
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
-        _set_first_picture(server, shared)
+        set_theme(server.gui, dark=True)  # until a viewer's own page is ready
+        set_first_look(server, *placed(PRESETS["iso"], [loop.latest()], shared.parts.extent))
         return DashboardServer(server, shared)
     except BaseException:
         close_server(server)
         raise
 
 
-def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
-    """Set theme and camera until a viewer's own page is ready."""
-    set_theme(server.gui, dark=True)
-    set_first_look(server, *placed(PRESETS["iso"], [shared.loop.latest()], shared.parts.extent))
-
-
 def _rested(begin: float) -> float:
-    """[s] the time of `time.monotonic` up to which a thread rests after work.
+    """Return the time [s] of `time.monotonic` until which a thread rests after work.
 
-    `begin` is the time of `time.thread_time` at the beginning of the work.
+    `begin` [s] is `time.thread_time` at the start of the work.
     """
     work = time.thread_time() - begin
     return time.monotonic() + work * (1.0 / LARGEST_SHARE - 1.0)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only programs on this machine can reach an address."""
+    """Whether only programs on this machine can reach a host, a name or an IP address."""
     found = {info[4][0] for info in socket.getaddrinfo(host, None)}
     return all(ipaddress.ip_address(address).is_loopback for address in found)
 
 
 def check_address(host: str, port: int) -> None:
-    """Bind the address as a test: viser hangs at a bad host and silently changes a busy port.
+    """Check that an address can be bound: viser hangs at a bad host, and changes a busy port.
 
     Raises:
-        ServerError: The address cannot be bound; the message names the fault and a remedy.
+        ServerError: The address cannot be bound; the message names the fault.
     """
     if not 0 <= port <= 65535:  # getaddrinfo would use the port modulo 65536
         raise ServerError(f"cannot listen at {host}:{port}: a port is between 0 and 65535")

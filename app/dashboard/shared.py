@@ -1,4 +1,4 @@
-"""Shared state of all viewers: simulation, parameters, history and background jobs."""
+"""State that all viewers share: simulation, parameters with their history, and background jobs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property
 
 from app.border.dbb import Cloud
 from app.config import Config
@@ -21,8 +22,8 @@ from app.simulation.loop.commands import Configure, Watch
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
-BURST = 0.7  # [s] changes of one slider within this time count as one step
-MOST_STEPS = 200  # [-] steps that can be undone
+BURST = 0.7  # [s] further changes of one parameter within this time belong to the same step
+MOST_STEPS = 200  # [-] largest number of steps that can be undone
 
 
 class Tuning:
@@ -41,30 +42,32 @@ class Tuning:
     ) -> None:
         """Start with the configuration of the simulation `sink`, which gets each change.
 
-        `usual` are the robot's defaults, and `clock` returns the time [s].
+        `usual` is the configuration with the robot's defaults, by default those of the program.
+        `clock` returns the time [s].
         """
         self._sink, self._clock = sink, clock
         self.usual = usual or Config()
-        """The robot's defaults."""
+        """The configuration with the robot's defaults."""
         self._steps, self._at = [config], 0
         """Configurations after each step, oldest first, and the index of the present one."""
         self._burst: tuple[str, float] | None = None
-        """Parameter that was changed last, and the time [s] of this change."""
+        """Parameter of the newest step, and the time [s] of its last change; None if the next
+        change starts a new step."""
         self._lock = threading.RLock()
 
     @property
     def config(self) -> Config:
-        """The present configuration; the same object until a change."""
+        """The present configuration; it is the same object until a change."""
         with self._lock:
             return self._steps[self._at]
 
     @property
     def changes(self) -> dict[str, float | str]:
-        """Parameters that differ from the robot's defaults, by path."""
+        """Values of the parameters that differ from the robot's defaults, by path."""
         return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
-        """Change one parameter; fast changes of the same parameter count as one step.
+        """Change one parameter; fast successive changes of the same parameter are one step.
 
         Raises:
             ConfigError: The parameter does not exist, or the value is not allowed.
@@ -77,7 +80,7 @@ class Tuning:
             if last == path and now - at <= BURST:
                 self._steps.pop()
                 self._at -= 1
-            if self._steps[self._at] != config:  # a change and its reversal are no step
+            if self._steps[self._at] != config:  # a fast change and its reversal are no step
                 self._add(config)
                 self._burst = path, now
             else:
@@ -114,10 +117,10 @@ class Tuning:
         self._go(1, "nothing to redo")
 
     def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
-        """Continue with the simulation of another robot, which runs with `config`.
+        """Continue with the simulation `sink` of another robot, which runs with `config`.
 
         Each configuration of the history keeps its changes, now relative to the new robot's
-        defaults `usual`. If `config` differs from the newest one, it becomes a further step.
+        defaults `usual`. If `config` differs from the present one, it becomes a further step.
         """
         with self._lock:
             self._steps = [usual.changed(each.changes(self.usual)) for each in self._steps]
@@ -139,7 +142,7 @@ class Tuning:
 
 
 class SharedState(SceneData):
-    """State that all pages share; the drawing thread calls `update` before it draws the pages."""
+    """State that all pages share; the drawing thread calls `update` before each frame."""
 
     def __init__(
         self,
@@ -154,12 +157,12 @@ class SharedState(SceneData):
     ) -> None:
         """Load the shared data; most arguments are those of `serve_dashboard`.
 
-        From `before`, the shared state of another robot, the parameters with their history and the
-        jobs for new robots are reused.
+        `robot_switch` is by default one that cannot switch. From `before`, the shared state of
+        another robot, the parameters with their history and the jobs for new robots are reused.
         """
         super().__init__(loop, model, clouds, parts)
         self.case = case
-        """A scenario from the loop's initial state, for a button that plays it; or None."""
+        """A scenario that a button plays, or None."""
         usual = model.description.config
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
@@ -173,27 +176,28 @@ class SharedState(SceneData):
         """Data of the time line, of the last ten minutes."""
         self.keepers += [self.course, self.strip]
         self._watched = True
-        self._explorer: Explorer | None = None
 
+    @cached_property
     def explorer(self) -> Explorer:
-        """Return the explorer of postures, created at the first call by the drawing thread."""
-        if self._explorer is None:
-            self._explorer = Explorer(self.model, self.clouds, self.loop.latest())
-        return self._explorer
+        """Explorer of postures, for the drawing thread; it is created at its first use."""
+        return Explorer(self.model, self.clouds, self.loop.latest())
 
     def followed_by(self, robot: RunningRobot) -> SharedState:
-        """Return the shared state of another robot, with the same parameters and jobs."""
+        """Return the shared state of another robot, with the same parameters and jobs.
+
+        The parameters are those with which its simulation has started.
+        """
         after = SharedState(robot.loop, robot.model, robot.clouds, robot.parts, before=self)
         self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
         return after
 
     def watch(self, watched: bool) -> None:
-        """Pause the simulation's computation while no viewer is connected."""
+        """Report to the simulation whether a viewer is connected; without one, it pauses."""
         if watched != self._watched:
             self._watched = watched
             self.loop.send(Watch(watched))
 
     def close(self) -> None:
-        """End the background jobs."""
+        """End the background jobs, and the simulation that a switch of the robot has started."""
         self.robot_build.close()
         self.robot_switch.close()

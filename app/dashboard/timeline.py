@@ -9,10 +9,9 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import check_range
 
-FRAME = 0.02  # [s] between two snapshots
 REPLAY = 0.1, 4.0  # [-] limits of the replay speed, relative to real time
-AGAIN = 10.0  # [s] length of a replay that starts at the newest snapshot
-MOST_MARKED = 300.0  # [s] length of a marked interval, whose snapshots are stored
+AGAIN = 10.0  # [s] length of a replay that is started at the newest snapshot
+MOST_MARKED = 300.0  # [s] largest length of a marked interval
 
 
 class Timeline:
@@ -25,7 +24,8 @@ class Timeline:
         """Start live; `loop` has the snapshots of the last 60 s, and `strip` has older ones."""
         self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
-        self._replay: tuple[float, float, float] | None = None  # [s] clock, [s] time, [-] speed
+        self._replay: tuple[float, float, float] | None = None
+        """[s] `monotonic` and [s] simulated time at the start of the replay, [-] its speed."""
         self._newest = loop.latest()
         self._marked: list[Snapshot] = []
         self._lock = threading.RLock()
@@ -39,9 +39,10 @@ class Timeline:
         return self._shown is None
 
     def shown(self) -> Snapshot:
-        """Return the snapshot to draw; after a restart of the simulation, the newest one.
+        """Return the snapshot to draw, and continue a replay and an interval without an end.
 
-        A completely marked interval stays after a restart, until another one is marked.
+        After a restart of the simulation, the newest snapshot is shown. An interval with a marked
+        end remains; an interval without one is removed.
         """
         with self._lock:
             newest = self._loop.latest()
@@ -51,9 +52,9 @@ class Timeline:
                     self.unmark()
             self._newest = newest
             if self.begin is not None and self.end is None:
-                self._hold()
+                self._extend()
             if self._replay is not None:
-                self._go_on(self._replay, newest)
+                self._continue(self._replay, newest)
             return self._shown or newest
 
     @property
@@ -62,7 +63,9 @@ class Timeline:
         return self._replay is not None
 
     def play(self, speed: float) -> None:
-        """Start a replay at the shown snapshot (live: 10 s ago), or stop the running replay.
+        """Start a replay at the shown snapshot, or stop the running replay.
+
+        From the newest snapshot, a replay starts `AGAIN` seconds earlier.
 
         Raises:
             ConfigError: The speed is not within `REPLAY`.
@@ -76,8 +79,8 @@ class Timeline:
         self._replay = monotonic(), self.shown().t, speed
 
     def go_to(self, t: float) -> None:
-        """Show the snapshot that is nearest to time `t` [s]."""
-        self.show(min(self._kept(), key=lambda snapshot: abs(snapshot.t - t)))
+        """Show the stored snapshot that is nearest to time `t` [s]."""
+        self.show(min(self._stored(), key=lambda snapshot: abs(snapshot.t - t)))
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a published snapshot, and stop a replay."""
@@ -92,28 +95,28 @@ class Timeline:
         self._shown = self._replay = None
 
     def mark_begin(self) -> None:
-        """Start the marked interval at the shown instant; a later end stays marked."""
+        """Mark the shown instant as the start of the interval; a later end remains."""
         with self._lock:
             self.begin, end = self.shown().t, self.end
             self.end = None
-            self._marked = [s for s in self._kept() if s.t >= self.begin]
+            self._marked = [s for s in self._stored() if s.t >= self.begin]
             if end is not None and end > self.begin:
                 self._cut(end)
 
     def mark_end(self) -> None:
-        """End the marked interval at the shown instant.
+        """Mark the shown instant as the end of the interval.
 
-        Without a marked start, the interval starts with the oldest stored snapshot.
+        Without an earlier marked start, the interval starts with the oldest stored snapshot.
         """
         with self._lock:
             at = self.shown().t
             if self.begin is None or self.begin >= at:
-                self._marked = self._kept()
+                self._marked = self._stored()
                 self.begin = min(self._marked[0].t, at)
             elif self.end is None:
-                self._hold()
+                self._extend()
             else:
-                self._marked = [s for s in self._kept() if s.t >= self.begin] or self._marked
+                self._marked = [s for s in self._stored() if s.t >= self.begin] or self._marked
             self._cut(at)
 
     def unmark(self) -> None:
@@ -123,10 +126,10 @@ class Timeline:
             self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """Return the snapshots of the marked interval, or of the last 60 s, oldest first.
+        """Return the snapshots of the interval, oldest first; without marks, of the last 60 s.
 
         Raises:
-            LogError: The interval has fewer than two snapshots.
+            LogError: There are fewer than two snapshots.
         """
         self.shown()
         with self._lock:
@@ -137,9 +140,9 @@ class Timeline:
 
     def between(self, begin: float, end: float) -> list[Snapshot]:
         """Return the stored snapshots between two times [s], oldest first."""
-        return [snapshot for snapshot in self._kept() if begin <= snapshot.t <= end]
+        return [snapshot for snapshot in self._stored() if begin <= snapshot.t <= end]
 
-    def _go_on(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
+    def _continue(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
         began, t, speed = replay
         t += (monotonic() - began) * speed
         if t >= newest.t:
@@ -148,18 +151,18 @@ class Timeline:
             self.go_to(t)
             self._replay = replay
 
-    def _kept(self) -> list[Snapshot]:
-        """Return all stored snapshots; older ones have larger intervals."""
+    def _stored(self) -> list[Snapshot]:
+        """Return all stored snapshots; those older than 60 s have larger intervals."""
         kept = self._loop.history(-1.0)
         return [*(s for s in tuple(self._strip.past) if s.t < kept[0].t), *kept]
 
-    def _hold(self) -> None:
-        """Add new snapshots to an open interval, which ends at its largest length."""
+    def _extend(self) -> None:
+        """Add new snapshots to an interval without an end, and end it at `MOST_MARKED`."""
         self._marked += self._loop.history(self._marked[-1].t)
         if self.begin is not None and self._marked[-1].t - self.begin > MOST_MARKED:
             self._cut(self.begin + MOST_MARKED)
 
     def _cut(self, end: float) -> None:
-        """End the interval at a time [s]."""
+        """End the interval at a time [s], and delete its later snapshots."""
         self.end = end
         self._marked = [s for s in self._marked if s.t <= end + 1e-9]

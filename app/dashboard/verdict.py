@@ -1,4 +1,4 @@
-"""Verdict on an instant, which determines the colours of sentence, rows, bars, lines and labels."""
+"""Verdict on a snapshot: it determines the colours of texts, bars, lines and labels on the page."""
 
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
@@ -19,19 +19,20 @@ COLOURS: dict[State, Rgb] = {
     "resisting": RESISTS,
     "contact": CONTACT,
 }
-"""Colours by state, from best to worst; "near" means inside a buffer while the base is at rest."""
+"""Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
+is at rest, cannot help, or the controller does not react to this pair."""
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
 class Verdict(NamedTuple):
-    """State of the robot."""
+    """State of the robot in a snapshot."""
 
     state: State
-    """The worst state of all."""
+    """The worst state of all pairs; "resisting" or worse with the fallback command."""
     pairs: tuple[State, ...]
     """The state of each link pair, in the order of the snapshot."""
     touching: str
-    """Contacts, or the overlapping pair with its overlap; empty without contact."""
+    """The text of the function `touching`."""
 
     @property
     def colour(self) -> Rgb:
@@ -40,7 +41,7 @@ class Verdict(NamedTuple):
 
 
 def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdict:
-    """Return the verdict on a snapshot for the whole page; `spoken` has words for pairs."""
+    """Return the verdict on a snapshot; `spoken` has words for pairs, by default their names."""
     why = snapshot.explanation
     known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
     moves = base_gives_way(snapshot)
@@ -48,15 +49,15 @@ def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdic
         _state(pair, known.get(pair.name), snapshot.controller, moves=moves)
         for pair in snapshot.pairs
     )
-    touching = _touching(snapshot, spoken or {})
     states: list[State] = ["clear", *pairs]
     if why is not None and not why.solved:
-        states.append("resisting")  # the arm holds its position and the base brakes
-    return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
+        states.append("resisting")  # the fallback command damps the arm and brakes the base
+    contacts = touching(snapshot, spoken)
+    return Verdict("contact" if contacts else max(states, key=list(COLOURS).index), pairs, contacts)
 
 
 def base_gives_way(snapshot: Snapshot) -> bool:
-    """Whether the base moves, or its commanded acceleration is about to move it."""
+    """Whether the speed of the base, or its commanded acceleration, exceeds its threshold."""
     rates = ((snapshot.base_velocity, AT_REST), (snapshot.base_acceleration, SLIGHT))
     return any(
         max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
@@ -64,12 +65,12 @@ def base_gives_way(snapshot: Snapshot) -> bool:
 
 
 def base_cannot_help(pair: NearPair) -> bool:
-    """Whether a pair is so close to vertical that only the arm can keep the distance."""
+    """Whether the pair's normal is so close to the vertical that base motion hardly helps."""
     return pair.above >= _NO_BASE_HELPS
 
 
 def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: bool) -> State:
-    """Return the state of a pair; `near` is the pair's part of the explanation."""
+    """Return a pair's state; `near` is its part of the explanation, `moves` that the base moves."""
     if pair.d < 0.0:
         return "contact"
     if near is not None and near.held:
@@ -83,7 +84,8 @@ def _state(pair: PairReading, near: NearPair | None, controller: str, *, moves: 
     return "giving way" if moves else "near"
 
 
-def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
+def touching(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> str:
+    """Return the reported contacts and the deepest overlap in words; empty without both."""
     touches = {
         "arm and base": snapshot.in_contact,
         "links of the arm": snapshot.arm_in_contact,
@@ -93,5 +95,5 @@ def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
     texts = [text for text, touch in touches.items() if touch]
     name, _, d, *_ = snapshot.nearest
     if d < 0.0:
-        texts.append(f"{spoken.get(name, name)} overlap by {millimetres(-d)}")
+        texts.append(f"{(spoken or {}).get(name, name)} overlap by {millimetres(-d)}")
     return ", ".join(texts)

@@ -1,7 +1,4 @@
-"""View of one viewer: layers, colours and plots that are shown.
-
-Callbacks assign to a field, and the drawing thread reads the fields.
-"""
+"""View of one viewer: layers, colours and plots that the viewer has chosen."""
 
 from __future__ import annotations
 
@@ -10,8 +7,8 @@ from typing import Any, Literal
 
 from app.dashboard.scene.legend import QUANTITIES
 
-HIDDEN = "hidden"  # instead of a quantity, for a hidden border
-CHOICES = (*reversed(QUANTITIES), HIDDEN)  # choices for the border's colour
+HIDDEN = "hidden"  # choice for a border that is not drawn
+CHOICES = (*reversed(QUANTITIES), HIDDEN)  # choices for the colour of a border
 BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 """Folders of the tab "View"."""
 
@@ -19,25 +16,28 @@ BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 def _shown(
     folder: str, label: str, hint: str | None = None, *, first: Any, choices: tuple[str, ...] = ()
 ) -> Any:
-    """Declare a field with a widget in a folder: a list with `choices`, a check box without."""
+    """Declare a field with its default `first` and its widget, a list or a check box."""
     about = {"folder": folder, "label": label, "hint": hint, "choices": choices}
     return field(default=first, metadata=about)
 
 
 @dataclass
 class View:
-    """Choices of the viewer; a callback assigns one field."""
+    """Choices of the viewer. Callbacks assign to a field; the drawing thread reads the fields."""
 
     borders: dict[str, str]
     """Quantity that colours the border of each pair of L_m: one of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = _shown(
         BORDER,
         "Include the top",
-        "Show the border above the top of the base too; it hides the arm",
+        "Also show the border above the top of the base, which hides the arm",
         first=False,
     )
     slice: bool = _shown(
-        BORDER, "Slice at the hand", "Contour of the border at the height of the hand", first=True
+        BORDER,
+        "Slice at the arm",
+        "Contour of the border at the height of the arm's point nearest to the base",
+        first=True,
     )
     meshes: bool = _shown(LAYERS, "Robot", first=True)
     bodies: bool = _shown(LAYERS, "Convex bodies", "Convex bodies used for distances", first=False)
@@ -46,14 +46,14 @@ class View:
     labels: Literal["active", "all", "none"] = _shown(
         LAYERS,
         "Labels",
-        "Distances of the pairs inside their buffer; or all distances and the points' symbols",
+        "active: distances of the pairs inside their buffer; all: all distances, symbols of points",
         first="active",
         choices=("active", "all", "none"),
     )
     acting: bool = _shown(
         LAYERS,
         "Acting points",
-        "Acting point, its two border points, and the force on the base",
+        "Acting point p_act, points p_n and p_t, and the force on the base",
         first=True,
     )
     motion: bool = _shown(
@@ -65,14 +65,17 @@ class View:
     light: bool = _shown(
         PAGE,
         "Low detail",
-        "Fewer triangles, points and pictures, no shadows; the default without a GPU",
+        "Fewer triangles, points and pictures per second, no shadows; the default without a GPU",
         first=False,
     )
     plots: set[str] = field(default_factory=set)
     """Titles of the shown plots."""
 
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
-        """Return the same choices for another robot, with its pairs of L_m and its plots."""
+        """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
+
+        If none of the shown borders exists there, its first border is shown by the score.
+        """
         borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
         if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
             borders = View.first(pairs, plots).borders
@@ -80,7 +83,7 @@ class View:
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
-        """Return the default choices: the score of the first border, and the first plots."""
+        """Return the default choices: the first border, by its score, and the first four plots."""
         borders = dict.fromkeys(pairs, HIDDEN)
         if pairs:
             borders[pairs[0]] = "score"

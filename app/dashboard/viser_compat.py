@@ -1,6 +1,6 @@
-"""Servers of viser, without output and behind a gate; and all uses of viser's private names.
+"""Servers of viser, without output and behind a gate; and uses of viser's private names.
 
-The message queue of this module always wakes its readers. If a private name of viser changes,
+Only this module and `app.dashboard.gate` use private names of viser. If one of them changes,
 `tests/test_gate.py` fails.
 """
 
@@ -27,12 +27,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import CONNECTING
 
-from app.dashboard.gate import (
-    LARGEST_PICTURE,
-    Gate,
-    RefusedError,
-    draws_in_software,
-)
+from app.dashboard.gate import LARGEST_PICTURE, Gate, RefusedError, draws_in_software
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
@@ -40,30 +35,31 @@ logger = logging.getLogger("app.dashboard")  # for all errors that viewers can c
 
 _ENDING = 10.0  # [s] timeout for the end of viser's thread
 LOOK = 0.5  # [s] period of checks of the connections
-SILENT = 3  # [checks] without an answer, until a viewer may be asleep
+SILENT = 3  # [checks] without an answer, after which a viewer counts as silent
 _MINUTE = 60.0  # [s]
 _KNOCKS = (
     "opening handshake failed",
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
-_pictures = threading.BoundedSemaphore(2)  # [-] simultaneous large messages
-STUCK = 20  # [checks] without a delivery, until a connection is closed
+"""Log records of connections that fail; strangers can cause them."""
+_pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
+STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
 
 
 class _Knocks(logging.Filter):
-    """Limits log records that strangers can cause repeatedly to one per minute.
+    """Limits log records that strangers can cause repeatedly to one of a kind per minute.
 
-    The websockets library would write a whole traceback for each wrong or excess connection, a
-    hundred times per second. An error that a stranger's data cannot explain is a defect of this
-    program or of its libraries. Such an error is written completely. Its text is changed, because
-    viser hides records with the texts of `_KNOCKS`.
+    The websockets library would write a whole traceback for each wrong or excess connection, up to
+    a hundred times per second. If the peer's data can explain an error, the record has one line.
+    Other errors are defects of this program or of its libraries: the record has the traceback. Its
+    text is changed, because viser hides records with the texts of `_KNOCKS`.
     """
 
     _said: ClassVar[dict[tuple[str, str], float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a record is written; a record that strangers can cause gets a single line."""
+        """Whether a record is written; a record that strangers can cause is shortened to a line."""
         text = record.getMessage().partition("\n")[0]
         error = record.exc_info[1] if record.exc_info else None
         kind = str(record.msg).partition("\n")[0], _place(error)
@@ -89,9 +85,9 @@ def _place(error: BaseException | None) -> str:
 
 
 def _broke_off(connection: Any) -> bool:
-    """Whether websockets could not read the first data of a connection.
+    """Whether a connection has failed because its first data are no valid request.
 
-    An example is a request that follows another one at once; the answer fails within websockets.
+    An example is a second request right behind the first one: the answer fails within websockets.
     """
     protocol = getattr(connection, "protocol", None)
     return protocol is not None and protocol.state is CONNECTING and bool(protocol.parser_exc)
@@ -106,12 +102,10 @@ def open_server(
     largest_upload: int = 0,
     allowed: Sequence[str] = (),
 ) -> viser.ViserServer:
-    """Start a server.
-
-    viser hangs if a host cannot be bound, and silently changes a port that is in use.
+    """Start a server at an address for which `check_address` has succeeded.
 
     Args:
-        host: Address of the server.
+        host: Name or IP address of the server.
         port: Port of the server; 0 selects a free port.
         largest_upload: [bytes] largest size of an uploaded file; 0 without uploads.
         allowed: Further names under which browsers may reach the server.
@@ -137,7 +131,8 @@ def open_server(
     def widget(connection: Any, uuid: str) -> Any:
         client = client_of(connection)
         guis = [server.gui, *([client.gui] if client else [])]
-        return next((w for gui in guis if (w := _widget(gui, uuid)) is not None), None)
+        known = [gui._gui_input_handle_from_uuid for gui in guis]
+        return next((widgets[uuid] for widgets in known if uuid in widgets), None)
 
     def on_refused(connection: Any, refused: RefusedError) -> None:
         client = client_of(connection)
@@ -155,7 +150,7 @@ def open_server(
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """End a server and its threads."""
+    """Stop a server, and wait for the end of its threads."""
     with _silence():
         server.stop()
         thread = server._websock_server._server_thread
@@ -164,7 +159,7 @@ def close_server(server: viser.ViserServer) -> None:
 
 
 def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
-    """Return a button's uploaded file, and delete it from the button, which would keep it."""
+    """Return a button's uploaded file, and delete it from the button to free the memory."""
     file, button._impl.value = button.value, viser.UploadedFile("", b"")
     return file
 
@@ -172,13 +167,13 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
 def scene_picture(
     client: viser.ClientHandle, height: int, width: int, timeout: float
 ) -> np.ndarray:
-    """Return the scene as a viewer's browser draws it, (height, width, 4).
+    """Return the scene as a viewer's browser draws it: (height, width, 4) uint8, RGBA.
 
-    The size limit of the viewer's messages is higher in the meantime.
+    Until then, the size limit of the viewer's messages is higher.
 
     Raises:
         RuntimeError: The viewer has disconnected.
-        TimeoutError: No picture arrived within the timeout [s].
+        TimeoutError: No picture has arrived within the timeout [s].
     """
     connection = _connection(client)
     if connection is None:
@@ -215,11 +210,11 @@ def finite(value: Any) -> float:
 
 
 class Channel:
-    """Messages between a viewer's page and this program, in addition to viser's widgets.
+    """Messages between the page's own scripts and this program, in addition to viser's widgets.
 
-    viser has no widget that spans the page or reads a complete typed number, and does not report
-    whether a widget is visible; the page's own scripts do this. Both sides call functions of the
-    other side by name.
+    viser has no widget that spans the page. It sends each typed digit of a number, and it does not
+    report whether a widget is visible. The page's own scripts solve this. Each side calls functions
+    of the other side by their names.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
@@ -228,13 +223,13 @@ class Channel:
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
-        """State of the page: names of the visible `sight`s, "narrow" on a narrow page, and
+        """State of the page: the names of `sight` that are visible, "narrow" on a narrow page, and
         "untouched" until the first input of a person."""
         self.on("seen", lambda names: setattr(self, "seen", frozenset(names.split())), str)
         self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 
     def begin(self) -> None:
-        """Create the page's own elements again; call it when all widgets of viser exist."""
+        """Create the page's own elements, and remove older ones; all widgets of viser exist."""
         ranges = {
             uuid: (handle.min, handle.max)
             for uuid, handle in self._client.gui._gui_input_handle_from_uuid.items()
@@ -247,11 +242,11 @@ class Channel:
         self._run(f"dbb.{word}", *values)
 
     def on(self, word: str, act: Callable[..., None], kind: Callable[[Any], Any] = finite) -> None:
-        """Call `act` with the values of the page's messages `word`, converted by `kind`."""
+        """Call `act` with the values of each message `word` of the page, converted by `kind`."""
         self._acts[word] = act, kind
 
     def sight(self, name: str) -> None:
-        """Let the page report whether a person sees the GUI container that is open now."""
+        """Add a mark to the open GUI container: while it is visible, `seen` contains `name`."""
         self._client.gui.add_html(f'<div data-seen="{name}"></div>')
 
     def _run(self, function: str, *values: Any) -> None:
@@ -279,37 +274,36 @@ def _connection(client: viser.ClientHandle) -> Any:
     return client._viser_server._websock_server._live_connections.get(client.client_id)
 
 
-def _widget(gui: viser.GuiApi, uuid: str) -> Any:
-    return gui._gui_input_handle_from_uuid.get(uuid)
-
-
 def _silence() -> contextlib.redirect_stdout[io.StringIO]:
     """Suppress the output of viser, because the caller prints the address."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
 class _Seen(NamedTuple):
-    """State of a connection, with numbers of successive checks."""
+    """State of a connection at a check."""
 
     answer: asyncio.Task[None] | None = None
     """Answer to the last ping."""
     unanswered: int = 0
+    """Number of successive checks without this answer."""
     sent: tuple[int, ...] = ()
     """Number of the last message of each queue that was sent to this viewer."""
     unsent: int = 0
+    """Number of successive checks without a new message although messages wait."""
 
 
 class Watchdog:
-    """Detects viewers who do not answer, and closes connections that deliver no messages.
+    """Detects viewers who do not answer, and closes connections that stay without answers.
 
-    A browser answers a ping even if its page is busy. Time is counted in checks by the receiving
-    thread: a delay of this program itself counts as one check.
+    It also closes connections through which no message leaves. A browser answers a ping even if its
+    page is busy. Time is counted in checks by the receiving thread, so that a delay of this program
+    itself counts as one check.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
-        """Start; at each check, `on_silent` gets the number of each silent viewer."""
+        """Start the checks; at each one, `on_silent` gets the number of each silent viewer."""
         self.closed = 0
-        """Number of connections closed here; their pages connect again."""
+        """Number of connections that were closed; their pages connect again."""
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
         loop = self._server._background_event_loop

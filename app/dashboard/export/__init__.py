@@ -1,4 +1,4 @@
-"""Pictures and replays, drawn without a display."""
+"""Pictures, films and replays, drawn without a display."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -60,7 +60,8 @@ _HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
 def browser_path(bundled: str) -> str | None:
     """Return the path of a browser, or None for playwright's own browser at `bundled`.
 
-    The environment variable `DBB_BROWSER` has priority, then an installed browser.
+    The environment variable `DBB_BROWSER` has priority over an installed browser, and an installed
+    browser over playwright's own one.
 
     Raises:
         BrowserError: There is no browser, or the environment variable names a missing file.
@@ -86,17 +87,18 @@ def browser_path(bundled: str) -> str | None:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Run a headless browser with WebGL; end it and delete its temporary files at the end.
+    """Run a headless browser with WebGL; at the end, close it and delete its temporary files.
 
     Raises:
-        BrowserError: There is no browser, it has no WebGL 2, or it fails during its use.
+        BrowserError: There is no browser, it does not start, it has no WebGL 2, or it fails while
+            it is in use.
     """
     # Imported here, because most users of a scene need no browser.
     from playwright.sync_api import Error, sync_playwright
 
     try:
         with ExitStack() as stack:
-            # A signal to this command also ends browser and driver, which then leave their files.
+            # A signal to this command also ends browser and driver, before they delete their files.
             folder = str(stack.enter_context(temporary_folder()))
             with _temporary_folder(folder):
                 playwright = stack.enter_context(sync_playwright())
@@ -120,7 +122,8 @@ def new_context(
 ) -> BrowserContext:
     """Open a window of `size` (width, height) [px], whose pages have the helpers `dbbPage`.
 
-    An `honest` page reports its software renderer; with `touch`, the window has a touch screen.
+    An `honest` page reports that it draws in software; other pages hide this, so that they get full
+    detail. With `touch`, the window has a touch screen.
     """
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch

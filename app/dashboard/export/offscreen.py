@@ -1,4 +1,4 @@
-"""Off-screen scene: recorded snapshots drawn without widgets, for films and replays."""
+"""Off-screen scene: recorded snapshots drawn without widgets, for pictures, films and replays."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     import playwright.sync_api as web
 
 HOST = "127.0.0.1"
-BARRIER = "/sent"  # scene node whose position is the number of the last barrier
+BARRIER = "/sent"  # scene node whose x coordinate is the number of the last barrier
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
 RATE = 25.0  # [Hz] frame rate of a replay
@@ -60,7 +60,7 @@ _TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
 _HEIGHT = 0.04  # [-] height of a line, relative to the picture's height
-_MIN_HEIGHT = 12  # [px] of a line, for legibility
+_MIN_HEIGHT = 12  # [px] smallest height of a line, for legibility
 _SPACING = 1.4  # [-] distance between lines, relative to their height
 _YUV = ["-pix_fmt", "yuv420p"]
 _WEB = ["-cpu-used", "5", "-row-mt", "1", "-deadline", "good", "-b:v", "0", "-crf", "32", *_YUV]
@@ -78,7 +78,7 @@ _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # yuv420p needs even sizes
 
 
 class RecordedLoop:
-    """Recorded snapshots with the interface of the simulation's loop; commands have no effect."""
+    """Recorded snapshots with the interface of the live loop; commands have no effect."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
         """Start at the first snapshot."""
@@ -103,7 +103,7 @@ class RecordedLoop:
         return self.snapshots[self._at]
 
     def history(self, after: float) -> list[Snapshot]:
-        """Return snapshots with t > `after` [s] up to the present one, oldest first."""
+        """Return the snapshots with t > `after` [s] up to the present one, oldest first."""
         return list(self.snapshots[bisect_right(self._times, after) : self._at + 1])
 
 
@@ -122,22 +122,27 @@ class OffscreenScene:
     ) -> None:
         """Send all constant objects to a server that has only this scene.
 
+        Without `labels`, the scene has no texts.
+
         Raises:
-            AssetError: A mesh of the robot is missing.
+            AssetError: The robot's URDF or the mesh of a convex body is missing.
         """
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
-        view = View.first(self._data.mobile, [])
-        view.dark = look.dark
-        choose_layer(view, look.layer, look.pair)
+        self._view = View.first(self._data.mobile, [])
+        apply_look(self._view, look)
         set_theme(server.gui, dark=look.dark)
-        self._scene = Scene(server.scene, self._data, view)
+        self._scene = Scene(server.scene, self._data, self._view)
         self._scene.canvas.labels = labels
         self._lens: Lens | None = None
         self._look = look
 
     def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-        """Set and return eye and target of new viewers, from which all snapshots are visible."""
+        """Set the camera of new viewers so that it shows all snapshots.
+
+        Returns:
+            Eye and target (3,) [m] of the camera, in the world.
+        """
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
@@ -165,24 +170,24 @@ class OffscreenScene:
         """Draw the snapshot at time `t` [s]; update labels and trails if `texts`."""
         snapshot = self._loop.go_to(t)
         self._data.update()
-        self._scene.select_border(snapshot)
+        self._scene.border.update(self._view, snapshot.border)
         with self._server.atomic():
             self._scene.draw(snapshot, texts=texts, lens=self._lens)
 
 
-def choose_layer(view: View, layer: str, pair: str = "") -> None:
-    """Colour a border by a `Look.layer`: that of `pair`, or by default the visible one."""
-    view.slice = layer != "none"
-    for each, quantity in view.borders.items():
-        if each == pair or (not pair and quantity != HIDDEN):
-            view.borders[each] = HIDDEN if layer == "none" else layer
-        else:
-            view.borders[each] = HIDDEN
+def apply_look(view: View, look: Look) -> None:
+    """Set background and border of a view to those of a look, and hide all other borders."""
+    view.dark = look.dark
+    view.slice = look.layer != "none"
+    pair = look.pair or next((pair for pair, by in view.borders.items() if by != HIDDEN), "")
+    view.borders = dict.fromkeys(view.borders, HIDDEN)
+    if view.slice and pair in view.borders:
+        view.borders[pair] = look.layer
 
 
 @contextlib.contextmanager
 def own_server() -> Iterator[viser.ViserServer]:
-    """Run a server at a free port of this machine, for this program only."""
+    """Run a server at a free port, which only this machine can reach."""
     server = open_server(HOST, 0)
     try:
         yield server
@@ -200,11 +205,11 @@ def replay_html(
 ) -> str:
     """Return a run as one HTML file that any browser plays without a server or a network.
 
-    The file shows robot, border, lines, arrows and trails, with a bar for the time. `on_progress`
-    gets the drawn duration [s] about once per second of the run.
+    The file shows the dashboard's scene without its panels, with a bar for the time. `on_progress`
+    gets the drawn duration [s] once per second of the run.
 
     Raises:
-        AssetError: A mesh of the robot is missing.
+        AssetError: The robot's URDF or the mesh of a convex body is missing.
     """
     begin, end = log.snapshots[0].t, log.snapshots[-1].t
     pictures = 1 + round((end - begin) * RATE)
@@ -236,7 +241,7 @@ def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
 
 
 def _titled(page: str, title: str, text: str) -> str:
-    """Insert a title for the browser's tab, and title and text over the scene."""
+    """Insert a title for the browser's tab, and a box over the scene with title and text."""
     head, begin, rest = page.partition("<title>")
     _, end, tail = rest.partition("</title>")
     box = (
@@ -250,7 +255,7 @@ def _titled(page: str, title: str, text: str) -> str:
 
 @contextlib.contextmanager
 def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServer, web.Page]]:
-    """Open a server and an empty page of the pictures' size; close both at the end."""
+    """Run a server and open an empty page of the pictures' size; close both at the end."""
     context = new_context(browser, (look.width, look.height))
     try:
         with own_server() as server:
@@ -272,7 +277,10 @@ def open_page(page: web.Page, server: viser.ViserServer) -> None:
 
 
 def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
-    """Return a run with other runs of equal times as its ghosts."""
+    """Return the snapshots `led` of a run with the robots of other runs as ghosts.
+
+    All runs have snapshots at the same times.
+    """
     return [
         replace(main, ghosts=tuple(map(_ghost, ghosts)))
         for main, *ghosts in zip(led, *others, strict=True)
@@ -292,12 +300,12 @@ def film_pictures(
     """Yield the pictures of a film; a picture does not depend on the time that drawing takes.
 
     Each picture shows the last snapshot at or before its time [s]. Between two pictures, the camera
-    turns about the robot by the angle `orbit` [rad]. If the film is a part of a comparison, `seen`
-    has the snapshots of all its robots. The camera then shows all of them, and the picture has the
-    base's initial outline and an explanation.
+    turns about the robot by the angle `orbit` [rad]. For a part of a side-by-side film, `seen` has
+    the snapshots of all robots. The camera then shows all of them, and the picture has the base's
+    initial outline and the lines of `story`.
 
     Raises:
-        AssetError: A mesh of the robot is missing.
+        AssetError: The robot's URDF or the mesh of a convex body is missing.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):
@@ -327,30 +335,27 @@ def film_pictures(
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
     """Join pictures of equal size side by side."""
-    width, height = pictures[0].size
-    whole = Image.new("RGB", (len(pictures) * width, height))
-    for k, picture in enumerate(pictures):
-        whole.paste(picture, (k * width, 0))
-    return whole
+    return Image.fromarray(np.hstack([np.asarray(picture) for picture in pictures]))
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """Describe a snapshot in words: method, task, distance of arm and base, travel of the base."""
+    """Describe a snapshot: method, task, distance of arm and base, displacement from `first`."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
     near = nearness(shown)
-    way = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
-    tracks = shown.mode == "tracking"
-    off = f"task: a line for the hand; it is {millimetres(shown.ee_error)} off"
+    moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
+    task = "a person pulls the hand"
+    if shown.mode == "tracking":
+        task = f"task: the hand follows a line, error {millimetres(shown.ee_error)}"
     return [
         method.capitalize(),
-        (off if tracks else "a person pulls the hand", PERSON),
+        (task, PERSON),
         near if shown.clearance >= 0.0 else (near, CONTACT),
-        (f"base moved {way:.2f} m from the outline", TRAIL_BASE),
+        (f"base moved {moved:.2f} m from the outline", TRAIL_BASE),
     ]
 
 
 def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
-    """Add scenario and time, and the present distance of each robot's arm, to a picture."""
+    """Draw scenario, time, and the arm's distance from the base of each robot into a picture."""
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
     robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *GHOSTS), strict=False)
     lines = [
@@ -367,22 +372,21 @@ def write_film(
     codec: str,
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
-    """Encode pictures of one size as they come, and return their number.
+    """Encode pictures of equal size, at least one, and return their number.
 
-    The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` one of
-    the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of written
-    pictures.
+    The file is written completely or not at all. `rate` [1/s] is the frame rate, and `codec` is a
+    codec of the file's suffix in `CODECS`. Before each picture, `on_progress` gets the number of
+    pictures written before.
 
     Raises:
         OutputError: The file cannot be written.
     """
     from imageio_ffmpeg import get_ffmpeg_exe
 
-    suffix, count = path.suffix.lower(), 0
-    given = iter(pictures)
-    first = next(given)
+    count, rest = 0, iter(pictures)
+    first = next(rest)
     size = f"{first.width}x{first.height}"
-    name, *more = CODECS[suffix][codec]
+    name, *more = CODECS[path.suffix.lower()][codec]
     if "-filter_complex" not in more:
         more += ["-vf", _EVEN]
     words = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {size} -r {rate} -i -".split()
@@ -400,7 +404,7 @@ def write_film(
         try:
             assert process.stdin is not None
             with contextlib.suppress(BrokenPipeError):  # ffmpeg has ended; its message follows
-                for picture in itertools.chain([first], given):
+                for picture in itertools.chain([first], rest):
                     on_progress(count)
                     process.stdin.write(picture.tobytes())
                     count += 1

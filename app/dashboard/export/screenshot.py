@@ -25,7 +25,7 @@ from app.simulation.trace.snapshot import Snapshot
 if TYPE_CHECKING:
     import playwright.sync_api as web
 
-_MAX_PICTURES = 12  # pictures until two successive ones must be equal
+_MAX_PICTURES = 12  # most pictures that are taken until two successive ones are equal
 _numbers = itertools.count(1)
 
 
@@ -37,14 +37,15 @@ def take_pictures(
     clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    """Take pictures at some times of a run, all from the same viewpoint.
+    """Take pictures at some times of a run; pictures of the scene have one common viewpoint.
 
-    Each picture shows the last snapshot at or before its time [s], with trails and plots up to
-    then. `clouds` has P_i of each pair of L_m, by the pair's name.
+    Each picture shows the last snapshot at or before its time [s], with trails and plots up to this
+    time. `clouds` has P_i of each pair of L_m, by the pair's name. If `look.page` is true, each
+    picture has its own viewpoint.
 
     Raises:
         BrowserError: The browser's page does not connect.
-        AssetError: A mesh of the robot is missing.
+        AssetError: The robot's URDF or the mesh of a convex body is missing.
     """
     loop = RecordedLoop(snapshots)
     with offscreen.own_page(browser, look) as (server, page):
@@ -90,13 +91,12 @@ def _of_page(
     client = _client_of(server)
     page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour in a picture
     shown = Page(client, shared, Notifier(server))
-    shown.view.dark = look.dark
-    offscreen.choose_layer(shown.view, look.layer)
+    offscreen.apply_look(shown.view, look)
     pictures = []
     loop.go_to(times[0])
     shared.update()
     shown.draw(texts=True)
-    _settled(page, server)  # the page then reports the free part of the scene
+    _settled(page, server)  # then the page has reported the free part of the scene
     for t in times:
         loop.go_to(t)
         shared.update()
@@ -118,7 +118,7 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 
 
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
-    """Return the picture after all messages are drawn and the page no longer changes."""
+    """Return a picture of the page after all messages are drawn and the page has settled."""
     n = next(_numbers)
     offscreen.send_barrier(server, n)
     page.wait_for_function(

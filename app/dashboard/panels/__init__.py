@@ -1,4 +1,4 @@
-"""The control panel; each tab has its own module."""
+"""The panels of the page, and the parts that they share."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the fr
 
 @dataclass
 class Viewer:
-    """A viewer of the page of one robot, with everything that the panels need."""
+    """The parts of one viewer's page that its panels use."""
 
     client: viser.ClientHandle
     notifier: Notifier
@@ -49,7 +49,7 @@ class Viewer:
         """Look at the shown snapshot from a preset, a key of `PRESETS`.
 
         Raises:
-            TargetError: The preset is "door", and there is no door.
+            TargetError: The preset is "door", and the snapshot has no door.
         """
         shown = self.timeline.shown()
         if preset == "door" and shown.door is None:
@@ -61,7 +61,10 @@ class Viewer:
         self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
 
     def step(self, seconds: float) -> None:
-        """Move in time by `seconds`; at the newest snapshot, a paused simulation steps forward."""
+        """Move the shown instant by `seconds`.
+
+        At the newest snapshot of a paused simulation, a step forward advances the simulation.
+        """
         if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
             self.shared.loop.send(StepOnce(seconds))
         else:
@@ -69,7 +72,7 @@ class Viewer:
 
 
 class Moment(NamedTuple):
-    """Data for an update of the panels: newest snapshot, shown snapshot, and its verdict."""
+    """Data for an update of the panels: newest and shown snapshot, and the shown one's verdict."""
 
     newest: Snapshot
     shown: Snapshot
@@ -79,8 +82,8 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer, in the GUI container that is open during construction.
 
-    A callback of a widget takes viser's event; an exception is shown to the viewer who used the
-    widget. An `update` may assign all values each time: viser sends only changes.
+    A callback of a widget takes viser's event. Its exceptions are shown to the viewer who used the
+    widget. An `update` may assign all values each time, because viser sends only changes.
     """
 
     def __init__(self, viewer: Viewer) -> None:
@@ -92,7 +95,7 @@ class Panel:
         """Show changes; called by the drawing thread."""
 
     def on_update(self, handle: Any, act: Callable[[Any], None]) -> None:
-        """Call `act` when a person changes a widget, but not when the program does."""
+        """Call `act` if a person changes a widget, but not if the program does."""
 
         def updated(event: viser.GuiEvent) -> None:
             if event.client is not None:
@@ -116,13 +119,16 @@ class Panel:
         handle.on_click(self._notifier.guard(lambda event: acts[event.target.value]()))
 
     def upload(self, label: str, act: Callable[[Any], None], **look: Any) -> Any:
-        """Add a button for a file; `act` runs in a separate thread."""
+        """Add a button for the upload of a file; `act` then runs in a separate thread."""
         handle = self._gui.add_upload_button(label, icon=viser.Icon.UPLOAD, **look)
         handle.on_upload(lambda event: self._notifier.attempt(event.client, lambda: act(event)))
         return handle
 
     def follow(self, handle: Any, value: Any) -> None:
-        """Show a shared value when it changes, without resetting a choice that is not sent yet."""
+        """Assign a shared value to a widget only if this value has changed.
+
+        Thus a viewer's newer choice, which has not reached the simulation yet, is not reset.
+        """
         if self._followed.get(id(handle)) != value:
             self._followed[id(handle)] = handle.value = value
 

@@ -1,8 +1,9 @@
-"""Folder "Edit this robot": bodies by gizmos, pairs and ready pose.
+"""Folder "Edit this robot": changes of convex bodies, monitored pairs and ready pose.
 
 Callbacks store the changes; the drawing thread shows them.
 """
 
+from collections.abc import Mapping
 from html import escape
 from itertools import combinations
 from typing import Any
@@ -19,7 +20,7 @@ from app.dashboard.scene.colours import GHOSTS
 from app.dashboard.scene.scene import node_of
 from app.errors import ConfigError
 from app.onboarding.request import NAME
-from app.onboarding.write import HandMade, save_by_hand
+from app.onboarding.write import BY_HAND, HandMade, save_by_hand
 from app.robot import shapes
 from app.robot.assets import is_own, robot_folder, robot_names, user_robots
 from app.robot.shapes import Shape, shape_mesh
@@ -28,12 +29,13 @@ from app.strict import Array
 MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below the node of its frame
 _NONE = "(none)"
 _OPACITY = 0.45  # [-]
-_MIN_HALF, _MAX_OFFSET = 0.002, 5.0  # [m] half the size of a body; its position in its frame
+_MIN_HALF = 0.002  # [m] least half the size of a body
+_MAX_OFFSET = 5.0  # [m] largest coordinate of a body in its frame, and half its size
 _DIGITS = 4  # [-] decimals of lengths [m] and angles [rad]
 
 
 class EditPanel(Panel):
-    """Changes of one viewer to the shown robot, until they are saved or discarded."""
+    """One viewer's changes to the shown robot, which are stored here until they are saved."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -56,7 +58,7 @@ class EditPanel(Panel):
             self._body = gui.add_dropdown(
                 "Body",
                 (_NONE, *self._keys),
-                hint="The large gizmo moves and rotates it, the small one resizes it.",
+                hint="The large gizmo moves and rotates the body, the small one resizes it.",
             )
             with gui.add_folder("Monitored pairs", expand_by_default=False):
                 self._watched = {
@@ -69,21 +71,20 @@ class EditPanel(Panel):
                 "Use this posture as ready pose",
                 lambda _: self._take_pose(),
                 viser.Icon.STRETCHING,
-                hint="The arm as shown: pull it there, or use “Joint sliders” in Lab.",
+                hint="The arm's posture in the scene: pull it, or use “Joint sliders” in Lab.",
             )
-            self._name = gui.add_text(
-                "Save as", own_name(self._robot.name), hint="A letter, then letters, digits and _"
-            )
+            own = self._robot.name if is_own(self._robot.name) else f"{self._robot.name}_by_hand"
+            self._name = gui.add_text("Save as", own, hint="A letter, then letters, digits and _")
             self.button("Save and use", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
-            self.button("Discard", lambda _: self._drop(), viser.Icon.X, color="gray")
-        self._drop()
+            self.button("Discard", lambda _: self._discard(), viser.Icon.X, color="gray")
+        self._discard()
 
     def update(self, moment: Moment) -> None:
         self._q_m = moment.shown.q_m
         self._draw()
-        self._text.content = small(changes_html(self.changes))
+        self._text.content = small(changes_html(self.changes, self._robot.unwatched))
 
-    def _drop(self) -> None:
+    def _discard(self) -> None:
         self.changes = HandMade({}, dict(self._robot.unwatched), None)
         for pair, box in self._watched.items():
             box.value = pair not in self._robot.unwatched
@@ -98,7 +99,7 @@ class EditPanel(Panel):
 
     def _switch_pairs(self) -> None:
         off = (pair for pair, box in self._watched.items() if not box.value)
-        reasons = {pair: self._robot.unwatched.get(pair, "set by hand") for pair in off}
+        reasons = {pair: self._robot.unwatched.get(pair, BY_HAND) for pair in off}
         self.changes = self.changes._replace(unwatched=reasons)
 
     def _take_pose(self) -> None:
@@ -114,16 +115,17 @@ class EditPanel(Panel):
             raise ConfigError(f"a robot {name!r} exists; choose another name")
         there = robot_folder(own)
         save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
-        shared, switch = self._shared, self._shared.robot_switch
-        switch.look_again()
-        controller = shared.loop.latest().controller
-        switch.begin(name, shared.tuning.changes, controller, shared.loop)
+        shared = self._shared
+        shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _draw(self) -> None:
         """Draw the chosen and the changed bodies, and the gizmos of the chosen body."""
-        chosen = self._body.value
-        of = {key: (body.name, i) for key, (body, i) in self._keys.items()}
-        wanted = {key for key in of if key == chosen or of[key] in self.changes.shapes}
+        chosen, changed = self._body.value, self.changes.shapes
+        wanted = {
+            key
+            for key, (body, i) in self._keys.items()
+            if key == chosen or (body.name, i) in changed
+        }
         for key in self._drawn.keys() - wanted:
             self._drawn.pop(key)[1].remove()
         for key in wanted:
@@ -151,7 +153,7 @@ class EditPanel(Panel):
         )
 
     def _frame(self, key: str) -> str:
-        """Add the scene node of a body's frame, which moves with the body's joint."""
+        """Add the scene node of a body's frame, which moves with the body's joint; return it."""
         model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
         frame = model.frames[model.getFrameId(body.frame)]
         position, wxyz = to_viser(frame.placement)
@@ -160,7 +162,7 @@ class EditPanel(Panel):
         return node
 
     def _take_hold(self, key: str) -> tuple[viser.TransformControlsHandle, ...]:
-        """Add the gizmos of a body; the second one is at its corner and moves with the first."""
+        """Add the gizmos of a body: one moves it; one at its corner resizes it."""
         scene, shape = self._viewer.client.scene, self._shape(key)
         node, (position, wxyz) = f"{self._frame(key)}/{MOVE}", to_viser(shape.placement())
         whole = scene.add_transform_controls(
@@ -191,30 +193,24 @@ class EditPanel(Panel):
         return whole, corner
 
 
-def own_name(name: str) -> str:
-    """Return the name under which a robot is saved: its own if it is the user's robot."""
-    return name if is_own(name) else f"{name}_by_hand"
-
-
 def half_extents(shape: Shape) -> Array:
-    """Return half the size (3,) [m] of a shape along its own axes."""
+    """Return the largest absolute coordinates (3,) [m] of a shape along its own axes."""
     return np.abs(shape_mesh(shape).bounds).max(axis=0)
 
 
 def placed(shape: Shape, T: pin.SE3) -> Shape:
-    """Return the shape with its centre at T in its body's frame."""
+    """Return the shape at the pose T in its body's frame."""
     if isinstance(shape, shapes.Capsule):
-        along = np.array([0.0, 0.0, shape.length_m / 2])
-        ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
-        return shape.model_copy(update=ends)
+        return shape.model_copy(update=_ends(T, shape.length_m / 2))
     rpy = _three(pin.rpy.matrixToRpy(T.rotation))
     return shape.model_copy(update={"xyz_m": _three(T.translation), "rpy_rad": rpy})
 
 
 def resized(shape: Shape, half: Array) -> Shape:
-    """Return the shape with half the size `half` (3,) [m] along its own axes.
+    """Return the shape with the `half_extents` `half` (3,) [m].
 
-    The radius of a round shape follows the cross axis that changes most.
+    The radius of a round shape follows the axis that changes most: of all three axes for a sphere,
+    of the two cross axes for a cylinder or a capsule.
     """
     factor = half / half_extents(shape)
     axis = int(np.argmax(np.abs(np.log(factor[:2]))))
@@ -234,10 +230,15 @@ def resized(shape: Shape, half: Array) -> Shape:
         case shapes.Cylinder():
             changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
         case shapes.Capsule():
-            T, along = shape.placement(), np.array([0.0, 0.0, max(float(half[2]) - radius, 0.0)])
-            ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
-            changed = {"radius_m": radius, **ends}
+            half_length = max(float(half[2]) - radius, 0.0)
+            changed = {"radius_m": radius, **_ends(shape.placement(), half_length)}
     return shape.model_copy(update=changed)
+
+
+def _ends(T: pin.SE3, half_length: float) -> dict[str, tuple[float, float, float]]:
+    """Return the ends of a capsule's axis at the pose T, with half its length [m]."""
+    along = np.array([0.0, 0.0, half_length])
+    return {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
 
 
 def _three(values: Array) -> tuple[float, float, float]:
@@ -245,11 +246,14 @@ def _three(values: Array) -> tuple[float, float, float]:
     return x, y, z
 
 
-def changes_html(changes: HandMade) -> str:
-    """List the unsaved changes."""
-    said = [f"{name}: {shape.type}" for (name, _), shape in changes.shapes.items()]
-    said += [f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}"] if changes.ready else []
-    return (f"Not saved: <b>{escape('; '.join(said))}</b>. " if said else "") + (
+def changes_html(changes: HandMade, unwatched: Mapping[str, str]) -> str:
+    """List the unsaved changes to a robot, whose pairs `unwatched` are not monitored."""
+    texts = [f"{name}: {shape.type}" for (name, _), shape in changes.shapes.items()]
+    for pair in sorted(changes.unwatched.keys() ^ unwatched.keys()):
+        texts.append(f"{pair}: {'not ' if pair in changes.unwatched else ''}monitored")
+    if changes.ready:
+        texts.append(f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}")
+    return (f"Not saved: <b>{escape('; '.join(texts))}</b>. " if texts else "") + (
         "Saved changes are in <code>robot.toml</code>, marked “set by hand”. If bodies or pairs "
         "change, the border is sampled again. <code>dbb check-robot</code> checks a saved robot."
     )

@@ -1,6 +1,6 @@
-"""Folder "Joint sliders": the controller's response to a posture in a paused simulation."""
+"""Folder "Joint sliders": the controller's response to a posture while the simulation is paused."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,12 +26,14 @@ class ExplorerPanel(Panel):
     """Sliders of base and arm; while they are in use, the page shows their posture."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Create the closed folder; the viewer's gizmo moves the end-effector."""
+        """Create the closed folder."""
         super().__init__(viewer)
         self.posture: Posture | None = None
-        self._target: Array | None = None  # (3,) [m] requested position of the end-effector
-        self._off = 0.0  # [m] distance to the last requested position
-        self._stopped, self._since = False, viewer.shared.loop.latest()  # at the start of posing
+        """The posture that the page shows; None while the sliders are not in use."""
+        self._target: Array | None = None  # (3,) [m] new position of the end-effector, by the gizmo
+        self._error = 0.0  # [m] distance of the end-effector from the last such position
+        self._paused, self._since = False, viewer.shared.loop.latest()
+        """Whether the pause has taken effect, and the newest snapshot when posing began."""
         model = viewer.shared.model
         kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
         self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
@@ -53,37 +55,36 @@ class ExplorerPanel(Panel):
         self._show(on=False)
 
     def shown(self, newest: Snapshot, shown: Snapshot) -> Snapshot:
-        """Return the snapshot to show, that of a posture if one is set; for the drawing thread."""
+        """Return the snapshot to draw: the response to the posture, or `shown` without a posture.
+
+        Posing ends if the simulation continues or restarts. Called by the drawing thread.
+        """
         posture = self.posture
         if posture is None:
             return shown
-        self._stopped = self._stopped or newest.paused
-        anew = not newest.follows(self._since)
-        if anew or (self._stopped and not newest.paused):  # the robot moves again
+        self._paused = self._paused or newest.paused
+        if not newest.follows(self._since) or (self._paused and not newest.paused):
             self._end()
             return shown
-        explorer = self._shared.explorer()
+        explorer = self._shared.explorer
         place, self._target = self._target, None
         if place is not None:
-            posture, self._off = explorer.reach(posture, place)
+            posture, self._error = explorer.reach(posture, place)
             self.posture = posture
             self._set(posture)
-        return explorer.ask(posture, newest)
+        return explorer.respond(posture, newest)
 
     def update(self, moment: Moment) -> None:
-        """Update the readings of the shown posture."""
-        shown = moment.shown
-        axes = self._shared.model.description.base.axes
-        self._text.content = (
-            posture_html(
-                shown, planar(axes, shown.base_acceleration), self._off, self._shared.spoken
-            )
-            if self.posture is not None
-            else small(
+        """Show the readings of the posture, or an introduction."""
+        if self.posture is None:
+            self._text.content = small(
                 "Pause the simulation, then move joints, base and hand: the readings are the "
                 "controller's response."
             )
-        )
+            return
+        shown, axes = moment.shown, self._shared.model.description.base.axes
+        acceleration = planar(axes, shown.base_acceleration)
+        self._text.content = posture_html(shown, acceleration, self._error, self._shared.spoken)
 
     def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
         first = min(max(0.0, low), high)
@@ -98,8 +99,8 @@ class ExplorerPanel(Panel):
                 "the hand holds a door in this scenario; choose another scenario first"
             )
         self._shared.loop.send(Pause(True))
-        self._stopped, self._since = False, newest  # until the pause takes effect
-        self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
+        self._paused, self._since = False, newest
+        self._error, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
         self.posture, self._viewer.grip.reach = posture, self._move_hand
         self._show(on=True)
@@ -121,12 +122,12 @@ class ExplorerPanel(Panel):
         self._target = np.array(place)
 
     def _read(self) -> None:
-        """Read the posture from the sliders, within their ranges."""
+        """Read the posture from the sliders; values beyond their ranges are clipped."""
         if self.posture is None:
             return
         values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])
         base = np.append(values[:2], np.radians(values[2]))
-        self.posture, self._off = Posture(base, values[3:] / self._scale), 0.0
+        self.posture, self._error = Posture(base, values[3:] / self._scale), 0.0
 
     def _set(self, posture: Posture) -> None:
         x, y, phi = posture.base_pose
@@ -142,12 +143,16 @@ class ExplorerPanel(Panel):
 
 
 def posture_html(
-    shown: Snapshot,
-    acceleration: tuple[float, float, float],
-    off: float,
-    spoken: Mapping[str, str],
+    shown: Snapshot, acceleration: Sequence[float], error: float, spoken: Mapping[str, str]
 ) -> str:
-    """Show the response to a posture: distances, β, forces, and acceleration of the base."""
+    """Return the response to a posture: distances, β, forces, and acceleration of the base.
+
+    Args:
+        shown: Snapshot of the response.
+        acceleration: [m/s², m/s², rad/s²] of the base: forward, to the left, counterclockwise.
+        error: [m] distance of the end-effector from its requested position.
+        spoken: Names of the pairs in words.
+    """
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
     rows = [row(*(cell(name, RIGHT) for name in ("", "distance d", "activation β", "force f")))]
     for pair in shown.pairs:
@@ -156,5 +161,5 @@ def posture_html(
         rows.append(row(cell(spoken[pair.name]), *(cell(text, RIGHT) for text in texts)))
     forward, left, turn = acceleration
     way = f"forward {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
-    beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""
-    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{beyond}")
+    short = f"<br>The hand is {millimetres(error)} short of its target." if error > CLOSE else ""
+    return small(f"{table(rows)}base acceleration: {way}, turn {signed(turn)} rad/s²{short}")

@@ -1,4 +1,4 @@
-"""Help: the tab with method and keys, and the card with welcome, demonstration and tour."""
+"""Help: the tab with method and keys, and the card with introduction, demonstration and tour."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -22,22 +22,22 @@ base, by the determinant of (7), and how easily the arm reaches it, by R of (9).
 base cannot move sideways, so the determinant is zero on its wheel axis. When the arm is closer
 than d_b:
 
-1. p_n is the point of the border nearest to the arm. p_t is p_n moved along the border towards
-   higher scores. The acting point p_act is between the arm and p_t.
-2. A virtual force acts on the base at p_act, larger as the distance gets smaller. It pushes the
-   base away and turns it to where it can move better.
+1. p_n is the point of the border nearest to the arm. p_t is p_n moved along the border's tangent
+   towards a higher score. The acting point p_act is the point of the border nearest to p_t.
+2. A virtual force acts on the base at p_act. It is larger for smaller distances. It pushes the
+   base away from the arm, and turns the base so that it can move away better.
 3. A quadratic program gives avoidance priority over the end-effector's task. The activation β
-   goes from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz, the
-   base velocities at 10 Hz.
+   rises from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz,
+   the base gets velocities at 10 Hz.
 
 **Tabs.** *Why* explains the current motion. *Plots* shows the last 20 s. *Compare* runs other
 controllers on the same pull. *Key* explains colours and arrows. *Run* has scenarios, *Lab* speed,
 readings and joint sliders, *View* layers and cameras, *Tune* all parameters, *Robot* other robots
-and your own, *Save* pictures, logs, replays and films.
+and your own, *Save* pictures, logs, reports, replays and films.
 
-**Keys** (outside text fields): {keys}. `?` opens this page, `Ctrl K` lists all commands. `Shift`
-with the arrow keys, `Page Up` and `Page Down` pulls the hand until `Shift` is released. Double
-click the scene to reset the view.
+**Keys** (outside text fields): {keys}. `?` opens this tab, `Ctrl K` lists all commands. `Shift`
+with the arrow keys, `Page Up` or `Page Down` pulls the hand until `Shift` is released. Double click
+the scene to reset the view.
 
 Several people can use the page at once. Each has their own view and place in time; the simulation
 is shared, and the forces of all who pull add up.
@@ -95,7 +95,7 @@ CARDS = {
     ),
     "tour 3": Card(
         "3 of 5: Read why",
-        "The panel Why explains why the base moves. Key explains each colour and arrow.",
+        "The panel Why explains the base's motion. Key explains each colour and arrow.",
         _STEP,
         "Why",
     ),
@@ -107,7 +107,7 @@ CARDS = {
     ),
     "tour 5": Card(
         "5 of 5: Compare",
-        "Run other controllers on the same pull, as ghosts. Scenario plays the paper's "
+        "This panel runs other controllers on the same pull, as ghosts. Run has the paper's "
         "experiments, Tune has every parameter.",
         (SHOW, CLOSE),
         "Compare",
@@ -115,19 +115,20 @@ CARDS = {
 }
 """Cards by the guide's state."""
 SEEN = "dbb-tour-seen"
-"""Key in the browser's storage, which records that the page has shown the welcome."""
+"""Key in the browser's storage after the first visit; later visits start without the guide."""
 
 
 class Shortcut(NamedTuple):
-    """A command: its label in the palette, its key or None, and its action."""
+    """A command of the list of commands (`Ctrl K`)."""
 
     label: str
     key: Any
+    """The key that executes the command too, or None."""
     action: Callable[[], None]
 
 
 def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    """Add the commands to a viewer's palette."""
+    """Add commands to a viewer's list of commands."""
     for shortcut in shortcuts:
         command = gui.add_command(shortcut.label, hotkey=shortcut.key)
         command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
@@ -140,13 +141,13 @@ def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
 
 
 class Guide(Panel):
-    """The card over the scene: welcome, demonstration, or a step of the tour.
+    """The card over the scene: introduction, demonstration, or a step of the tour.
 
-    The card changes only after a click. The state is a key of `CARDS`, or empty without a card.
+    The state is a key of `CARDS`, or empty without a card.
     """
 
     def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
-        """Start in a state; `shows` has a demonstration for each state, by default "watch"."""
+        """Start in a state; `shows` has the action of `SHOW` for each state, by default "watch"."""
         super().__init__(viewer)
         self.state, self._shown, self._shows = state, "", shows
         self._channel = viewer.channel
@@ -167,7 +168,7 @@ class Guide(Panel):
             self._channel.tell("open", place)
 
     def _press(self, label: str) -> None:
-        """Handle a button of the shown card; ignore a late click on an earlier card."""
+        """Handle a click on a button of the card; ignore a label that the card does not have."""
         card = CARDS.get(self.state)
         if card is None or label not in card.buttons:
             return

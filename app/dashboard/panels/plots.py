@@ -1,4 +1,4 @@
-"""Plots: curves of the last seconds over a common time axis, with a line at the shown instant."""
+"""Tab "Plots": curves over the last seconds, with a line at the shown instant."""
 
 import math
 import time
@@ -13,27 +13,28 @@ from app.dashboard.plans import Curve, PlotPlan
 from app.dashboard.scene.colours import SERIES
 
 LENGTH = 20.0  # [s] length of the time axis
-AHEAD = 5.0  # [s] shown time after an instant of the past
+AHEAD = 5.0  # [s] plotted time after a shown instant in the past
 SPACING = 0.08  # [s] period of drawn values, about one per pixel
-PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] period of drawing
-RESTING, STILL = 12, 2e-3  # [-] number of last values; their largest difference at rest
+PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0
+"""[s] period of drawing: usually, with low detail, and while all curves are at rest."""
+RESTING, STILL = 12, 2e-3  # number of last values; their largest difference in a curve at rest
 LINE = 1.6  # [px] width
 _INSTANT = Curve("shown instant", lambda _: OFF, "#ff7a00", "the instant shown in the past")
-SIGHT = "plots"  # reported by the page while the plots are visible
-OFF = -9.0  # value of the line at the shown instant outside its scale
+SIGHT = "plots"  # name that the page reports while the plots are visible
+OFF = -9.0  # value of `_INSTANT` at all other instants, beyond its scale from 0 to 1
 
 
 class Plots(Panel):
-    """Plots of one viewer, who may add any quantity of a log; hidden plots cost nothing."""
+    """Plots of one viewer, who may add any numeric column of a log; hidden plots are not drawn."""
 
     def __init__(self, viewer: Viewer, tab: viser.GuiTabHandle) -> None:
-        """Create empty plots in a tab; the view selects the plots."""
+        """Create empty plots in a tab; `View.plots` selects the visible ones."""
         super().__init__(viewer)
         self._tab = tab
         self._drawn: tuple[object, ...] = ()
         self._due = 0.0
         self._plans = {plan.title: plan for plan in viewer.shared.plans}
-        """Present content of each plot, by its title; callbacks assign another one."""
+        """Content of each plot, by its title; callbacks replace it."""
         self._plots: dict[str, tuple[PlotPlan, viser.GuiUplotHandle]] = {}
         with tab:
             viewer.channel.sight(SIGHT)
@@ -52,14 +53,17 @@ class Plots(Panel):
 
     @property
     def hints(self) -> dict[str, dict[str, str]]:
-        """Explanations of the lines for the pointer, by plot title and label."""
+        """Explanations of curves under the pointer, by the plot's title and the curve's label."""
         return {
             title: {curve.label: curve.hint for curve in (*plan.curves, _INSTANT)}
             for title, plan in self._plans.items()
         }
 
     def update(self, moment: Moment) -> None:
-        """Draw the time around the shown snapshot, if the viewer sees the plots."""
+        """Draw the time around the shown snapshot, if the viewer sees the tab.
+
+        A plot without values, such as that of an absent door, is hidden.
+        """
         newest, shown = moment.newest.t, moment.shown
         view, timeline = self._viewer.view, self._viewer.timeline
         self._make()
@@ -96,7 +100,7 @@ class Plots(Panel):
         self._due = time.monotonic() + period
 
     def _change(self, *, add: bool = False) -> None:
-        """Remove the chosen quantity from the chosen plot, or add it."""
+        """Remove the chosen quantity from the chosen plot; with `add`, put it at the end."""
         name, title = self._name.value, self._into.value
         plan, view = self._plans[title], self._viewer.view
         curves = tuple(curve for curve in plan.curves if curve.label != name)
@@ -125,9 +129,9 @@ class Plots(Panel):
 def _plot(gui: viser.GuiApi, plan: PlotPlan, order: float) -> viser.GuiUplotHandle:
     """Create an empty plot.
 
-    The range of values is constant, because a change would rebuild the plot in the browser. The
-    time axis must change, because uPlot draws no numbers on a constant axis. The shown instant is
-    a line with its own scale, which is inside the plot at one instant only.
+    The options of its ranges are constant, because a change would rebuild the plot in the browser.
+    The shown instant is a curve with its own scale; only at this instant, its value is within the
+    scale.
     """
     lines = []
     for curve in plan.curves:

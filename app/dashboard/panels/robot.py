@@ -1,4 +1,4 @@
-"""Tab "Robot": choice of the simulated robot, and a new robot from an uploaded zip."""
+"""Tab "Robot": choice of the robot, changes of its description, and a new robot from a zip."""
 
 import re
 from html import escape
@@ -18,13 +18,13 @@ from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 from app.strict import file_text
 
-FIND = "(detect)"  # the wheels are searched for
+FIND = "(detect)"  # choice for wheels that the program finds itself
 _WHEEL = "Joint of a driven wheel; of a rear wheel for a car-like base"
 _QUESTIONS = {
     "file": ("URDF", "One of the URDF files in the zip"),
     "out": ("Name", "A letter, then letters, digits and _"),
     "base": ("Base link", "Root link of the base, z up"),
-    "tip": ("Tip link", "Link of the end-effector"),
+    "tip": ("Tip link", "Link that carries the end-effector"),
     "kind": ("Base", "Kind of drive"),
     "left": ("Left wheel", _WHEEL),
     "right": ("Right wheel", _WHEEL),
@@ -40,11 +40,10 @@ _QUESTIONS = {
         "Estimate masses from volumes if the URDF has none for the arm",
     ),
 }
-"""Label and hint by the field of `Request`; its field `wheels` has two questions."""
-_GOES_ON = "It is prepared in the background"
+"""Label and hint by the field of `Request`; "left" and "right" are its field `wheels`."""
 _WHEELS = "“Left wheel” and “Right wheel”"
 _CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
-"""Choices that do not depend on an upload, by question."""
+"""Choices before an upload, by question."""
 _REPORT = (
     "<style>.mantine-Modal-content:has(.dbb-report){{flex:0 0 min(62rem,92vw)!important}}</style>"
     '<iframe class="dbb-report" sandbox srcdoc="{}" title="report" '
@@ -53,21 +52,19 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """List of the robots; a choice applies to all viewers."""
+    """List of the robots; one of them is simulated for all viewers."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, shared = self._gui, viewer.shared
         self._switch = shared.robot_switch
         self._entries: list[RobotEntry] = []
-        self._list = gui.add_dropdown(
-            "Robot",
-            ("",),
-            hint="Delivered robots and your own. The choice is for all viewers.",
-        )
+        hint = "Delivered robots and your own. “Use this robot” applies to all viewers."
+        self._list = gui.add_dropdown("Robot", ("",), hint=hint)
         self.about = gui.add_html("")
         """Description of the chosen robot, and the reason why the last switch failed."""
-        self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=_GOES_ON)
+        hint = "The robot is prepared in the background; until then, the present one is shown."
+        self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=hint)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()
         self._choose(shared.model.description.name)
@@ -82,7 +79,7 @@ class RobotPanel(Panel):
         ended = self._shared.loop.error is not None  # then the same robot can be restarted
         usable = chosen is not None and chosen.problem is None and (ended or not here)
         reason = self._switch.problem
-        failed = small(f"{problem(reason)}. Nothing has changed.") if reason else ""
+        failed = small(f"{problem(reason)}. The robot has not changed.") if reason else ""
         self.about.content = (about_html(chosen, here=here) if chosen else "") + failed
         self._use.disabled = progress is not None or not usable
         self._report.visible = chosen is not None and chosen.report
@@ -91,12 +88,8 @@ class RobotPanel(Panel):
 
     def _begin(self, _: viser.GuiEvent) -> None:
         shared, chosen = self._shared, self._chosen()
-        self._switch.begin(
-            chosen.name if chosen else "",
-            shared.tuning.changes,
-            shared.loop.latest().controller,
-            shared.loop,
-        )
+        name = chosen.name if chosen else ""
+        self._switch.begin(name, shared.tuning.changes, shared.loop)
 
     def _show_report(self, event: viser.GuiEvent) -> None:
         """Open the robot's report over the page, with a button to save the report."""
@@ -104,12 +97,12 @@ class RobotPanel(Panel):
         name = chosen.name if chosen else ""
         path = robot_folder(name) / "report.html"
         if client is None or path.is_symlink() or not path.is_file():
-            raise AssetError(f"{name}: there is no report {path}")
+            raise AssetError(f"{name}: the report {path} does not exist")
         try:
             page = file_text(path)
         except (OSError, ValueError) as error:
             raise AssetError(f"{path} cannot be read: {error}") from None
-        modal = client.gui.add_modal(f"How {name} was made")
+        modal = client.gui.add_modal(f"Report on the creation of {name}")
         with modal:
             self.button(
                 "Save as a file",
@@ -138,7 +131,7 @@ class RobotPanel(Panel):
 
 
 class NewRobotPanel(Panel):
-    """Folder "Your own robot": upload, questions that the URDF does not answer, and progress."""
+    """Folder "Your own robot": upload of a zip, questions about its URDF, and progress."""
 
     def __init__(self, viewer: Viewer) -> None:
         """Create the folder; all viewers share the upload and the build."""
@@ -165,9 +158,9 @@ class NewRobotPanel(Panel):
         if package is not self._package:
             self._package = package
             if package is not None:
-                self._ask(package)
+                self._offer_files(package)
         if package is not None and self.fields["file"].value != self._shown_urdf:
-            self._ask_of_urdf(package)
+            self._offer_links(package)
         asks = package is not None and progress is None
         for name, field in self.fields.items():
             field.visible = asks and self._suits(name)
@@ -176,10 +169,10 @@ class NewRobotPanel(Panel):
         self.status.show(outcome_html(self._build))
 
     def request(self) -> Request:
-        """Return the request from the fields.
+        """Return the request for a robot from the fields; fields that do not apply are ignored.
 
         Raises:
-            ConfigError: A field is invalid, or the fields contradict each other.
+            ConfigError: There is no upload, a field is invalid, or fields contradict each other.
         """
         package = self._package
         if package is None:
@@ -228,13 +221,14 @@ class NewRobotPanel(Panel):
             return self._package is not None and len(self._package.urdfs) > 1
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
 
-    def _ask(self, package: Package) -> None:
+    def _offer_files(self, package: Package) -> None:
+        """Offer the URDFs of a new zip, and a name for the robot."""
         self._shown_urdf = ""  # another zip may have the same path with other links
         self.fields["file"].options = tuple(package.urdfs)
         self.fields["out"].value = robot_name(package.archive.stem)
 
-    def _ask_of_urdf(self, package: Package) -> None:
-        """Offer the links of the chosen URDF; the user confirms the first guess."""
+    def _offer_links(self, package: Package) -> None:
+        """Offer the links and wheel joints of the chosen URDF, by default its two end links."""
         self._shown_urdf = self.fields["file"].value
         contents = package.urdfs.get(self._shown_urdf)
         if contents is None:  # a choice from the previous zip
@@ -250,7 +244,7 @@ class NewRobotPanel(Panel):
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:
-    """Describe a robot in two lines, with the reason if it cannot be chosen."""
+    """Describe a robot; `here` means that it is in use. Name the reason if it cannot be used."""
     lines = [f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}"]
     if here:
         lines.append("In use.")
@@ -262,22 +256,22 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
 
 
 def report_html(page: str) -> str:
-    """Show the report in a frame that executes nothing, because the robot may be untrusted."""
+    """Return a frame with a report that executes no scripts, because the robot may be untrusted."""
     return _REPORT.format(escape(page))
 
 
 def upload_html() -> str:
-    """Describe the accepted zip, and the robot's folder."""
+    """Describe an acceptable zip, and name the folder of the user's robots."""
     return small(
         f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, {MOST_FILES} "
         f"files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; nothing is executed. "
-        "Description, border and report are saved in<br>"
+        "The robot's description, border and report are saved in<br>"
         f"<code>{escape(str(user_robots()[0]))}</code>"
     )
 
 
 def outcome_html(build: RobotBuild) -> str:
-    """Describe the result of the last job, and the next step."""
+    """Describe the result of the last job, and the next step; empty before the first upload."""
     if build.problem:
         return problem(in_words(build.problem))
     if build.built:
@@ -287,8 +281,9 @@ def outcome_html(build: RobotBuild) -> str:
         )
     if build.package is not None:
         count = len(build.package.urdfs)
-        what = "a URDF" if count == 1 else f"{count} URDFs"
-        return f"<b>{escape(build.package.archive.name)}</b> contains {what}. Choose its links."
+        content = "a URDF" if count == 1 else f"{count} URDFs"
+        name = escape(build.package.archive.name)
+        return f"<b>{name}</b> contains {content}. Choose the base link and the tip link."
     return ""
 
 
@@ -304,7 +299,7 @@ def in_words(text: str) -> str:
 
 
 def robot_name(stem: str) -> str:
-    """Return a valid name of a robot from a file's name."""
+    """Return a valid name of a robot, from a file's name without its suffix."""
     name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_").lower()
     return name if name[:1].isalpha() else f"robot_{name}".rstrip("_")
 

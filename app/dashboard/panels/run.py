@@ -8,7 +8,7 @@ from typing import Any
 import viser
 
 from app.control import CONTROLLERS
-from app.control.buffer_watch import BufferReading, needed_text
+from app.control.buffer_watch import needed_text
 from app.dashboard import phrases as words
 from app.dashboard.markup import (
     FAINT,
@@ -18,17 +18,15 @@ from app.dashboard.markup import (
     bar,
     cell,
     chip,
-    framed,
     mark,
     reading,
-    readings,
     row,
     small,
     table,
 )
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, Viewer
 from app.dashboard.panels.why import BAR_RANGE
-from app.dashboard.record import Course
+from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css, ink
 from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
@@ -39,16 +37,14 @@ from app.simulation.trace.words import METHOD_WORDS, kept, millimetres, outcome
 FREE = "Free: pull the robot yourself"  # choice without a scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 """Entries of the list of scenarios, by the scenarios' names."""
-_ABOUT = {each.name: f"{each.about[:1].upper()}{each.about[1:]}." for each in SCENARIOS.values()}
 OFF = "off"  # choice without another robot
 METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 """Entries of the lists of controllers, by the controllers' names."""
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
-"""Common input of all robots, as `Compare` names it."""
+"""Values of `Compare.same` by their labels."""
 STEP = 0.001  # [s] of one control step
 _SIZE = "font-size:.82em"
-LATE = 0.05
-"""[-] The machine is too slow above this share of late steps, or of missed real time."""
+LATE = 0.05  # [-] share of late steps, or of missing real time, above which a row is coloured
 _SCORES = (
     ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
@@ -58,27 +54,24 @@ _SCORES = (
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
     ("torque jump [N m]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
-"""Label with unit, field of `Score`, its text, and the best value; base travel has none."""
+"""Label with unit, field of `Score`, text of a value, and function for the best value, or None."""
 
 
 class RunPanel(Panel):
-    """Scenario, controller, pause, distances and the result; choices apply to all viewers."""
+    """Tab "Run": scenario, controller, pause, distances and result; it applies to all viewers."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
         sink = self._sink = viewer.shared.loop
-        self._scenario = gui.add_dropdown(
-            "Scenario",
-            (FREE, *TITLES.values()),
-            hint="Starts at once. Pulling the hand ends it.",
-        )
+        hint = "A scenario starts at once. A pull of the hand ends it."
+        self._scenario = gui.add_dropdown("Scenario", (FREE, *TITLES.values()), hint=hint)
         self._controller = gui.add_dropdown(
             "Controller",
             tuple(METHOD_TITLES.values()),
             hint="dbb: the base gives way, as in the paper. hqp: the paper's hierarchy as printed, "
-            "slower than real time. repulsive: a force moves the arm only. barrier: a minimum "
-            "distance as a constraint. none: no avoidance.",
+            "slower than real time. repulsive: a repulsive acceleration moves the arm only. "
+            "barrier: a minimum distance as a constraint. none: no avoidance.",
         )
         self._pause = self.button(PAUSE, lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
         self._restart = self.button(
@@ -103,9 +96,9 @@ class RunPanel(Panel):
             self._sink.send(Play(scenario_of(self._shared.model.description, scenario)))
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the readings.
+        """Update the choices from the newest snapshot, and the readings from the shown one.
 
-        The list still shows a scenario that has ended; therefore the free start can be chosen.
+        The list still shows a scenario that has ended, so that `FREE` remains a different choice.
         """
         newest, shown, verdict = moment
         course = self._shared.course
@@ -124,7 +117,7 @@ class RunPanel(Panel):
 
 
 class LabPanel(Panel):
-    """Speed and readings of the simulation, and the load of the machine."""
+    """Tab "Lab": speed and readings of the simulation, and the load of the machine."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -143,7 +136,8 @@ class LabPanel(Panel):
                 "Play the case",
                 lambda _: sink.send(Play(case)),
                 viser.Icon.PLAYER_TRACK_NEXT,
-                hint=f"{case.about}. Starts at once; pulling the hand ends it.",
+                hint=f"{case.about}. It starts at once."
+                + ("" if case.open else " A pull of the hand ends it."),
             )
         self._status = gui.add_html("")
 
@@ -155,7 +149,7 @@ class LabPanel(Panel):
 
 
 class ComparePanel(Panel):
-    """Choice of the controllers of the ghosts, and the scores of all controllers."""
+    """Tab "Compare": choice of the ghosts' controllers, and the scores of all robots."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -167,16 +161,17 @@ class ComparePanel(Panel):
             gui.add_dropdown(label, (OFF, *METHOD_TITLES.values()))
             for label in ("Second robot", "Third robot")
         ]
-        self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint="Input of all robots.")
+        hint = "All robots follow the same path of the hand, or the same force acts on them."
+        self._input = gui.add_dropdown("Same input", tuple(INPUTS), hint=hint)
         for handle in (*self._choices, self._input):
             self.on_update(handle, lambda _: self._choose())
         self._scores = gui.add_html("")
         self._names: list[str] = []
 
     def update(self, moment: Moment) -> None:
-        """Update the choices from the newest snapshot, and the scores.
+        """Update the choices from the newest snapshot, and the scores from the shown one.
 
-        A controller stays in its list when the other list's controller is removed.
+        A controller stays in its list if the viewer removes the controller of the other list.
         """
         names = [METHOD_TITLES[ghost.controller] for ghost in moment.newest.ghosts]
         if names != self._names:
@@ -194,14 +189,14 @@ class ComparePanel(Panel):
 
 
 def named(title: str, titles: Mapping[str, str]) -> str:
-    """Return the name of a list's entry, or an empty text."""
+    """Return the name whose entry in `titles` is `title`, or an empty text."""
     return next((name for name, each in titles.items() if each == title), "")
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
-    """Return the table of scores, with a column for each robot, the main robot first.
+    """Return the table of scores with a column for each robot, the main robot first.
 
-    A robot that touched or overlapped cannot have the best value of a row.
+    A robot that has touched or overlapped itself cannot have the best value of a row.
     """
     if not scores:
         return small("No comparison is running.", FAINT)
@@ -225,7 +220,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
 def _marked(
     values: list[float], text: Callable[[Any], str], best: Any, valid: list[bool]
 ) -> list[str]:
-    """Return the cells of a row of scores; the best of several valid ones is marked."""
+    """Return the cells of a row of scores; the best one is marked if valid ones differ."""
     texts = [text(value) for value in values]
     candidates = [value for value, good in zip(values, valid, strict=True) if good]
     compared = best and len(candidates) > 1 and len(set(texts)) > 1
@@ -243,7 +238,7 @@ def _distance(d: float) -> str:
 
 
 def compared_html(shown: Snapshot, last: str) -> str:
-    """Return the scenario of the comparison, by default the last one, and each robot's outcome."""
+    """Return each robot's outcome under the name of the running or the `last` scenario."""
     if not shown.scores:
         return ""
     ended = f"{last}, at its end" if last else "So far"
@@ -262,19 +257,22 @@ def outcomes_html(scores: Sequence[Score]) -> str:
 
 
 def notice_html(newest: Snapshot) -> str:
-    """Return a notice while a parameter changes to its new value gradually."""
-    text = "A sudden change would push away an arm inside the buffer."
+    """Return a notice while a parameter approaches its new value gradually; otherwise ""."""
+    text = "A sudden change would push an arm inside the buffer away."
     return banner("notice", newest.changing, text) if newest.changing else ""
 
 
 def course_html(course: Course, busy: str) -> str:
-    """Return preparation, progress or result of the scenario; empty at the free start."""
+    """Return preparation, progress or result of the scenario; empty before the first one.
+
+    `busy` is `Snapshot.busy`.
+    """
     if busy:
-        title = f"{busy[:1].upper()}{busy[1:]} …"
+        title = f"{_sentence(busy)} …"
         return banner("notice", title, "The simulation waits for the end of the preparation.")
     if not course.name:
         return ""
-    about = _ABOUT.get(course.name, "")
+    about = f"{_sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
     if course.running:
         share = min(course.until / max(course.duration, STEP), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
@@ -282,47 +280,43 @@ def course_html(course: Course, busy: str) -> str:
     title = f"{course.name} {f'stopped at {course.until:.1f} s' if course.stopped else 'ended'}"
     met = course.touched or course.inside
     result = "recovered from the initial contact" if course.left and not met else course.outcome
-    figures = {
-        "least distance": millimetres(course.least),
-        "largest pull": f"{course.pull:.0f} N",
-        "peak hand speed": f"{course.speed:.2f} m/s",
-        "base travel": f"{course.path:.2f} m",
-    }
-    return framed(
-        f"<b>{title}: {result}</b><br>{about}{readings(figures)}",
-        css(COLOURS["contact" if met else "clear"]),
+    values = (
+        reading("least distance", millimetres(course.least)),
+        reading("largest pull", f"{course.pull:.0f} N"),
+        reading("peak hand speed", f"{course.speed:.2f} m/s"),
+        reading("base travel", f"{course.path:.2f} m"),
     )
+    colour = css(COLOURS["contact" if met else "clear"])
+    frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
+    return small(f"<b>{title}: {result}</b><br>{about}{table(values)}", frame)
 
 
 def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
-    """Return the state of the simulation as rows of a table, in the verdict's colours."""
+    """Return the state of the simulation as rows of a table, in the verdict's colours.
+
+    A row "buffer" exists only if d_b was too small in the last seconds; it has a sufficient d_b.
+    """
     state = "paused" if snapshot.paused else "running"
-    force = sum(f * f for f in snapshot.hand_force) ** 0.5
-    pull = f"{force:.1f} N{words.borne(snapshot.force_bound)}" if snapshot.pulls else "none"
+    pull = f"{pulled(snapshot):.1f} N{words.borne(snapshot.force_bound)}"
     *linear, w = snapshot.base_velocity
     speed = ", ".join(words.signed(v) for v in linear)
     contact: State = "contact" if verdict.touching else "clear"
-    return [
-        _status_row("time", f"{snapshot.t:.1f} s"),
-        _status_row("state", snapshot.busy or f"{state}, {snapshot.mode}"),
-        _status_row("contact", verdict.touching or "none", contact),
-        *([_status_row(*too_small)] if (too_small := buffer_row(snapshot.buffer, verdict)) else []),
-        _status_row("pull", pull),
-        _status_row("hand error", millimetres(snapshot.ee_error)),
-        _status_row("base velocity", f"{speed} m/s, {words.signed(w)} rad/s"),
+    rows: list[tuple[str, str, State]] = [
+        ("time", f"{snapshot.t:.1f} s", "clear"),
+        ("state", snapshot.busy or f"{state}, {snapshot.mode}", "clear"),
+        ("contact", verdict.touching or "none", contact),
+        ("pull", pull if snapshot.pulls else "none", "clear"),
+        ("hand error", millimetres(snapshot.ee_error), "clear"),
+        ("base velocity", f"{speed} m/s, {words.signed(w)} rad/s", "clear"),
     ]
-
-
-def buffer_row(reading: BufferReading, verdict: Verdict) -> tuple[str, str, State] | None:
-    """Return a row if d_b was too small in the last seconds, with a sufficient d_b; or None."""
-    if not reading.too_small:
-        return None
-    lately = "lately: " if verdict.state == "clear" else ""
-    return "buffer", lately + needed_text(reading.needed), verdict.state
+    if snapshot.buffer.too_small:
+        lately = "lately: " if verdict.state == "clear" else ""
+        rows.insert(3, ("buffer", lately + needed_text(snapshot.buffer.needed), verdict.state))
+    return [_status_row(*each) for each in rows]
 
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
-    """Return the load of the machine as rows of a table; critical values are coloured."""
+    """Return the load of the machine as rows of a table; values beyond a limit are coloured."""
     late = min(snapshot.overruns / max(round(snapshot.t / STEP), 1), 1.0)
     slow = not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
     rows = [
@@ -335,12 +329,17 @@ def machine_rows(snapshot: Snapshot) -> list[str]:
 
 
 def _number(value: float, form: str) -> str:
-    """Format a number; an unknown one is a dash, as for a log."""
+    """Format a number; NaN is a dash."""
     return "–" if math.isnan(value) else format(value, form)
 
 
-def _status_row(label: str, value: str, state: State = "clear") -> str:
+def _status_row(label: str, value: str, state: State) -> str:
     return reading(label, value if state == "clear" else state_chip(value, state))
+
+
+def _sentence(text: str) -> str:
+    """Return a text with a capital first letter."""
+    return f"{text[:1].upper()}{text[1:]}"
 
 
 def state_chip(text: str, state: State) -> str:
@@ -351,9 +350,9 @@ def state_chip(text: str, state: State) -> str:
 def pairs_html(
     snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str] | None = None
 ) -> str:
-    """Return a table of distances and activations of all pairs, those of L_m first.
+    """Return a table of distances and activations of all pairs, in the order of the snapshot.
 
-    `spoken` has the pairs' names in words; symbols are shown under the pointer.
+    `spoken` has words for pairs, by default their names. A hint under the pointer explains a row.
     """
     head = row(
         cell(),
@@ -372,7 +371,7 @@ def pairs_html(
 
 
 def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
-    """Return the row of a pair; if the bodies overlap, its bar is full in the colour of contact."""
+    """Return the row of pair number i; if its bodies overlap, the bar is full."""
     colour = css(COLOURS[state])
     share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
     limit = min(d_b, BAR_RANGE) / BAR_RANGE

@@ -1,4 +1,4 @@
-"""Tab "Save": files that are created while the simulation runs."""
+"""Tab "Save": files for the viewer, which are created while the simulation runs."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -14,12 +14,7 @@ from PIL import Image
 from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
-from app.dashboard.job import (
-    FILM_RATE,
-    write_film_of,
-    write_replay,
-    write_report,
-)
+from app.dashboard.job import FILM_RATE, write_film_of, write_replay, write_report
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
@@ -36,48 +31,104 @@ _CANCEL_EVERY = 0.1  # [s] period of checks for a cancellation
 _PATIENCE = 30.0  # [s] timeout of a picture by the browser
 
 
-class FilePanel(Panel):
-    """Buttons that create a file for the viewer while the simulation runs.
-
-    The progress is above the buttons.
-    """
+class SavePanel(Panel):
+    """Buttons that create files for the viewer: a picture, and files of the marked interval."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
-        self._job = viewer.files
+        gui, self._job = self._gui, viewer.files
         self._status = JobStatus(viewer, viewer.files)
+        with gui.add_folder("Picture"):
+            self._sizes = {
+                name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
+                for name, (least, most, first) in SIZES.items()
+            }
+            self._file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._picture)
+        with gui.add_folder("Marked interval, or the last minute"):
+            for label, name, hint in (
+                ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
+                ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
+            ):
+                make = partial(self._log, name)
+                self._file(label, viser.Icon.TABLE, name, make, hint=hint, color="gray")
+            for label, name, write in (
+                ("Report (HTML)", "report.html", write_report),
+                ("Replay (HTML)", "replay.html", write_replay),
+            ):
+                self._file(label, viser.Icon.MOVIE, name, partial(self._of_log, name, write))
+            self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
+            self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
+            self._file(
+                "Film",
+                viser.Icon.VIDEO,
+                lambda: f"film{self._film_as.value}",
+                self._film,
+                hint=f"{FILM_RATE:g} pictures per second, in the size above. Drawing one picture "
+                "takes about 0.25 s: mark a short interval.",
+            )
+            self.button(
+                "Case (JSON)",
+                self._case,
+                viser.Icon.FILE_DOWNLOAD,
+                color="gray",
+                hint="The last scenario with its parameters, for dbb serve --case FILE",
+            )
+        gui.add_markdown("The tab *Tune* saves parameters.")
 
     def update(self, moment: Moment) -> None:
         self._status.show("")
 
-    def file(
+    def _file(
         self,
         label: str,
         icon: Any,
         name: str | Callable[[], str],
         make: Callable[[], bytes],
         **look: Any,
-    ) -> viser.GuiButtonHandle:
-        """Add a button; `make` returns the bytes of the file, in a separate thread."""
+    ) -> None:
+        """Add a button for a file; `make` returns the file's bytes, in a separate thread."""
         client = self._viewer.client
 
         def send() -> None:
             with suppress(Cancelled):  # the viewer has cancelled it
-                told, data = name if isinstance(name, str) else name(), make()
+                file, data = name if isinstance(name, str) else name(), make()
                 self._job.check()
-                client.send_file_download(told, data, save_immediately=True)
+                client.send_file_download(file, data, save_immediately=True)
 
         def pressed(_: Any) -> None:
             self._job.start(label, "in progress", lambda: self._notifier.attempt(client, send))
 
-        return self.button(label, pressed, icon, **look)
+        self.button(label, pressed, icon, **look)
 
-    def scene(self, width: int, height: int) -> Image.Image:
+    def _case(self, event: Any) -> None:
+        case, newest = self._shared.course.case, self._shared.loop.latest()
+        if case is None:
+            raise CaseError("there is no case yet; play a scenario first")
+        if newest.scenario:  # then the case includes parameters changed during the run
+            parameters = {path: newest.config.value(path) for path in case.parameters}
+            parameters |= newest.config.changes(Config())
+            changed = {"controller": newest.controller, "parameters": parameters}
+            case = case.model_copy(update=changed)
+        name = f"{case.played}.json"
+        event.client.send_file_download(name, case.text().encode(), save_immediately=True)
+
+    def _size(self) -> tuple[int, int]:
+        """Return the chosen width and height [px]."""
+        for name, box in self._sizes.items():
+            check_range(name, box.value, *SIZES[name][:2], "px")
+        width, height = (int(box.value) for box in self._sizes.values())
+        return width, height
+
+    def _picture(self) -> bytes:
+        shown, look = self._viewer.timeline.shown(), Look(light=not self._viewer.view.dark)
+        return png(captioned(self._scene(*self._size()), shown, look))
+
+    def _scene(self, width: int, height: int) -> Image.Image:
         """Return the scene from the viewer's browser, in a size [px].
 
         Raises:
             Cancelled: The viewer has cancelled the file.
-            BrowserError: The browser returns no picture.
+            BrowserError: The browser returns no picture of this size.
         """
         executor = ThreadPoolExecutor(1)
         future = executor.submit(scene_picture, self._viewer.client, height, width, _PATIENCE)
@@ -95,93 +146,27 @@ class FilePanel(Panel):
         whole.alpha_composite(picture)
         return whole.convert("RGB")
 
-
-class SavePanel(FilePanel):
-    """Pictures of the scene, and files of the marked interval."""
-
-    def __init__(self, viewer: Viewer) -> None:
-        super().__init__(viewer)
-        gui = self._gui
-        with gui.add_folder("Picture"):
-            self._sizes = {
-                name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
-                for name, (least, most, first) in SIZES.items()
-            }
-            self.file("Picture (PNG)", viser.Icon.CAMERA, "scene.png", self._scene)
-        with gui.add_folder("Marked interval, or the last minute"):
-            for label, name, hint in (
-                ("Log (CSV)", "log.csv", "For spreadsheets and pandas"),
-                ("Log (Parquet)", "log.parquet", "For dbb replay and dbb report too"),
-            ):
-                make = partial(self._log, name)
-                self.file(label, viser.Icon.TABLE, name, make, hint=hint, color="gray")
-            for label, name, write in (
-                ("Report (HTML)", "report.html", write_report),
-                ("Replay (HTML)", "replay.html", write_replay),
-            ):
-                self.file(label, viser.Icon.MOVIE, name, partial(self._of_log, name, write))
-            self._film_as = gui.add_dropdown("Film format", tuple(CODECS))
-            self._film_from = gui.add_dropdown("Film camera", tuple(PRESETS))
-            self.file(
-                "Film",
-                viser.Icon.VIDEO,
-                lambda: f"film{self._film_as.value}",
-                self._film,
-                hint=f"{FILM_RATE:g} pictures per second, in the size of a picture. Each takes "
-                "about 0.25 s to draw: mark a short interval.",
-            )
-            self.button(
-                "Case (JSON)",
-                self._case,
-                viser.Icon.FILE_DOWNLOAD,
-                color="gray",
-                hint="The last scenario with its parameters, for dbb serve --case FILE",
-            )
-        gui.add_markdown("The tab *Tune* saves parameters.")
-
-    def _case(self, event: Any) -> None:
-        case, newest = self._shared.course.case, self._shared.loop.latest()
-        if case is None:
-            raise CaseError("there is no case yet; play a scenario first")
-        if newest.scenario:  # includes parameters changed during the run
-            parameters = {path: newest.config.value(path) for path in case.parameters}
-            parameters |= newest.config.changes(Config())
-            changed = {"controller": newest.controller, "parameters": parameters}
-            case = case.model_copy(update=changed)
-        name = f"{case.played}.json"
-        event.client.send_file_download(name, case.text().encode(), save_immediately=True)
-
-    def _size(self) -> tuple[int, int]:
-        """Return the chosen width and height [px]."""
-        for name, box in self._sizes.items():
-            check_range(name, box.value, *SIZES[name][:2], "px")
-        width, height = (int(box.value) for box in self._sizes.values())
-        return width, height
-
-    def _scene(self) -> bytes:
-        shown, look = self._viewer.timeline.shown(), Look(light=not self._viewer.view.dark)
-        return png(captioned(self.scene(*self._size()), shown, look))
-
     def _log(self, name: str) -> bytes:
         with temporary_folder() as folder:
             data = self._write(folder / name).read_bytes()
-        # Spreadsheets and pandas need a plain table; `dbb replay` and `dbb report` read Parquet.
+        # The first line is a comment; without it, spreadsheets and pandas read a plain table.
         return data.partition(b"\n")[2] if name.endswith(".csv") else data
 
     def _of_log(self, name: str, write: Callable[..., None], *more: Any) -> bytes:
-        """Return the file that `write(report, log, path, *more)` creates from the log."""
+        """Return the file that `write(report, log, path, *more)` creates from a log."""
         with temporary_folder() as folder:
             log, path = self._write(folder / "log.parquet"), folder / name
             self._job.run(write, log, path, *more)
             return path.read_bytes()
 
     def _film(self) -> bytes:
-        """Return a film of the log, from a process with its own browser."""
+        """Return a film of the interval, which a process with its own browser creates."""
         view = cast("Side", self._film_from.value)
         look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
         return self._of_log(f"film{self._film_as.value}", write_film_of, look)
 
     def _write(self, path: Path) -> Path:
+        """Write the log of the marked interval, and return its path."""
         from app.simulation.trace.log_file import write_trace  # pyarrow takes long to import
 
         snapshots = self._viewer.timeline.interval()

@@ -1,4 +1,4 @@
-"""Time line: the bar along the page's edge, which selects the shown instant."""
+"""Time line: the bar at the lower edge of the page, which selects the shown instant."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ class TimelinePanel(Panel):
             channel.on(word, act)
 
     def update(self, moment: Moment) -> None:
-        """Send new rows, new events, and the viewer's point in time."""
+        """Send new rows of the strip, new or changed events, and the viewer's point in time."""
         newest, shown, _ = moment
         strip, line = self._strip, self._timeline
         runs, closed = self._sent

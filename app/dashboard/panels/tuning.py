@@ -1,7 +1,4 @@
-"""Tab "Tune": widgets of all parameters, from the configuration's records, and parameter files.
-
-The viewer's changes are checked, and changes by other viewers are shown.
-"""
+"""Tab "Tune": widgets of all parameters, from the configuration's records, and parameter files."""
 
 from __future__ import annotations
 
@@ -20,20 +17,31 @@ from app.parameters import Choice, Parameter
 DECIMALS = 6  # [-] decimals of a number box
 MARK = "\N{NO-BREAK SPACE}•"  # after the label of a changed parameter
 FIRST_NAME = "tuning"
-_OPEN = "border"  # section that is open at first
+_OPEN = "border"  # section whose folder is open at first
 
 
 class TuningPanel(Panel):
-    """Folders of widgets."""
+    """The tab; all viewers share the configuration, and see the changes of all."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Create the panel; all viewers share the configuration."""
         super().__init__(viewer)
         self._tuning = viewer.shared.tuning
         self.widgets: dict[str, ParameterWidget] = {}
         """Widget of each parameter, by the parameter's path."""
         self._folders: list[_Folder] = []
-        self._add_everything()
+        tuning = self._tuning
+        self.buttons(
+            "Changes",
+            {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset},
+            hint="A step is the change of a parameter, or of several by a file or a reset. The "
+            "steps of all viewers count.",
+        )
+        self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
+        self.on_update(self._all, lambda _: self._show_advanced())
+        for section in sections():
+            paths = tuple(each.path for each in section.tunables)
+            self._add_folder(section.title, paths, expand=section.name == _OPEN)
+        self._add_file()
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
@@ -45,18 +53,7 @@ class TuningPanel(Panel):
             folder.reset.disabled = not count
         self._show_advanced()
 
-    def _add_everything(self) -> None:
-        tuning = self._tuning
-        self.buttons(
-            "Changes",
-            {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset},
-            hint="One step is one change of a parameter, by any viewer.",
-        )
-        self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
-        self.on_update(self._all, lambda _: self._show_advanced())
-        for section in sections():
-            paths = tuple(each.path for each in section.tunables)
-            self._add_folder(section.title, paths, expand=section.name == _OPEN)
+    def _add_file(self) -> None:
         with self._gui.add_folder("File"):
             self._name = self._gui.add_text(
                 "Name", FIRST_NAME, hint="Name of the file, without .toml"
@@ -65,14 +62,14 @@ class TuningPanel(Panel):
                 "Save",
                 self._save,
                 viser.Icon.DOWNLOAD,
-                hint="A TOML file for --config of dbb run, serve and sweep",
+                hint="A TOML file for the option --config of dbb run, serve and sweep",
             )
             self.upload(
                 "Load",
                 self._load,
                 color="gray",
                 mime_type=".toml",
-                hint="A TOML file; parameters that are not in it get their defaults",
+                hint="A TOML file; parameters that are not in the file get their defaults",
             )
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
@@ -118,37 +115,40 @@ class TuningPanel(Panel):
 
 
 class _Folder(NamedTuple):
-    """Folder of parameters, whose title shows the number of changed ones."""
+    """Folder of parameters, whose label shows the number of changed ones."""
 
     handle: Any
     reset: Any
+    """Button that resets the folder's parameters."""
     title: str
     paths: tuple[str, ...]
+    """Paths of the folder's parameters."""
 
 
 def file_name(name: str) -> str:
-    """Return a file name that is valid on all systems, as in `stiff arm.toml`."""
+    """Return a file name that is valid on all systems, such as `stiff arm.toml`."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
     return f"{safe or FIRST_NAME}.toml"
 
 
 class ParameterWidget(Panel):
-    """Widget of one parameter; a range of several powers of ten has a second one, its exponent.
+    """Widget of one parameter; for a range of several powers of ten, also a logarithmic slider.
 
     A refused value changes nothing: its sender gets a message, and the widget is reset. A typed
     value arrives when it is complete.
     """
 
     def __init__(self, viewer: Viewer, path: str) -> None:
-        """Add the widget of the parameter at `path`; see `TuningPanel`."""
+        """Add the widgets of the parameter `path` to the open container."""
         super().__init__(viewer)
-        self.about, self.is_marked = tunable(path), False
-        """The parameter, and whether it differed from its default at the last update."""
+        self.about = tunable(path)
+        self.is_marked = False
+        """Whether the value differed from its default at the last update."""
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
         self.handle = _widget(self._gui, self.about, self._title, self._tuning.config.value(path))
         self.on_update(self.handle, self._set)
         self.exponent = _exponent(self._gui, self.about, self.handle.value)
-        """The slider of the value's power of ten, or None."""
+        """The slider of the value's decimal logarithm, or None."""
         if self.exponent is not None:
             self.on_update(self.exponent, self._set)
 
@@ -170,7 +170,7 @@ class ParameterWidget(Panel):
 
 
 def _widget(gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str) -> Any:
-    """Create a list, a slider, or a number box for a range of several powers of ten."""
+    """Create a list of choices, a slider, or a number box for a range of several powers of ten."""
     if isinstance(about, Choice):
         return gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
     low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
@@ -183,7 +183,7 @@ def _widget(gui: viser.GuiApi, about: Parameter | Choice, title: str, value: flo
 
 
 def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any:
-    """Create the slider of the power of ten of a value, or return None."""
+    """Create the slider of a value's decimal logarithm; None unless its parameter is so scaled."""
     if isinstance(about, Choice) or not about.log:
         return None
     low, high = math.log10(about.low), math.log10(about.high)
@@ -192,20 +192,24 @@ def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any
 
 
 def _value_of(power: float) -> float:
-    # The range of the parameter refuses powers beyond those of a double, and NaN.
+    """Return 10 to the power, with three digits; ±inf or NaN for powers beyond those of a float.
+
+    The range of the parameter then refuses the value.
+    """
     return float(f"{10.0**power:.3g}") if abs(power) < 300 else power * math.inf
 
 
 def _power_of(value: float | str) -> float:
+    """Return the decimal logarithm of a value, rounded to the slider's step."""
     return round(math.log10(float(value)), 2)
 
 
 def unbroken(title: str) -> str:
-    """Return a title that can break only before its unit."""
+    """Return a title in which no line break separates the parts of its unit."""
     name, bracket, unit = title.partition("[")
     return name + bracket + unit.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def slider_step(low: float, high: float) -> float:
-    """Return the power of ten that gives a slider 100 to 1000 steps."""
+    """Return the step, a power of ten, with which a slider has 100 to 1000 steps."""
     return 10.0 ** math.floor(math.log10((high - low) / 100.0))

@@ -4,17 +4,19 @@ from dataclasses import fields
 from functools import partial
 from typing import Any
 
-from app.dashboard.panels import Panel, Viewer
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.view import BORDER, CHOICES, LAYERS, PAGE, View
 
 
 class ViewPanel(Panel):
-    """Check boxes and lists, each of which assigns one field of the view."""
+    """Check boxes and lists for the fields of the view, and camera buttons."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._view = self._gui, viewer.view
+        self._widgets: dict[str, Any] = {}
+        """Widgets by the field of the view."""
         with gui.add_folder(BORDER):
             for pair, quantity in self._view.borders.items():
                 hint = f"Reachable points at the buffer distance from the base: P_i of {pair}, (3)"
@@ -28,9 +30,17 @@ class ViewPanel(Panel):
             self.buttons("Camera", {name: partial(viewer.look, name) for name in PRESETS})
             self._add(PAGE)
         with gui.add_folder("Plots", expand_by_default=False):
-            for plan in viewer.shared.plans:
-                box = gui.add_checkbox(plan.title, plan.title in self._view.plots)
-                self.on_update(box, partial(self._plot, plan.title))
+            titles = [plan.title for plan in viewer.shared.plans]
+            self._plots = {title: gui.add_checkbox(title, False) for title in titles}
+            for title, box in self._plots.items():
+                self.on_update(box, partial(self._plot, title))
+
+    def update(self, moment: Moment) -> None:
+        """Show choices that were made by a key or in another panel."""
+        for field, widget in self._widgets.items():
+            self.follow(widget, getattr(self._view, field))
+        for title, box in self._plots.items():
+            self.follow(box, title in self._view.plots)
 
     def _add(self, folder: str) -> None:
         """Add the widgets of all fields of a folder."""
@@ -44,6 +54,7 @@ class ViewPanel(Panel):
                 if about["choices"]
                 else self._gui.add_checkbox(label, value, hint=hint)
             )
+            self._widgets[each.name] = widget
             self.on_update(widget, partial(self._assign, each.name))
 
     def _assign(self, field: str, event: Any) -> None:

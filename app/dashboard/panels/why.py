@@ -14,12 +14,10 @@ from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
 
-LONGEST = 280  # [characters] of the longest `sentence`
-
 UNDISTURBED = (0.05, 0.2)
-"""[m/s²], [rad/s²] slack below which the end-effector's task counts as met: 0.06 mm at its gain."""
+"""[m/s²], [rad/s²] slack below which the end-effector's task counts as met."""
 
-BOUNDS_SHOWN = 3  # lines for active limits; further limits are counted only
+BOUNDS_SHOWN = 3  # [-] lines for active limits; further limits are only counted
 
 BAR_RANGE = 0.5  # [m] distance that fills a bar
 _NONE = "–"
@@ -29,17 +27,14 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("arm–base repulsion", "rows of the repulsive method", ("arm",)),
     ("arm self-repulsion", "rows (20) between links of the arm", ("links",)),
     ("end-effector task", "slack w_2 of (26)", ("hand",)),
-    (
-        "posture",
-        "joint accelerations of the posture task, or of the free arm",
-        ("posture", "free"),
-    ),
+    ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
-_BEHIND = -0.5  # [-] x of a normal above which the near body is not behind the base
+"""Label, hint, and names of the possible levels of each row."""
+_BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the base or beside it
 
 
 class WhyPanel(Panel):
-    """The tab, and the header over the scene, which every page has."""
+    """The tab, and the header over the scene, which is visible with each tab."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -61,7 +56,7 @@ class WhyPanel(Panel):
 
 
 def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
-    """Return the verdict in a sentence, and rows for force, base motion and limits."""
+    """Return the verdict, its cause in a sentence, and rows for force, base motion and limits."""
     colour = css(verdict.colour)
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
@@ -72,29 +67,29 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
 
 
 def details_html(snapshot: Snapshot) -> str:
-    """Return all quantities behind the sentence, or one line if no pair is active."""
+    """Return tables of the quantities behind the sentence, or one line if no pair is active."""
     why = snapshot.explanation
     if why is None or why.bearing is None:
-        return small("Nothing acts on the robot: no link pair is inside its buffer.")
+        return small("Avoidance does not act: no link pair is inside its buffer.")
     return f'<div style="{_BODY}">{_tables(snapshot, why)}</div>'
 
 
 def _first_rows(snapshot: Snapshot) -> list[str]:
     why = snapshot.explanation
-    x, y = _sum([force.f for force in why.forces]) if why else (0.0, 0.0)
-    size, bounds = _size((x, y)), why.bounds if why and why.bearing else ()
+    x, y = _sum([force.f for force in why.forces] if why else [], 2)
+    size, bounds = math.hypot(x, y), why.bounds if why and why.bearing else ()
     force = f"{size:.0f} N {words.direction(x, y)}" if size >= 0.5 else "none"
     limit = words.bound(bounds[0], why.chain) if why and bounds else "nothing"
     more = f" (+{len(bounds) - 1})" if len(bounds) > 1 else ""
     return [
         _row("Force on the base", "sum of the forces (14) at the acting points", force),
-        _row("Base motion", "measured", words.speeds(snapshot.base_velocity)),
+        _row("Base motion", "measured velocity", words.speeds(snapshot.base_velocity)),
         _row("Limited by", "constraints that are active in this control step", limit + more),
     ]
 
 
 def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str]) -> str:
-    """Return the content of the header: verdict, sentence and three numbers."""
+    """Return the content of the header: verdict, sentence, nearest pair, base speed and pace."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = (
@@ -110,7 +105,7 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
 
 
 def verdict_chip(verdict: Verdict) -> str:
-    """Return the verdict on its colour."""
+    """Return the state of a verdict on its colour."""
     return chip(verdict.state.capitalize(), css(verdict.colour), ink(verdict.colour))
 
 
@@ -124,7 +119,7 @@ def sentence(snapshot: Snapshot) -> str:
 
 
 def _hand_is_disturbed(why: Explanation) -> bool:
-    """Whether the end-effector's task has a noticeable error."""
+    """Whether the end-effector's task has a noticeable slack."""
     return any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
         for level in why.levels
@@ -134,7 +129,8 @@ def _hand_is_disturbed(why: Explanation) -> bool:
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if not why.solved:
-        return "The solver found no feasible motion: the arm holds still and the base brakes."
+        cause = "the readings are invalid or the solver found no solution"
+        return f"Fallback command, because {cause}: torques damp the arm, and the base brakes."
     pair = why.bearing
     if pair is None:
         return _nothing_near(snapshot, why)
@@ -152,12 +148,12 @@ def _answer(snapshot: Snapshot, why: Explanation) -> str:
 def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     name, _, d, *_ = snapshot.nearest
     a, _, b = name.partition("-")
-    buffer = words.length(snapshot.d_b)
-    text = f"{_the(b, why)} is {_beside(d, snapshot)} from {_the(a, why)}"
-    text = f"Nothing is inside the buffer: {text}"
+    close = abs(d - snapshot.d_b) < 0.01  # then whole centimetres could look like d_b
+    distance = f"{100 * d:.1f} cm" if close else words.length(d)
+    text = f"Nothing is inside the buffer: {_the(b, why)} is {distance} from {_the(a, why)}"
     if why.controller == "none":
         return f"{text}. Avoidance is off."
-    text += f" (buffer {buffer})"
+    text += f" (buffer {words.length(snapshot.d_b)})"
     moves = _motion(snapshot, why, ahead=False)
     if moves is None:
         return f"{text}."
@@ -167,18 +163,17 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """Describe the paper's method: the base gives way; the arm resists if its barrier is active."""
+    """Describe dbb and hqp: the base gives way; with dbb, the arm can keep a minimum distance."""
     cause, also = _cause(pair, why, snapshot.d_b), _also(why)
     if base_cannot_help(pair):
-        where = f"{cause}, where base motion cannot help"
         if why.controller == "hqp":
-            return (
-                f"{where}, and the hierarchy as printed has no other constraint on the arm.{also}"
-            )
-        if pair.held:
-            return f"{where}; the arm itself holds this distance{_off_target(snapshot)}.{also}"
-        least = words.length(snapshot.config.barrier.d_min)
-        return f"{where}; the arm itself will stop at {least}.{also}"
+            rest = ", and the hierarchy as printed has no other constraint on the arm"
+        elif pair.held:
+            rest = f"; the arm itself holds this distance{_off_target(snapshot)}"
+        else:
+            least = words.length(snapshot.config.barrier.d_min)
+            rest = f"; the arm itself will stop at {least}"
+        return f"{cause}, where base motion cannot help{rest}.{also}"
     moves = _base_moves(snapshot, why, pair)
     moved = "; the base does not need to move yet" if not moves else f", so {moves}"
     if pair.held:
@@ -193,7 +188,7 @@ def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """Describe the barrier method, with its minimum distance instead of the buffer distance."""
+    """Describe the controller barrier, with its minimum distance instead of the buffer distance."""
     held = next((p for p in why.near if p.held), None)
     shown = held or pair
     cause = _cause(shown, why, None)
@@ -214,7 +209,7 @@ def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
 
 
 def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
-    """Return the near pair and its distance, with the buffer distance d_b [m] if there is one."""
+    """Return distance or overlap of a pair in words, with the buffer distance d_b [m] if any."""
     b = _the(pair.b, why).capitalize()
     near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
     if pair.d < 0.0:
@@ -224,7 +219,7 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 
 
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
-    """Return the present or next motion of the base, or None."""
+    """Return the motion of the base, by default its next motion; None without both."""
     ahead = pair.n[0] > _BEHIND
     moves = _motion(snapshot, why, ahead=ahead)
     if moves is not None:
@@ -241,7 +236,10 @@ def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
 
 
 def _hand(why: Explanation, *, held: bool = False) -> str:
-    """Return the state of the end-effector's task; `held`: the arm itself keeps the distance."""
+    """Return the effect on the person or on the end-effector's task.
+
+    `held`: whether the arm itself keeps the distance.
+    """
     if why.mode == "guiding":
         return "the arm resists further guiding" if held else "the arm can still be guided freely"
     if _hand_is_disturbed(why):
@@ -255,14 +253,8 @@ def _off_target(snapshot: Snapshot) -> str:
     return f"; the hand is {words.length(snapshot.ee_error)} from its target"
 
 
-def _beside(d: float, snapshot: Snapshot) -> str:
-    """Return a distance, to the millimetre near the buffer distance."""
-    near = abs(d - snapshot.d_b) < 0.01
-    return f"{100 * d:.1f} cm" if near else words.length(d)
-
-
 def _also(why: Explanation) -> str:
-    """Return a sentence about pairs of arm links, if one is active too."""
+    """Return a sentence about the most active pair of arm links; empty if none is active."""
     for pair in why.near:
         if not pair.mobile:
             a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
@@ -286,7 +278,7 @@ def _tables(snapshot: Snapshot, why: Explanation) -> str:
 
 def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     pair = why.bearing
-    assert pair is not None, "tables are for what is near"
+    assert pair is not None, "there is an active pair"
     more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
     name = words.pair(pair.a, pair.b, why.chain) + more
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
@@ -301,7 +293,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
 
 
 def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
-    """Return heads and widths of the table of forces; the widths do not depend on the numbers."""
+    """Return titles and widths of the columns of the forces; widths are constant in time."""
     heads = (
         f"{acceleration_symbol(axis)}<br>[{'rad/s²' if axis.angular else 'm/s²'}]" for axis in axes
     )
@@ -309,28 +301,23 @@ def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
 
 
 def _force_rows(why: Explanation) -> list[str]:
-    """Return rows for the resultant (15), its two parts (Figure 7) and the base's accelerations."""
-    forces, on = why.forces, bool(why.forces)
-    f = _sum([force.f for force in forces])
-    away, turn = _sum([force.away for force in forces]), _sum([force.turn for force in forces])
-    still = [(0.0,) * len(why.axes)]
-    away_acc = _sum([force.away_acceleration for force in forces] or still)
-    turn_acc = _sum([force.turn_acceleration for force in forces] or still)
-    x, y = f
-    towards = f"{words.direction(x, y)}, {words.angle(x, y)}" if _size(f) > 0.05 else _NONE
+    """Return rows for the resultant force, its two parts, and the base's accelerations."""
+    forces, on, n_b = why.forces, bool(why.forces), len(why.axes)
+    f = _sum([force.f for force in forces], 2)
+    away = _sum([force.away for force in forces], 2)
+    turn = _sum([force.turn for force in forces], 2)
+    away_acc = _sum([force.away_acceleration for force in forces], n_b)
+    turn_acc = _sum([force.turn_acceleration for force in forces], n_b)
+    towards = f"{words.direction(*f)}, {words.angle(*f)}" if math.hypot(*f) > 0.05 else _NONE
+    about_away = "component along −n, Figure 7b"
+    about_turn = "component across n from (12) and (13), Figure 7c"
     return [
-        _row("direction", "angle from the base's forward axis", towards, span=1 + len(why.axes)),
-        _acceleration("away from the arm", away, away_acc, "component along −n, Figure 7b", on=on),
-        _acceleration(
-            "towards higher score",
-            turn,
-            turn_acc,
-            "component across n from (12) and (13), Figure 7c",
-            on=on,
-        ),
+        _row("direction", "angle from the base's forward axis", towards, span=1 + n_b),
+        _acceleration("away from the arm", away, away_acc, about_away, on=on),
+        _acceleration("towards higher score", turn, turn_acc, about_turn, on=on),
         _acceleration("sum × β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on),
-        _acceleration("commanded", None, why.base_asked, "base part of the solution of (29)"),
-        _acceleration("measured", None, why.base_given, "follows the command by one period"),
+        _acceleration("commanded", None, why.base_asked, "input of the admittance law"),
+        _acceleration("assumed", None, why.base_given, "base acceleration in the arm's QP"),
     ]
 
 
@@ -394,16 +381,13 @@ def _acceleration(
     *,
     on: bool = True,
 ) -> str:
-    """Return a row in N, m/s² and rad/s²; with dashes if there is no force at all."""
-    newtons = "" if f is None else f"{_size(f):.0f}"
+    """Return a row with the size of a force [N] and accelerations; dashes unless `on`."""
+    newtons = "" if f is None else f"{math.hypot(*f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
     values = values if on else [_NONE] * len(values)
     return row(cell(label, FAINT, ONE_LINE), *(cell(value, RIGHT) for value in values), hint=hint)
 
 
-def _sum(vectors: Sequence[Sequence[float]]) -> tuple[float, ...]:
-    return tuple(sum(parts) for parts in zip(*vectors, strict=True)) or (0.0, 0.0)
-
-
-def _size(v: Sequence[float]) -> float:
-    return (v[0] ** 2 + v[1] ** 2) ** 0.5
+def _sum(vectors: Sequence[Sequence[float]], n: int) -> list[float]:
+    """Return the sum of vectors (n,); zeros without vectors."""
+    return [sum(vector[i] for vector in vectors) for i in range(n)]

@@ -1,17 +1,13 @@
 """Borders: coloured points that move with the base, their values under the pointer, and a slice."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 import viser
 
-from app.avoidance.acting_point import (
-    ActingPointFinder,
-    avoidance_force,
-    resultant_force,
-)
+from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resultant_force
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
 from app.border.nearest import BorderSearch
@@ -21,7 +17,7 @@ from app.config import BorderConfig
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
-from app.dashboard.scene.legend import Legend, measure_of
+from app.dashboard.scene.legend import QUANTITIES, Legend, measure_of, title_of
 from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
@@ -30,94 +26,86 @@ from app.strict import Array
 
 MAX_POINTS = 20_000
 """[-] drawn points of a border; more points only hide the scene and slow down the browser."""
-LIGHT_POINTS = 4000  # [-] the same on a page without a GPU
-_KEPT = 32  # [-] cached clouds
+LIGHT_POINTS = 4000  # [-] the same on a page with low detail
+_KEPT = 32  # [-] cached borders
 POINT_SIZE = 0.0035  # [m] small, so that acting points stay visible
 LIGHT_SIZE = 0.006  # [m] with `LIGHT_POINTS`
 _GRAIN = 0.002  # [m] resolution of the slice's height
-_EVERY = 3  # rays of the contour between two drawn points
+_EVERY = 3  # [-] every third point of a contour is drawn
 _ON_DARK: Rgb = (255, 255, 255)
 _ON_LIGHT: Rgb = (20, 24, 30)
-_INSIDE = 0.5  # [-] assumed distance of the arm at the pointer, relative to d_b
+_INSIDE = 0.5  # [-] assumed distance of the arm from the base for a `Probe`, relative to d_b
 _NEAR = 8.0  # [px] largest distance of a point from the pointer
 _SMALL = 1e-4  # [m] step of a numerical gradient
 
 
 class ColouredCloud(NamedTuple):
-    """A border for a browser: points (N, 3) [m] in the base's frame, and colours (N, 3) uint8."""
+    """A border for a browser."""
 
     points: Array
+    """(N, 3) [m] in the base's frame."""
     colours: Array
+    """(N, 3) uint8."""
     legend: Legend
 
 
 class Borders:
-    """Selects and colours borders of the stored clouds, with a cache that all viewers share."""
+    """Colours borders, with a cache that all viewers share."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
         self.pairs = frozenset(clouds)
         """Names of the pairs of L_m."""
         self.body = MobileBody(model)
-        """l_m, in the base's frame."""
+        """Shape of the mobile robot l_m, in the base's frame."""
         self.top = float(self.body.upper[2])
         """[m] height of the base's top; the border above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
         # The name of a pair of L_m is `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
         """Scores by the pair's name."""
-        self._kept: dict[tuple[object, ...], Any] = {}
+        # A cache of functools would refer to this object, which then waits for the collector.
+        self._kept: dict[tuple[object, ...], ColouredCloud | None] = {}
 
     def coloured(
         self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
     ) -> ColouredCloud | None:
-        """Return a border's points, coloured by a quantity; None if the border has no points.
+        """Return at most `MAX_POINTS` of a border, coloured by a quantity of `QUANTITIES`.
 
-        `whole` includes points above the base's top.
+        `whole` includes points above the base's top. Returns None if there is no point.
         """
-        return self._keep(
-            (pair, quantity, border.d_b, border.eps, whole),
-            lambda: self._colour(pair, quantity, border, whole=whole),
-        )
+        key = pair, quantity, border.d_b, border.eps, None if whole else self.top
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = self._colour(*key)
+        return self._kept[key]
 
     def surface(self, border: BorderConfig) -> OffsetContours:
         """Return the contours of the border, which are the same for all pairs."""
         return offset_contours(self._model, border.d_b)
 
-    def values(self, pair: str, quantity: str, points: Array) -> Array:
-        """Return a quantity of `QUANTITIES` (N,) at points (N, 3) [m] in the base's frame."""
-        field = self.fields[pair]
-        return {
-            "determinant": field.singularity,
-            "reachability": field.reachability,
-            "score": field.score,
-        }[quantity](points)
-
-    def _keep(self, key: tuple[object, ...], make: Callable[[], Any]) -> Any:
-        if key not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = make()
-        return self._kept[key]
-
     def _colour(
-        self, pair: str, quantity: str, border: BorderConfig, *, whole: bool
+        self, pair: str, quantity: str, d_b: float, eps: float, top: float | None
     ) -> ColouredCloud | None:
-        points = construct_dbb(self._clouds[pair], border.d_b, border.eps).points
-        if not whole:
-            points = points[points[:, 2] <= self.top]
+        points = construct_dbb(self._clouds[pair], d_b, eps).points
+        if top is not None:
+            points = points[points[:, 2] <= top]
         if not len(points):
             return None
-        values = self.values(pair, quantity, points)
+        field = self.fields[pair]
+        functions = field.singularity, field.reachability, field.score
+        values = dict(zip(QUANTITIES, functions, strict=True))[quantity](points)
         keep = subsample(len(points), MAX_POINTS)
-        top = None if whole else self.top
-        base = self._model.description.base
-        legend = Legend.of(pair, quantity, base, border.d_b, values, len(keep), top)
-        return ColouredCloud(points[keep], viridis(legend.normalised(values[keep])), legend)
+        low, high = float(values.min()), float(values.max())
+        u = (values[keep] - low) / (high - low) if high > low else np.full(len(keep), 0.5)
+        title, unit = title_of(quantity, self._model.description.base.kind)
+        legend = Legend(pair, title, unit, d_b, low, high, len(keep), len(points), top)
+        return ColouredCloud(points[keep], viridis(u), legend)
 
 
 def subsample(total: int, most: int) -> Array:
-    """Return `most` of `total` indices at most, always the same ones, without a visible pattern."""
+    """Return at most `most` of `total` indices: always the same ones, without a visible pattern."""
     if total <= most:
         return np.arange(total)
     return np.random.default_rng(0).permutation(total)[:most]
@@ -129,33 +117,37 @@ class Probe(NamedTuple):
     p: Array
     """(3,) [m] the point."""
     det: float
+    """Measure of the base at the point, for a differential base det(J_c J_cᵀ) of (7)."""
     reach: float
+    """Reachability R of (9) at the point."""
     score: float
-    """Determinant (7), reachability (9) and score (10) at the point."""
+    """Score S of (10) at the point."""
     p_act: Array
-    """(3,) [m] acting point of an arm that is halfway inside the buffer there."""
+    """(3,) [m] acting point for an arm there, at the distance `_INSIDE` d_b from the base."""
     acceleration: Array
-    """(n_b,) acceleration of the base by this arm, (16)."""
+    """(n_b,) [m/s² or rad/s²] acceleration of the base by this arm, (16)."""
 
 
 class _Drawn(NamedTuple):
-    """Drawn points of a pair's border; none if the border is hidden or has no points."""
+    """State of a pair's border in the scene."""
 
     request: tuple[object, ...]
+    """Values on which the drawing depends."""
     cloud: ColouredCloud | None = None
     node: viser.PointCloudHandle | None = None
+    """Drawn points and their scene node; None if the border is hidden or has no points."""
 
 
 class DrawnBorders:
-    """Draws the border of each pair again when its quantity, d_b, ε or detail has changed."""
+    """Draws the borders of a viewer, and the values at the border's point under the pointer."""
 
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
         self._scene, self._borders, self._model = scene, borders, model
         self._drawn: dict[str, _Drawn] = {}
         self._probed: tuple[object, Probe | None] = (), None
         self.pointer: tuple[float, ...] = ()
-        """[px] position of the pointer over the scene, to the right and up from its centre; empty
-        without a pointer."""
+        """[px] position of the pointer, to the right and up from the scene's centre; empty if the
+        pointer is elsewhere."""
 
     @property
     def legends(self) -> list[Legend]:
@@ -163,7 +155,9 @@ class DrawnBorders:
         return [drawn.cloud.legend for drawn in self._drawn.values() if drawn.cloud is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
-        """Draw all borders that have changed.
+        """Draw each border whose quantity, d_b, ε, height or detail has changed.
+
+        This takes milliseconds: call it outside of `atomic`, which delays all messages.
 
         Returns:
             Whether a border has changed; then `legends` is new.
@@ -202,7 +196,10 @@ class DrawnBorders:
         return _Drawn(request, cloud, node)
 
     def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float, lens: Lens | None) -> None:
-        """Draw the point under the pointer with its quantities and the base's acceleration."""
+        """Draw the probe at the border's point under the pointer; nothing without such a point.
+
+        The arrow of the base's acceleration is above the base's `top` [m].
+        """
         if not self.pointer or lens is None:
             return
         place = np.array(snapshot.base_pose)
@@ -213,10 +210,12 @@ class DrawnBorders:
             return
         base = self._model.description.base
         forward, left, turn = planar(base.axes, probe.acceleration)
-        way = f"{forward:+.2f} m/s²" + (f", {left:+.2f} m/s² left" if abs(left) > 0.005 else "")
+        way = f"{forward:+.2f} m/s² forward"
+        way += f", {left:+.2f} m/s² left" if abs(left) > 0.005 else ""
         text = (
             f"score S {probe.score:.3g} {measure_of(base.kind).unit}, mobility {probe.det:.3g}, "
-            f"reachability {probe.reach:.0f}\nan arm here moves the base: {way}, {turn:+.2f} rad/s²"
+            f"reachability {probe.reach:.0f}\n"
+            f"acceleration of the base by an arm here: {way}, {turn:+.2f} rad/s²"
         )
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
@@ -244,7 +243,7 @@ class DrawnBorders:
 
 
 class BorderSlice:
-    """A bright line around the base: the border at the height of p_b of the nearest pair of L_m."""
+    """A line around the base: the border at the height of p_b of the nearest pair of L_m."""
 
     def __init__(self, borders: Borders) -> None:
         self._borders = borders
@@ -252,7 +251,7 @@ class BorderSlice:
         self._curves: list[Array] = []
 
     def draw(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the slice, if the border has one at this height, for a dark or a light page."""
+        """Draw the slice in a colour for a dark or a light page; nothing without a border there."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.pairs]
         if not mobile:
             return
@@ -268,7 +267,7 @@ class BorderSlice:
 
 
 def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array) -> Probe:
-    """Return the quantities at a point p (3,) [m] of a pair's border, in the base's frame."""
+    """Return the probe at a point p (3,) [m] of a pair's border, in the base's frame."""
     config, field = snapshot.config, borders.fields[pair]
     ends = borders.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
     n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])

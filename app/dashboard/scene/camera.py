@@ -1,4 +1,4 @@
-"""Camera of one viewer: named views that show the whole robot, and a mode that follows the base."""
+"""Camera of one viewer: named views of the robot, and a mode that follows the base."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; less distortion than viser's 75°
-_MARGIN = 0.10  # [-] empty share of the free part, both sides together
+_MARGIN = 0.10  # [-] empty share of the free part of the picture, both sides together
 _ASPECTS = (0.4, 4.0)  # [-] limits of a reported aspect ratio
-_MOST_COVERED = 0.25, 0.55  # [-] limits of the share that is covered from above and from below
+_MOST_COVERED = 0.25, 0.55  # [-] limits of the shares that are covered from above and from below
 UP = np.array([0.0, 0.0, 1.0])
-_LEAST_STEP = 1e-3  # [m] smaller steps are invisible
-_SAME = 0.02  # [m] nearer to its set position, a camera counts as unmoved
+_LEAST_STEP = 1e-3  # [m] smaller steps of the camera are invisible
+_SAME = 0.02  # [m] within this distance from its set position, a camera counts as unmoved
 _ECHO = 0.3  # [s] after this time, a browser's reports include the set position
 _PATIENCE = 6.0  # [s] timeout of the browser's confirmation
 _LEAST_SHARE = 0.05  # [-] of the picture's height; a smaller robot counts as unseen
 _MOVED = 0.2  # [m] motion of an unseen base after which a following camera moves
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+"""(8, 3) corners of a cube."""
 _HAND = 0.12 * _CORNERS  # [m] space to show around the end-effector
 _NEAR_HAND = 0.22 * _CORNERS  # [m] the same in the view of the end-effector alone
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] space to show around closest points
-_FAR = 1.5  # [m] ghosts farther away from the main robot are not shown
+_FAR = 1.5  # [m] ghosts farther away from the main robot need not be in the picture
 _OPEN = np.deg2rad(90.0)  # [rad] opening of a door that the picture includes
 _OVER_DOOR = 0.15  # [m] height of the angle's label above the door
-_BACK = 1e-3  # [s] time goes back at least this much at a restart
 
 
 class Window(NamedTuple):
-    """The part of a page in which the scene is drawn."""
+    """The part of a page in which the scene is drawn; parts of it can be covered."""
 
     aspect: float = 1.5
     """[-] ratio of width to height."""
@@ -49,7 +49,10 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
-        """Create a window from the browser's sizes, which may be 0, and covered shares [-]."""
+        """Create a window from the browser's sizes [px] and covered shares [-], within limits.
+
+        Impossible values give `ANY_WINDOW`; a browser's sizes are 0 at first.
+        """
         if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))
@@ -58,7 +61,7 @@ class Window(NamedTuple):
 
     @property
     def edges(self) -> tuple[float, float]:
-        """Lower and upper edge [-] of the free part; the picture is from −1 to 1."""
+        """Lower and upper edge [-] of the uncovered part; the picture is from −1 to 1."""
         return 2.0 * self.covered - 1.0, 1.0 - 2.0 * self.above
 
 
@@ -72,8 +75,8 @@ class Preset(NamedTuple):
     """(3,) direction from the target to the camera."""
     of: Literal["robot", "hand", "pair", "door"] = "robot"
     """Target: the whole robot, the end-effector alone, the end-effector and the closest points of
-    the nearest pair, or the robot and a door with its hinge, from the position of a person who
-    opens the door."""
+    the nearest pair, or robot and door, with `away` in the closed door's frame. Without a door,
+    "door" is the whole robot."""
 
 
 PRESETS = {
@@ -94,9 +97,9 @@ class _Look(NamedTuple):
 
     name: str
     window: Window | None
-    """Window at that time; None once the viewer has moved the camera."""
+    """Window for which the camera was set; None once the viewer has moved the camera."""
     eye: Array
-    """(3,) [m] position that was set, including later motion with the base."""
+    """(3,) [m] position that was set last, including later motion with the base."""
 
 
 class Camera:
@@ -132,12 +135,12 @@ class Camera:
         )
 
     def cover(self, height: float, above: float, below: float) -> None:
-        """Store the page's report: height [px] of the scene, and covered heights [px]."""
+        """Store the page's report: height of the scene, and heights covered at its edges [px]."""
         self._page = float(height), float(above), float(below)
 
     @property
     def lens(self) -> Lens | None:
-        """Projection of the scene, or None before the browser's first report."""
+        """Projection of the scene, or None while its height is unknown."""
         camera, (_, drawn) = self._client.camera, image_size(self._client)
         height = self._page[0] or drawn
         if not 0.0 < height < np.inf:
@@ -145,11 +148,11 @@ class Camera:
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def fit(self, extent: Array) -> None:
-        """Set the extent (N, 3) [m] of the robot to show, in the base's frame."""
+        """Set the points (N, 3) [m] of the robot to show, in the base's frame."""
         self._extent = extent
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Use the first view."""
+        """Use `first_view`."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
@@ -162,13 +165,13 @@ class Camera:
 
     @property
     def preset(self) -> str:
-        """The key of the preset that is still in use, or empty."""
+        """The key of the preset in use; empty once the viewer has moved the camera."""
         look, eye = self._looked, self._client.camera.position
         away = np.inf if look is None else np.linalg.norm(eye - look.eye)
         return self._preset if self._waits() or away < _SAME else ""
 
     def put(self, eye: Array, target: Array) -> None:
-        """Look from a position (3,) [m] at a target (3,) [m] in the world."""
+        """Look from a position `eye` (3,) [m] at a target (3,) [m] in the world."""
         camera = self._client.camera
         if self._set is None:
             self._from = np.array(camera.position)
@@ -181,10 +184,10 @@ class Camera:
         self._set, self._set_at, self._arrived = eye, monotonic(), False
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Use the preset again if the page's layout has changed and nobody has moved the camera.
+        """Use the preset again if the window has changed and the viewer has not moved the camera.
 
         The panels narrow the scene only after the first picture, and a drawer opens later. While
-        the viewer is `busy` with a drag, the camera must not move.
+        the viewer is `busy` with a drag, the camera does not move.
         """
         look, window = self._looked, self.window
         if look is None or look.window is None or busy:
@@ -195,7 +198,10 @@ class Camera:
             self.use(look.name, snapshot)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
-        """Move the camera by the base's displacement since the camera was last moved, if `on`."""
+        """Move the camera by the base's displacement since the last call that moved it, if `on`.
+
+        `base_position` (2,) [m] is in the world.
+        """
         if not on:
             self._followed = None
             return
@@ -217,18 +223,19 @@ class Camera:
         """Use the preset again if the robot is out of sight; call it with each shown snapshot.
 
         This happens in three cases. (a) A run has started, and the robot is out of sight. (b) The
-        camera follows, and the base has moved out of sight. (c) The camera follows, the viewer has
-        not moved it away from a preset, and the end-effector of the robot or of a ghost is out of
-        sight. A scenario with a door starts with the door's view.
+        camera follows, and the base has moved by more than `_MOVED` out of sight. (c) The camera
+        follows and still has a preset of the whole robot or of the pair, and the end-effector of
+        the robot or of a ghost is out of sight. A scenario with a door starts with the door's view,
+        and the next scenario without a door with the view "iso".
 
         Args:
             snapshot: The shown snapshot.
-            on: Whether the camera follows.
-            busy: Whether the viewer drags something; then the camera must not move.
+            on: Whether the camera follows the base.
+            busy: Whether the viewer drags something; then the camera does not move.
         """
         before, self._before = self._before, snapshot
         begun = before is not None and (
-            snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
+            not snapshot.follows(before) or snapshot.scenario not in ("", before.scenario)
         )
         self._begun = self._begun or begun
         if begun and "door" in (first_view(snapshot), self._preset):
@@ -255,12 +262,12 @@ class Camera:
         return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
     def _left(self, look: _Look) -> bool:
-        """Whether the viewer has moved the camera; False before a confirmation by the browser."""
+        """Whether the viewer has moved the camera; False until the browser confirms a position."""
         away = float(np.linalg.norm(self._client.camera.position - look.eye))
         return self._arrived and self._set is None and away > _LEAST_STEP
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
-        """Handle a report of the browser: check whether it confirms the last position."""
+        """Handle a report of the browser, which may confirm the position that was set last."""
         there = self._set is not None and bool(
             np.linalg.norm(camera.position - self._set) < _LEAST_STEP
         )
@@ -279,11 +286,13 @@ def first_view(snapshot: Snapshot) -> str:
 def placed(
     preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window = ANY_WINDOW
 ) -> tuple[Array, Array]:
-    """Return eye and target (3,) [m] of a preset in the world, turned with the base.
+    """Return eye and target (3,) [m] of a preset in the world.
+
+    The view turns with the base, or with the door, of the middle snapshot.
 
     Args:
         preset: The view.
-        shown: Snapshots, all of which must be in the picture.
+        shown: Snapshots, at least one; the picture shows the robots of all.
         extent: (N, 3) [m] points of the robot in its ready pose, in the base's frame.
         window: The part of the page with the scene.
     """
@@ -322,7 +331,7 @@ def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
 
 
 def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
-    """Whether points (N, 3) [m] have their centre in the free part and are large enough."""
+    """Whether the centre of points (N, 3) [m] is in the free part, and they look large enough."""
     lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
     pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
@@ -330,7 +339,7 @@ def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
-    """Return the robot and the nearby ghosts."""
+    """Return the robot, and the ghosts whose base is within `_FAR`."""
     away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
     return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 
@@ -342,7 +351,7 @@ def _in_world(base_pose: Array, extent: Array) -> Array:
 
 
 def _axes(forward: Array) -> Array:
-    """Return right, up and forward axes (3, 3) of a camera that does not look vertically."""
+    """Return the right, up and forward axes (3, 3) of a camera, which must not look vertically."""
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, UP)
     right /= np.linalg.norm(right)
@@ -364,7 +373,7 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
         window: The part of the page with the scene.
 
     Returns:
-        Eye (3,) [m], and target (3,) [m] on the optical axis, at the depth of the points' centre.
+        Eye (3,) [m], and target (3,) [m] on the optical axis, at the middle of the points' depths.
     """
     axes = _axes(-away)
     forward = axes[2]
@@ -379,10 +388,11 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
 
 
 class _Strip:
-    """Constraints on the camera from one direction of the picture.
+    """Constraints on the camera's position from one direction of the picture.
 
-    A camera at (u₀, w₀) shows a point with coordinate u and depth w at (u − u₀)/(w − w₀). This
-    value must be between `low` and `high`: each point gives two half-planes of (u₀, w₀).
+    A camera at coordinate u₀ and depth w₀ shows a point with coordinate u and depth w at
+    (u − u₀)/(w − w₀). This value must be between `low` and `high`, plus margins: each point gives
+    two half-planes of (u₀, w₀).
     """
 
     def __init__(self, u: Array, depth: Array, low: float, high: float) -> None:

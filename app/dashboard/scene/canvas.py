@@ -1,4 +1,4 @@
-"""Canvas: points, lines, arrows, labels and boxes of successive pictures."""
+"""Canvas: points, lines, arrows, boxes and labels that each picture draws anew."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,17 +14,17 @@ from app.strict import Array
 Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right"]
 
 ROOT = "/robot"
-"""Scene node that moves with the base. The origin is on the floor below the base's centre, and the
-x axis points forward."""
-METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force: 0.1 m is 40 N
-METRES_PER_ACCELERATION = 0.2  # [s²] length of v̇: 0.2 m is 1 m/s²
+"""Scene node that moves with the base: its origin is on the floor at the base's position, and its x
+axis points forward."""
+METRES_PER_NEWTON = 1 / 400  # [m/N] length of a force's arrow: 0.1 m is 40 N
+METRES_PER_ACCELERATION = 0.2  # [s²] length of an acceleration's arrow: 0.2 m is 1 m/s²
 HEAD_LENGTH = 0.035  # [m] of an arrow's head
 ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-right")
 """Corners of a label that may be at its position, the preferred one first."""
-FONT_SCALE = 0.85  # [-] of labels, 12 px high
+FONT_SCALE = 0.85  # [-] size of labels, whose characters are then 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] height of a label's line, width of a character
-_ROOM = 4.0  # [px] free space around a label's new spot, as a hysteresis
-_SOON = 0.5  # [s] longest time between two pictures of a motion
+_ROOM = 4.0  # [px] space that a label needs around a new spot; this hysteresis avoids jumps
+_SOON = 0.5  # [s] longest simulated time between two pictures of one motion
 _FARTHEST = 8  # [lines] largest shift of a label
 
 
@@ -38,25 +38,30 @@ class Lens(NamedTuple):
     focal: float
     """[px] focal length."""
     free: tuple[float, float, float, float]
-    """[px] left, low, right and high edge of the uncovered part, in the coordinates of `pixel`."""
+    """[px] left, lower, right and upper edge of the uncovered part, as from `pixel`."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
-        """Return [px] to the right and up from the picture's centre, and depth [m]."""
+        """Return coordinates [px] to the right and up from the picture's centre, and depth [m].
+
+        `place` (3,) [m] is in the world.
+        """
         u, v, depth = map(float, self.axes @ (place - self.eye))
         scale = self.focal / max(depth, 1e-3)
         return scale * u, scale * v, depth
 
     def has(self, pixel: tuple[float, float, float]) -> bool:
-        """Whether a pixel is in front of the camera and in the uncovered part."""
+        """Whether a point from `pixel` is in front of the camera and in the uncovered part."""
         (u, v, depth), (left, low, right, high) = pixel, self.free
         return depth > 0.0 and left < u < right and low < v < high
 
 
 class Spot(NamedTuple):
-    """Position of a label: the corner at its point, and an upward shift in pixels."""
+    """Position of a label relative to its point."""
 
     anchor: Anchor
+    """Corner of the label that is at the shifted point."""
     rise: float
+    """[px] upward shift of the point."""
 
 
 def set_apart(
@@ -64,12 +69,14 @@ def set_apart(
     before: Mapping[str, Spot],
     free: tuple[float, float, float, float],
 ) -> dict[str, Spot]:
-    """Choose spots for labels so that they do not overlap; the first label has priority.
+    """Choose spots for labels so that they do not overlap; earlier labels have priority.
+
+    A label for which no spot is free gets the first spot, and overlaps others.
 
     Args:
-        labels: [px] to the right and up, and text, by names.
-        before: Previous spots; a label keeps its spot until a nearer one is free.
-        free: [px] left, low, right and high edge of the area for labels.
+        labels: Coordinates [px] to the right and up, and text, by the label's name.
+        before: Spots in the previous picture; a label stays there until a nearer spot is free.
+        free: [px] left, lower, right and upper edge of the area for labels.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
@@ -93,7 +100,7 @@ def set_apart(
             ):
                 break
         else:
-            spot = spots[0]  # no spot is free
+            spot = spots[0]
         taken.append((left, low, wide, tall))
         found[name] = spot
     return found
@@ -102,7 +109,9 @@ def set_apart(
 class Canvas:
     """Shows the objects that were drawn in the last picture, and hides all others.
 
-    A node is sent when it is drawn for the first time; later viser sends only changes.
+    A scene node is sent when it is drawn for the first time; later, viser sends only changes.
+    Positions of objects are in the frame of the parent node in their names; those of labels must be
+    in the world.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
@@ -120,8 +129,8 @@ class Canvas:
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Draw a picture; the texts of existing labels change only if `texts`.
 
-        Through a lens, labels are placed without overlap. While the time `t` [s] advances, labels
-        prefer their last spots. Pictures of one instant are always equal.
+        With a lens, labels are placed without overlap. While the simulated time `t` [s] advances,
+        labels prefer their last spots; otherwise, they do not depend on earlier pictures.
         """
         if not 0.0 < t - self._t < _SOON:
             self._spots = {}
@@ -132,7 +141,7 @@ class Canvas:
             handle.visible = name in self._drawn
 
     def point(self, name: str, place: Array, colour: Rgb, radius: float) -> None:
-        """Draw a ball of a radius [m] at a position (3,) [m]."""
+        """Draw a ball of a radius [m] at a position (3,) [m]; later calls only move it."""
         node = self._node(
             name,
             lambda: self._scene.add_icosphere(
@@ -142,7 +151,7 @@ class Canvas:
         node.position = place
 
     def label(self, name: str, place: Array, text: str) -> None:
-        """Draw a text at a position (3,) [m] in the world; earlier labels have priority."""
+        """Draw a text at a position (3,) [m] in the world; labels drawn earlier have priority."""
         if not self.labels:
             return
         node = self._node(
@@ -156,18 +165,18 @@ class Canvas:
         self._places[name] = place, node.text
 
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
-        """Draw lines of one colour through points (K, 3) [m] each, K ≥ 2.
+        """Draw lines of one colour, each through points (K, 3) [m], K ≥ 2; `pixels` is the width.
 
-        viser takes colours of single segments as linear colours, which look too bright, and a line
-        that changes to such colours sometimes stays white.
+        The colour applies to all segments, because viser takes colours of single segments as linear
+        colours, and a line that changes to those sometimes stays white.
         """
         segments = [np.stack([points[:-1], points[1:]], axis=1) for points in lines]
         self.segments(name, np.concatenate(segments), np.array(colour, np.uint8), pixels)
 
     def segments(self, name: str, ends: Array, colours: Array, pixels: float) -> None:
-        """Draw straight segments between their ends (N, 2, 3) [m]; see `lines`.
+        """Draw straight segments between their ends (N, 2, 3) [m]; `pixels` is the width.
 
-        Colours are uint8: (3,) for all, or (N, 2, 3), which viser takes as linear colours.
+        Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours.
         """
         node = self._node(
             name,
@@ -179,7 +188,7 @@ class Canvas:
         node.points = ends
 
     def arrow(self, name: str, start: Array, end: Array, colour: Rgb) -> None:
-        """Draw an arrow between two points (3,) [m]."""
+        """Draw an arrow between two points (3,) [m]; later calls do not change its colour."""
         ends = np.array([[start, end]])
         node = self._node(
             name,
@@ -198,7 +207,7 @@ class Canvas:
     def box(
         self, name: str, T: pin.SE3, size: Sequence[float], colour: Rgb, opacity: float | None
     ) -> None:
-        """Draw a box of a size (3,) [m] with its centre at a pose."""
+        """Draw a box of a size (3,) [m] with its centre at the pose T."""
         node = self._node(
             name, lambda: self._scene.add_box(name, color=colour, opacity=opacity, visible=False)
         )
@@ -226,11 +235,11 @@ class Canvas:
 
 
 def to_viser(T: pin.SE3) -> tuple[Array, Array]:
-    """Return position (3,) [m] and quaternion wxyz (4,) of a pose."""
+    """Return position (3,) [m] and unit quaternion wxyz (4,) of a pose."""
     xyzquat = np.array(pin.SE3ToXYZQUAT(T))
     return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
 
 
 def from_viser(position: Array, wxyz: Array) -> pin.SE3:
-    """Return the pose with a position (3,) [m] and a quaternion wxyz (4,)."""
+    """Return the pose with a position (3,) [m] and a unit quaternion wxyz (4,)."""
     return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))

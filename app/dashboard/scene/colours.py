@@ -7,7 +7,7 @@ from app.strict import Array
 
 Rgb = tuple[int, int, int]
 
-BRAND: Rgb = (24, 104, 176)  # with white text, the contrast is 5.9
+BRAND: Rgb = (24, 104, 176)  # of buttons, whose text is white: the contrast is 5.9 to 1
 BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
 """Background of the scene on a dark and on a light page."""
 
@@ -30,13 +30,13 @@ _VIRIDIS = np.array(
 """(11, 3) evenly spaced colours of matplotlib's public-domain map "viridis", low to high."""
 
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
-"""Colours of the link pairs, in the order of the snapshot; distinct on white and on black."""
+"""Colours of curves and link pairs, in their order; distinct on white and on black."""
 
-BETA = "#8e6bd8"  # activation
+BETA = "#8e6bd8"  # activation β
 CLEAR: Rgb = (128, 138, 150)  # a pair outside its buffer
 NEAR: Rgb = (235, 205, 70)  # a pair inside its buffer, without a reaction
 YIELDS: Rgb = (240, 150, 40)  # a pair for which the base gives way
-RESISTS: Rgb = (224, 84, 36)  # a pair whose distance the arm keeps
+RESISTS: Rgb = (224, 84, 36)  # a pair that only the arm keeps apart
 CONTACT: Rgb = (226, 16, 56)  # contact or overlap
 PERSON: Rgb = (32, 150, 230)  # actions of a person
 ACTING: Rgb = (222, 49, 140)  # the acting point and its force
@@ -64,15 +64,15 @@ def css(colour: Rgb) -> str:
 
 
 def ink(ground: Rgb) -> str:
-    """Return black or white for text on a colour; the contrast is at least 4.5 to 1."""
+    """Return black or white for text on the colour `ground`; the contrast is at least 4.5 to 1."""
     luminance = float(linear(np.array(ground)) / 255.0 @ (0.2126, 0.7152, 0.0722))
     return "black" if luminance > 0.179 else "white"
 
 
 def linear(colours: Array) -> Array:
-    """Convert screen colours (sRGB) (N, 3) uint8 to linear colours.
+    """Convert colours (..., 3) uint8 from sRGB to linear colours of the same type.
 
-    viser takes linear colours for single segments of lines and does not convert them.
+    viser expects linear colours for arrows and for single segments of lines.
     """
     u = np.asarray(colours, float) / 255.0
     light = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)

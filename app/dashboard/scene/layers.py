@@ -1,4 +1,4 @@
-"""Layers that explain the motion; each layer is a function that draws a snapshot."""
+"""Layers that explain the motion; each layer is a function that draws a part of a snapshot."""
 
 from collections.abc import Mapping, Sequence
 
@@ -31,9 +31,9 @@ from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acting points
-_LOOKS = ("solid", "violet", "teal")  # colours of the robot and of `colours.GHOSTS`
-_SAME = 0.01  # [m or rad] a ghost nearer to the robot is hidden
-LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
+_LOOKS = ("solid", "violet", "teal")  # names for the robot and for the colours `colours.GHOSTS`
+_SAME = 0.01  # [m or rad] a ghost with smaller differences from the robot is hidden
+LEAST_STRETCH = 0.002  # [m] shorter lines of pulls are not drawn
 _LEAST_FORCE = 0.5  # [N] arrows of weaker forces would be shorter than their heads
 _FORCE_LIFT = 0.08  # [m] height of a force's arrow above the base's top
 _P_N: Rgb = (240, 240, 245)
@@ -41,7 +41,7 @@ _P_T: Rgb = (32, 190, 200)
 
 _LEAST_ACCELERATION = 0.02  # [m/s²], [rad/s²] smaller values are not drawn
 _RADIANS_PER_ACCELERATION = 0.4  # [s²] arc of ω̇: 0.4 rad is 1 rad/s²
-_MOST_ARC = np.deg2rad(300.0)  # [rad] longer arcs would close
+_MOST_ARC = np.deg2rad(300.0)  # [rad] largest arc
 _RADIUS = 0.22  # [m] radius of the arc
 _MOTION_LIFT = 0.06  # [m] height of acceleration arrows above the base's top
 _ARC_POINTS = 24
@@ -52,16 +52,16 @@ _DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
     "board": ((225, 228, 232), None),
     "handle": (_HANDLE, None),
 }
-_DOOR_LIFT = 0.05  # [m] height of the angle above the door
-_DOOR_ARC = 0.30  # [m] radius of the angle
+_DOOR_LIFT = 0.05  # [m] height of the angle's arcs above the door
+_DOOR_ARC = 0.30  # [m] radius of these arcs
 
 
 def draw_distances(
     canvas: Canvas, snapshot: Snapshot, verdict: Verdict, view: View, spoken: Mapping[str, str]
 ) -> None:
-    """Draw lines between closest points, thick inside the buffer, and their distances on demand.
+    """Draw a line between the closest points of each pair, thick inside the buffer, and labels.
 
-    `spoken` has the pairs' names in words.
+    `view.labels` selects the labels, and `spoken` has the pairs' names in words.
     """
     d_b, pairs = snapshot.d_b, snapshot.pairs
     shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
@@ -73,7 +73,7 @@ def draw_distances(
     nearest = snapshot.nearest
     for pair in pairs:
         if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
-            # The acting points with their labels are between base and arm.
+            # Not between base and arm, because the acting points with their labels are there.
             place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
             overlap = "" if pair.d >= 0.0 else " overlap"
             text = f"{spoken[pair.name]}  {millimetres(abs(pair.d))}{overlap}"
@@ -88,7 +88,11 @@ def draw_distances(
 
 
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
-    """Return a segment (2, 3) [m] per pair; pairs on the other side of d_b [m] have length zero."""
+    """Return the segments (N, 2, 3) [m] between the closest points of the pairs.
+
+    Pairs inside the buffer d_b [m], or those outside if `inside` is False, keep their length; the
+    segments of all others have length zero.
+    """
     ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
     hidden = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
     ends[hidden, 1] = ends[hidden, 0]
@@ -96,7 +100,7 @@ def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array
 
 
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
-    """Draw p_n, p_t, p_act and the avoidance force of each active pair of L_m.
+    """Draw p_n, p_t, p_act and the force on the base of each pair of L_m with a noticeable force.
 
     `top` [m] is the height of the base's top.
     """
@@ -120,8 +124,8 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
 def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
     """Draw the force on the base at p_act as an arrow, and return the position of its label.
 
-    The arrow ends at p_act, because the base would hide an arrow that starts there. Below the
-    base's top, the arrow is drawn above p_act, because the arm would hide it.
+    The arrow ends at p_act, because the base would hide an arrow that starts there. If p_act is
+    lower than the base's `top` [m], the arrow is above the top, because the arm would hide it.
     """
     p_act = reading.p_act
     end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
@@ -132,7 +136,10 @@ def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -
 
 
 def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: float) -> None:
-    """Draw the person's force, and the base's commanded acceleration above its top [m]."""
+    """Draw the people's force on the end-effector, and the base's commanded acceleration.
+
+    `top` [m] is the height of the base's top.
+    """
     force = snapshot.hand_force
     if snapshot.hand_target is not None and np.linalg.norm(force) >= _LEAST_FORCE:
         tip = snapshot.p_ee + METRES_PER_NEWTON * force
@@ -143,29 +150,28 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
 def draw_acceleration(
     canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
 ) -> None:
-    """Draw an acceleration (n_b,) of the base above its top [m], below a node of the base."""
+    """Draw an acceleration (n_b,) of the base over its `top` [m], as children of a scene node.
+
+    The linear part is a straight arrow, ω̇ an arc.
+    """
     forward, left, w = planar(axes, acceleration)
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
         along = METRES_PER_ACCELERATION * np.array([forward, left, 0.0])
         canvas.arrow(f"{node}/v", over, over + along, colours.ACCELERATION)
     if abs(w) > _LEAST_ACCELERATION:
-        points = over + arc(w)
+        angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
+        along = np.linspace(0.0, angle, _ARC_POINTS)
+        circle = np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
+        points = over + _RADIUS * circle
         canvas.lines(f"{node}/w_arc", [points], colours.ACCELERATION, 4.0)
         ahead = points[-1] - points[-2]  # the arrow is as long as its head
         tip = points[-1] + HEAD_LENGTH / max(float(np.linalg.norm(ahead)), 1e-9) * ahead
         canvas.arrow(f"{node}/w_head", points[-1], tip, colours.ACCELERATION)
 
 
-def arc(w: float) -> Array:
-    """Return the arc (K, 3) [m] of an acceleration ω̇ [rad/s²] about the base's axis."""
-    angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
-    along = np.linspace(0.0, angle, _ARC_POINTS)
-    return _RADIUS * np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
-
-
 def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
-    """Draw the pulls of people as lines, with their forces."""
+    """Draw a line from each pulled point to its target, and the force as a label."""
     for i, pull in enumerate(snapshot.pulls):
         ends = np.array([pull.point, pull.target])
         if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
@@ -177,7 +183,10 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If ghosts are visible, draw each robot's controller and clearance at `at` (3,) [m]."""
+    """If a ghost is visible, label each robot with its controller and its arm's distance.
+
+    A label is at the position `at` (3,) [m] in the frame of the robot's base.
+    """
     if all(coincides(ghost, snapshot) for ghost in snapshot.ghosts):
         return
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
@@ -188,24 +197,23 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
 
 
 def nearness(robot: Snapshot | GhostReading) -> str:
-    """Return the distance of a robot's arm from its base in words."""
+    """Return the present distance of a robot's arm from its base in words."""
     d = robot.clearance
     return "arm hits its base" if d < 0.0 else f"arm {millimetres(d)} from its base"
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
-    """Whether a ghost is at the robot's pose, where it would only tint the robot."""
+    """Whether a ghost is so close to the robot's pose that it would only tint the robot."""
     poses = ghost.base_pose - snapshot.base_pose, ghost.q_m - snapshot.q_m
     return all(bool(np.abs(each).max() < _SAME) for each in poses)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:
-    """Draw the refrigerator: case, door and handle."""
+    """Draw the refrigerator, its hinge, and the opening angle with the goal."""
     door = view.door
     for name, (size, T) in drawn_parts(door, view.angle).items():
         colour, opacity = _DOOR_COLOURS[name]
         canvas.box(f"/door/{name}", T, size, colour, opacity)
-    # Above the door: its hinge, its angle, and the angle of the goal.
     top = np.array([0.0, 0.0, door.bottom + door.height + _DOOR_LIFT])
     hinge, closed = door.pose(0.0).translation, door.pose(0.0)
     canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], colours.ACTING, 4.0)

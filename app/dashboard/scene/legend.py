@@ -1,33 +1,30 @@
-"""Legend: colour bars of the borders with units, and the key to all other signs."""
+"""Legend: colour bars of the borders, and the key to all other signs of scene and time line."""
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-from typing_extensions import Self
-
-from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
+from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, table
 from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.scene.colours import BETA, GHOSTS, Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
-from app.robot.bases.kind import BaseKind
-from app.strict import Array
 
-QUANTITIES = ("determinant", "reachability", "score")  # quantities for the border's colour
+QUANTITIES: tuple[str, ...] = ("determinant", "reachability", "score")
+"""Quantities for the colour of a border."""
 
 
 class BaseMeasure(NamedTuple):
-    """Words for the measure of the base in the score (10): `BaseKind.singularity`.
-
-    Texts are HTML. The score has the same `unit`, and `score` is its formula.
-    """
+    """Words for the measure of the base in the score (10): `BaseKind.singularity`."""
 
     title: str = "Mobility of the base"
+    """Name, as HTML."""
     unit: str = ""
+    """Unit of the measure and of the score; empty without one."""
     label: str = "measure of the base"
+    """Short name."""
     hint: str = "how well the base moves the point; replaces (7)"
     score: str = "measure · R"
+    """Formula of the score."""
 
 
 _DETERMINANT = BaseMeasure(
@@ -48,6 +45,7 @@ class Legend(NamedTuple):
     """Content of a colour bar."""
 
     pair: str
+    """Name of the pair of L_m."""
     title: str
     """Name of the quantity, as HTML."""
     unit: str
@@ -56,37 +54,22 @@ class Legend(NamedTuple):
     """[m] buffer distance."""
     low: float
     high: float
+    """Smallest and largest value of the quantity."""
     drawn: int
     total: int
-    """Number of drawn points, and of all points of the border."""
+    """Number of drawn points, and of all points of the shown part."""
     top: float | None
-    """[m] largest height of the drawn part, or None if all of it is drawn."""
+    """[m] largest height of the shown part, or None if the whole border is shown."""
 
-    @classmethod
-    def of(
-        cls,
-        pair: str,
-        quantity: str,
-        base: BaseKind,
-        d_b: float,
-        values: Array,
-        drawn: int,
-        top: float | None,
-    ) -> Self:
-        """Create the legend of a border from the values (N,) of a quantity at all its points."""
-        low, high = float(values.min()), float(values.max())
-        measure = measure_of(base.kind)
-        title, unit = {
-            "determinant": (measure.title, measure.unit),
-            "reachability": ("Reachability by the arm, R (9)", ""),
-            "score": ("How well the base gives way: score S of (10)", measure.unit),
-        }[quantity]
-        return cls(pair, title, unit, d_b, low, high, drawn, len(values), top)
 
-    def normalised(self, values: Array) -> Array:
-        """Return positions (N,) on the bar, 0 to 1; equal values are in its middle."""
-        span = self.high - self.low
-        return np.full(len(values), 0.5) if span <= 0 else (values - self.low) / span
+def title_of(quantity: str, kind: str) -> tuple[str, str]:
+    """Return name (HTML) and unit of a quantity of `QUANTITIES`, for a kind of base."""
+    measure = measure_of(kind)
+    return {
+        "determinant": (measure.title, measure.unit),
+        "reachability": ("Reachability by the arm, R (9)", ""),
+        "score": ("How well the base gives way: score S of (10)", measure.unit),
+    }[quantity]
 
 
 def legend_html(legends: list[Legend]) -> str:
@@ -97,11 +80,11 @@ def legend_html(legends: list[Legend]) -> str:
 
 
 def key_html(d_b: float) -> str:
-    """Return the key to the other colours and arrows as HTML, for d_b [m]."""
+    """Return the key to the other colours and signs as HTML, for the buffer distance d_b [m]."""
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
     states: dict[State, str] = {
         "clear": "closest points of a pair outside its buffer",
-        "near": f"inside the buffer d<sub>b</sub> = {d_b:.2f} m, base at rest",
+        "near": f"inside the buffer d<sub>b</sub> = {d_b:.3f} m, no reaction",
         "giving way": "the base gives way",
         "resisting": "the arm keeps the distance itself",
         "contact": "contact or overlap",
@@ -121,7 +104,7 @@ def key_html(d_b: float) -> str:
         ),
         (_signs("●", *GHOSTS), "ghosts: other controllers (tab Compare)"),
         (_signs("―", colours.TRAIL_BASE, colours.TRAIL_HAND), "trails of base and hand"),
-        ("<b>―</b>", "border at the height of the hand"),
+        ("<b>―</b>", "border at the height of the arm's point nearest to the base"),
     ]
     signs = "width:2.6em;text-align:center"
     return small(
@@ -139,7 +122,8 @@ def _bar_html(legend: Legend) -> str:
     return small(
         f"<b>{legend.title}{unit}</b>"
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
-        f'{spread(*texts)}<div style="{FAINT}">'
+        '<div style="display:flex;justify-content:space-between">'
+        f'{"".join(f"<span>{text}</span>" for text in texts)}</div><div style="{FAINT}">'
         f"Border around the base for {legend.pair}, d<sub>b</sub> = {legend.d_b:.3f} m: {share} "
         f"{legend.total:,} points{part}. Gaps: the arm cannot reach these points.</div>"
     )
@@ -150,10 +134,11 @@ def _signs(sign: str, *each: Rgb) -> str:
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
-    """Return the numbers at the ends and in the middle of the bar, and their power of ten.
+    """Return the numbers of a bar from `low` to `high`.
 
     Returns:
-        Three numbers with three digits, and a factor such as `10<sup>−3</sup> ` or an empty text.
+        The numbers at the ends and in the middle, with up to three digits, and their common factor,
+        such as `10<sup>−3</sup> `; an empty text means 1.
     """
     largest = max(abs(low), abs(high))
     power = 0 if largest == 0 else math.floor(math.log10(largest))

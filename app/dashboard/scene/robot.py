@@ -1,4 +1,4 @@
-"""Robot: its meshes, which are loaded once for all viewers, and the poses of its links."""
+"""Meshes of a robot, which are loaded once for all viewers, and poses of its links."""
 
 import logging
 from collections.abc import Sequence
@@ -22,20 +22,20 @@ from app.robot.urdf import colour, mesh_bytes, origin, urdf_mesh
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
-MAX_FACES = 2500  # [-] of a mesh on the page; a link of the Panda has 12,000 to 22,000
-MOST_FACES = 4 * MAX_FACES
-"""[-] faces of a mesh that needs them; a mesh that cannot be decimated may have more."""
+MAX_FACES = 2500  # [-] aim of the decimation; a link of the Panda has 12,000 to 22,000 faces
+MOST_FACES = 4 * MAX_FACES  # [-] accepted faces of a decimated mesh
 AGGRESSIONS = (3, 5, 7)
-"""Settings of the decimation; the first one with at most `MOST_FACES` is used. Higher settings cut
-corners off meshes of many parts, such as UR5's tubes. Lower settings leave them too large."""
+"""Settings of the decimation: the first one with at most `MOST_FACES` is used, otherwise the last.
+Higher settings remove parts of meshes that consist of many parts, such as UR5's tubes. Lower
+settings leave such meshes too large."""
 LIGHT_FACES = 400
-"""Faces of all meshes with one colour on one joint, for a page without a GPU."""
+"""[-] aim of the decimation for a page with low detail, for each joint and colour."""
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are not smoothed
 GREY: Rgb = (150, 150, 155)  # colour of a visual without a colour in the URDF
-BODY: Rgb = (64, 156, 224)
-_DARKEST = 110  # [-] of 255, brightest channel: a black base is invisible on a dark page
-_BELOW = np.array([0.0, 0.0, 0.12])  # [m] from a label at the top down to its point
-_AT_TOP = 0.01  # [m] below the highest point
+BODY: Rgb = (64, 156, 224)  # colour of convex bodies
+_DARKEST = 110  # [-] least brightest channel, of 255: a black base is invisible on a dark page
+_BELOW = np.array([0.0, 0.0, 0.12])  # [m] from the top of the arm down to the label's point
+_AT_TOP = 0.01  # [m] points within this distance below the highest one are at the top
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] space for a border around the base
 
 
@@ -54,8 +54,8 @@ class Visual(NamedTuple):
 class LinkPoses:
     """Kinematics of the whole URDF, including the wheels, relative to its root.
 
-    In the controller's model the wheels are locked and the root is a planar joint. For drawing, the
-    wheels turn, and the root is the scene's node.
+    In the controller's model, the wheels are locked and the root is a planar joint. Here, the
+    wheels turn, and the root is fixed: the scene moves its node.
     """
 
     def __init__(self, robot: RobotModel) -> None:
@@ -64,7 +64,11 @@ class LinkPoses:
         self._robot, self._arm = robot, self._places(robot.description.arm.joints)
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
-        """Return T_root_joint of every joint, from q_m (n_m,) and wheel angles (n_w,) [rad]."""
+        """Return T_root_joint of each joint.
+
+        `q_m` (n_m,) [rad or m] has the joint positions of the arm, `wheel_angles` (n_w,) [rad] the
+        angles of the wheels.
+        """
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
         wheels = self._robot.wheel_positions(wheel_angles)
@@ -82,32 +86,38 @@ class RobotParts:
     """Kinematics, visual meshes and convex bodies of a robot, loaded once for all viewers."""
 
     def __init__(self, robot: RobotModel) -> None:
+        """Load all parts.
+
+        Raises:
+            AssetError: The robot's URDF or the mesh of a convex body is missing.
+        """
         self.kinematics = LinkPoses(robot)
         """Poses of the moving parts; not thread-safe, for the drawing thread."""
         self.bodies = _bodies(robot, self.kinematics.model)
         """Convex bodies of the distance computation."""
         self.title = robot.description.title
-        """Title of the robot, with a note if its meshes are not installed."""
+        """Title of the robot, with a note if it is drawn by its convex bodies."""
         try:
             self.visuals = _visuals(robot)
-            """Visual meshes, or the convex bodies if a mesh is not installed."""
+            """Visual meshes, or the convex bodies if a mesh is missing or cannot be read."""
         except (AssetError, RobotFileError) as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
                 body._replace(name=f"look_{body.name}", mesh=for_display(body.mesh), colour=GREY)
                 for body in self.bodies
             ]
-            self.title += " (its meshes are not installed: convex bodies)"
+            self.title += " (convex bodies, because its meshes are missing or unusable)"
         self.extent = self._extent(robot.description)
-        """(N, 3) [m] corners of all parts that a camera must show, in the base's frame: the links
-        in the ready pose, and the space of the borders around the base."""
+        """(N, 3) [m] corners of the parts that a camera must show, in the base's frame: the links
+        in the ready pose, and a part of the border around the base."""
         top = self.extent[:, 2] > self.extent[:, 2].max() - _AT_TOP
         self.crown = self.extent[top].mean(axis=0) - _BELOW
-        """(3,) [m] point at the top of the arm in its ready pose, in the base's frame."""
+        """(3,) [m] position of a label at the top of the robot in its ready pose, in the base's
+        frame."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:
-        """Visual meshes with few faces, one mesh for each joint and colour."""
+        """Meshes with few faces for a page with low detail, one for each joint and colour."""
         groups: dict[tuple[int, Rgb], list[trimesh.Trimesh]] = {}
         for visual in self.visuals:
             mesh = visual.mesh.copy().apply_transform(visual.placement.homogeneous)
@@ -132,7 +142,7 @@ class RobotParts:
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
-    """Return the convex bodies of the description, in the frames of their joints."""
+    """Return the shapes of all convex bodies, in the frames of their joints in `model`."""
     bodies = []
     for body in robot.description.bodies:
         frame = model.frames[model.getFrameId(body.frame)]
@@ -148,25 +158,22 @@ def _visuals(robot: RobotModel) -> list[Visual]:
     tree = ElementTree.fromstring(resolved_urdf(robot.description))
     size = mesh_bytes(tree) if is_own(robot.description.name) else 0
     try:
-        return within_budget(_visuals_of, robot.description, size=size)
+        return within_budget(load_visuals, robot.description, size=size)
     except BudgetError as error:
         raise RobotFileError(f"its meshes: {error}") from None
 
 
-def _visuals_of(description: RobotDescription) -> list[Visual]:
-    return load_visuals(description, LinkPoses(RobotModel(description)).model)
+def load_visuals(description: RobotDescription) -> list[Visual]:
+    """Load the visual meshes of the URDF, decimated, in the URDF's colours.
 
-
-def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
-    """Load all visual meshes of the URDF, decimated, in the URDF's colours.
-
-    `model` is pinocchio's model of the whole URDF, with the visuals' joints.
+    Colours that are too dark for a dark page are brightened. Joints are those of `LinkPoses.model`.
 
     Raises:
         AssetError: The URDF or a mesh is missing.
         RobotFileError: A shape of the URDF is invalid, or a mesh cannot be read.
     """
-    tree = ElementTree.fromstring(resolved_urdf(description))
+    urdf = resolved_urdf(description)
+    tree, model = ElementTree.fromstring(urdf), pin.buildModelFromXML(urdf)
     materials = {each.get("name"): each for each in tree.iterfind("material")}
     ready: dict[bytes, trimesh.Trimesh] = {}  # several visuals may share a file
     visuals = []
@@ -179,7 +186,7 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
             key = ElementTree.tostring(shape)
             if key not in ready:
                 mesh, _ = urdf_mesh(shape, where, read_mesh)
-                # Without textures, which every part of the mesh would copy.
+                # Vertices and faces only: all parts of a mesh would copy its textures.
                 ready[key] = for_display(trimesh.Trimesh(mesh.vertices, mesh.faces))
             placement = frame.placement * origin(visual, where)
             rgba = colour(visual, materials)
@@ -191,7 +198,7 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Reduce a mesh to about `MAX_FACES` faces, and duplicate the vertices of sharp edges.
+    """Return a mesh with about `MAX_FACES` faces, and with duplicate vertices at sharp edges.
 
     The browser averages normals at shared vertices; without duplicates, the edges of a box would
     look round.
@@ -203,7 +210,7 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh = mesh.copy()
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # otherwise each triangle shrinks alone
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # otherwise, no triangles are connected
     for aggression in AGGRESSIONS:
         light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
         if len(light.faces) <= MOST_FACES:

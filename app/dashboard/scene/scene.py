@@ -13,7 +13,6 @@ from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
-from app.dashboard.scene.legend import Legend
 from app.dashboard.scene.robot import RobotParts, Visual
 from app.dashboard.verdict import judge
 from app.dashboard.view import View
@@ -31,7 +30,7 @@ _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
 
 class SceneData:
-    """Data of scenes; `update` adds new snapshots."""
+    """Data that all scenes of a robot share."""
 
     def __init__(
         self,
@@ -40,13 +39,14 @@ class SceneData:
         clouds: Mapping[str, Cloud],
         parts: RobotParts | None = None,
     ) -> None:
-        """Load the data; `loop` must have a snapshot, and `parts` may be loaded already."""
+        """Load the data; `loop` has published a snapshot. By default, load the `parts` too."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
         """Source of the snapshots; the robot; P_i of each pair of L_m, by the pair's name."""
         self.pairs = [pair.name for pair in first.pairs]
+        """Names of all link pairs, in the order of the snapshots."""
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
-        """Names of all link pairs, in the order of the snapshots, and of the pairs of L_m."""
+        """Names of the pairs of L_m."""
         self.of_door = f"{model.body_names[0]}-{DOOR}"
         """Name of the pair of base and door, which exists in scenarios with a door."""
         named = (*self.pairs, self.of_door)
@@ -59,9 +59,9 @@ class SceneData:
             "hand": Track(lambda snapshot: snapshot.p_ee),
         }
         self.keepers: list[Track | Course | Strip] = [*self.tracks.values()]
-        """All objects that collect snapshots, which they get in order of time."""
+        """All objects that collect the snapshots, in order of time."""
         self.last = -1.0
-        """[s] time of the newest collected snapshot, −1 if there is none."""
+        """[s] time of the newest collected snapshot; −1 if there is none."""
         self._newest = first
 
     def update(self) -> None:
@@ -91,9 +91,10 @@ class RobotScene:
         ghost: Rgb | None = None,
         light: bool = False,
     ) -> None:
-        """Send all meshes, below a node that moves with the base.
+        """Send all meshes, below the node `root`, which moves with the base.
 
-        A ghost is translucent, has one colour and no convex bodies. `light` sends few faces.
+        The robot is a ghost if `ghost` has a colour: translucent, in this colour, without convex
+        bodies. With `light`, the visual meshes have few faces.
         """
         self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
         self.root = scene.add_frame(root, show_axes=False)
@@ -185,23 +186,12 @@ class Scene:
         self._dark, self._light, self._plain = view.dark, view.light, False
         self._light_up()
 
-    @property
-    def legends(self) -> list[Legend]:
-        """Legends of the drawn borders."""
-        return self.border.legends
-
-    def select_border(self, snapshot: Snapshot) -> bool:
-        """Draw the borders that have changed.
-
-        This takes milliseconds: call it outside of `atomic`, which delays all messages.
-
-        Returns:
-            Whether `legends` is new.
-        """
-        return self.border.update(self._view, snapshot.border)
-
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
-        """Draw a snapshot as seen through a lens; update labels and trails only if `texts`."""
+        """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
+
+        The lens determines the positions of labels and the point under the pointer. Borders are
+        drawn by `border.update`; this takes milliseconds, and `atomic` would delay all messages.
+        """
         view = self._view
         if (self._dark, self._light) != (view.dark, view.light):
             for robot in (self.robot, *self._ghosts) if self._light != view.light else ():
@@ -218,9 +208,9 @@ class Scene:
             self.border.draw_probe(self.canvas, snapshot, self._data.borders.top, lens)
 
     def _light_up(self) -> None:
-        """Set lights that leave no side of the robot black, and the floor.
+        """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black.
 
-        With software rendering, reflections would double the cost of each pixel.
+        Low detail has no reflections: with software rendering, they double the time per pixel.
         """
         scene, light = self._scene, self._light
         scene.configure_default_lights(enabled=True, cast_shadow=not light)
@@ -233,7 +223,22 @@ class Scene:
             ground_color=(120, 125, 135),
             intensity=1.2 if light else 0.35,
         )
-        set_floor(self._scene, dark=self._dark, shadows=not self._light)
+        dark = self._dark
+        scene.add_grid(
+            "/floor",
+            width=8.0,
+            height=8.0,
+            cell_size=0.1,
+            section_size=1.0,
+            cell_color=(58, 62, 68) if dark else (222, 225, 230),
+            section_color=(98, 104, 114) if dark else (176, 182, 192),
+            cell_thickness=0.8,
+            section_thickness=1.2,
+            fade_distance=9.0,
+            fade_strength=1.5,
+            shadow_opacity=0.0 if light else 0.35 if dark else 0.22,
+            infinite_grid=True,
+        )
 
     def _draw_layers(self, snapshot: Snapshot) -> None:
         view, canvas, top = self._view, self.canvas, self._data.borders.top
@@ -254,7 +259,7 @@ class Scene:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
 
     def _draw_ghosts(self, snapshot: Snapshot) -> None:
-        """Move the ghosts of a snapshot and hide the others; send meshes at the first use."""
+        """Move the ghosts, and hide those that are absent or coincide with the robot."""
         for i, ghost in enumerate(snapshot.ghosts):
             if i == len(self._ghosts):
                 colour = GHOSTS[i % len(GHOSTS)]
@@ -266,22 +271,3 @@ class Scene:
         for i, robot in enumerate(self._ghosts):
             ghosts = snapshot.ghosts[i : i + 1]
             robot.root.visible = any(not layers.coincides(ghost, snapshot) for ghost in ghosts)
-
-
-def set_floor(scene: viser.SceneApi, *, dark: bool, shadows: bool = True) -> None:
-    """Draw a grid of 0.1 m with lines every 1 m, legible on a dark or a light page."""
-    scene.add_grid(
-        "/floor",
-        width=8.0,
-        height=8.0,
-        cell_size=0.1,
-        section_size=1.0,
-        cell_color=(58, 62, 68) if dark else (222, 225, 230),
-        section_color=(98, 104, 114) if dark else (176, 182, 192),
-        cell_thickness=0.8,
-        section_thickness=1.2,
-        fade_distance=9.0,
-        fade_strength=1.5,
-        shadow_opacity=(0.35 if dark else 0.22) if shadows else 0.0,
-        infinite_grid=True,
-    )
