@@ -210,14 +210,17 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """Names of columns, changed to valid and unique names for Protobuf."""
-    found: dict[str, None] = {}
+    """Names of columns, changed to valid and unique names for Protobuf.
+
+    Protobuf refuses two names that differ only in underscores and the case of letters.
+    """
+    found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-        while plain in found:
-            plain += "_"
-        found[plain] = None
-    return list(found)
+        while (core := plain.replace("_", "").lower()) in found:
+            plain += "x"
+        found[core] = plain
+    return list(found.values())
 
 
 def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
