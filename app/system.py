@@ -261,10 +261,13 @@ def own_path(path: Path) -> Path:
     """Resolve the links of a path.
 
     Raises:
-        OutputError: The path has a link of another user in a shared folder, or its links form a
-            circle.
+        OutputError: The path has a link of another user in a shared folder, its links form a
+            circle, or it is relative to a removed folder.
     """
-    found, parts, links = Path("/"), list((Path.cwd() / path).parts[1:]), 0
+    try:
+        found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
+    except FileNotFoundError:
+        raise OutputError(f"cannot write {path}: the working folder has been removed") from None
     while parts:
         part = parts.pop(0)
         here = found.parent if part == ".." else found / part
@@ -301,7 +304,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     """
     try:
         if is_no_file(path):
-            raise OutputError(f"cannot write {path}: it is a folder, a device or a pipe")
+            raise OutputError(
+                f"cannot write {path}: it is a folder, a device, a pipe or a mount point"
+            )
         real = own_path(path)
         with begun_folder(real.parent) as folder:
             beside = folder / path.name
@@ -324,6 +329,8 @@ def whole_folder(out: Path) -> Iterator[Path]:
     with ExitStack() as stack:
         try:
             out = own_path(out)
+            if os.path.ismount(out):
+                raise OutputError(f"--out: {out} is a mount point; choose a new folder in it")
             out.parent.mkdir(parents=True, exist_ok=True)
             folder = stack.enter_context(begun_folder(out.parent, out.name))
         except OSError as error:
@@ -337,8 +344,8 @@ def whole_folder(out: Path) -> Iterator[Path]:
 
 
 def is_no_file(path: Path) -> bool:
-    """Whether the path is a folder, a device or a pipe, which a file must not replace."""
-    return path.exists() and not path.is_file()
+    """Whether the path is a folder, a device, a pipe or a mount point: a file cannot replace it."""
+    return path.exists() and (not path.is_file() or os.path.ismount(path))
 
 
 def write_whole(path: Path, content: bytes | str) -> None:

@@ -72,6 +72,16 @@ def test_a_link_that_names_another_server_opens_nothing(page):
         assert server.get_clients() == {}
 
 
+def test_a_page_that_a_proxy_does_not_connect_says_what_is_missing(page, monkeypatch):
+    with viser_page() as (server, address), monkeypatch.context() as proxy:
+        proxy.setattr("app.dashboard.gate.is_allowed", lambda origin, *_: origin is None)
+        page.goto(address)
+        page.get_by_role("alert").get_by_text("--allow-host 127.0.0.1").wait_for()
+        proxy.undo()
+        wait_for(server.get_clients, what="a client")
+        page.get_by_role("alert").wait_for(state="detached")
+
+
 def test_a_foreign_page_can_neither_frame_the_page_nor_speak_to_its_server(page):
     with viser_page() as (server, address):
         script = f"""<iframe src="{address}"></iframe><script>

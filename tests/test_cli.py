@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 
 from app.cli.main import COMMANDS, main
+from app.errors import LogError
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios import SCENARIOS
@@ -610,8 +611,9 @@ def wait_for(stream, text: str) -> None:
     [
         (MemoryError("of 9 GB"), "too little memory: of 9 GB"),
         (ImportError("a.so: failed to map segment", path="/x/a.so"), "a.so: failed to map segment"),
+        (LogError("a\x1b[31m.csv: no such file"), r"a\x1b[31m.csv: no such file"),
     ],
-    ids=["memory", "library"],
+    ids=["memory", "library", "escape"],
 )  # as under `ulimit -v`, or where a system's library is missing
 def test_what_the_system_does_not_give_is_one_line(error, told, monkeypatch, capsys):
     def fails(_):

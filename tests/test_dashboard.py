@@ -372,7 +372,10 @@ def test_a_port_in_use_is_one_clear_line(clouds, loop):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 0), ("127.0.0.1", 70000), ("-", 0)])
+@pytest.mark.parametrize(
+    ("host", "port"),
+    [("192.0.2.1", 0), ("127.0.0.1", 70000), ("-", 0), ("[::1]", 0), ("a..b", 0), ("a" * 64, 0)],
+)
 def test_an_address_that_cannot_be_bound_is_refused_at_once(host, port):
     begin = time.monotonic()
     with pytest.raises(ServerError, match="cannot listen"):

@@ -114,6 +114,28 @@ def test_robots_are_found_in_every_folder_of_a_list(
         load_robot("mine_2")
 
 
+@pytest.mark.parametrize(
+    ("listed", "named"),
+    [
+        ("~nobody-here/robots", "does not exist: ~nobody-here/robots"),
+        ("{}/robot:/none", "the folder of a robot, {}/robot: name the folder around it"),
+        ("{}/file", "does not exist: {}/file"),
+        ("{}/loop", "does not exist: {}/loop"),
+        ('"{}"', 'does not exist: "{}"'),
+    ],
+    ids=["user", "robot", "file", "loop", "quotes"],
+)
+def test_a_folder_that_cannot_have_robots_is_named(
+    listed: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(assets.ASSETS / "husky_panda", tmp_path / "robot")
+    (tmp_path / "file").touch()
+    (tmp_path / "loop").symlink_to("loop")
+    monkeypatch.setenv("DBB_ROBOTS", listed.replace(":", os.pathsep).format(tmp_path))
+    with pytest.raises(UnknownNameError, match=re.escape(named.format(tmp_path))):
+        load_robot("mine")
+
+
 @pytest.mark.parametrize("listed", ["", ":/elsewhere", "/elsewhere:"])
 def test_an_empty_entry_is_the_usual_folder(
     listed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -78,8 +78,16 @@ def camera(**changes):
         ("http://[::1]:8080", "[::1]:8080", True),
         ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
         ("http://robot:8080", "robot:8080", True),
-        ("https://robot", "robot.", False),  # a page of another name
+        ("https://robot", "robot.", True),
         ("https://robot.", "robot.", True),  # the same name, written out
+        ("https://robot", "robot:443", True),  # proxies that write out the default port,
+        ("http://robot:8080", "robot", True),  # lose the port,
+        ("https://robot", "127.0.0.1:8080", True),  # or forward their own address
+        ("https://192.168.1.7", "192.168.1.7:443", True),
+        ("http://192.168.1.7", "192.168.1.7:443", False),
+        ("http://robot.evil.example", "127.0.0.1:8080", False),
+        ("http://robot:x", "127.0.0.1:8080", False),
+        ("http://192.168.1.7:9000", "192.168.1.7:8080", False),
         (None, "127.0.0.1:8080", True),  # no browser
         ("http://evil.example", "127.0.0.1:8080", False),
         ("http://127.0.0.1:9000", "127.0.0.1:8080", False),  # another server's page
@@ -137,6 +145,14 @@ def get(server, path, host=""):
     return answer.status, answer.headers, answer.read()
 
 
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1"])
+def test_pages_of_other_ports_need_the_option(host):
+    shown = f"[{host}]" if ":" in host else host
+    for allowed in ((), (host,)):
+        names = Gate(host, allowed, 0)._own_names
+        assert is_allowed(f"http://{shown}:9000", f"{shown}:8080", names) is bool(allowed)
+
+
 def test_a_foreign_page_cannot_connect_and_the_own_one_can():
     with served() as server:
         with pytest.raises(websockets.InvalidStatus) as refused:
@@ -144,6 +160,26 @@ def test_a_foreign_page_cannot_connect_and_the_own_one_can():
         assert refused.value.response.status_code == 403
         assert try_to_connect(server, f"http://127.0.0.1:{server.get_port()}")
         assert try_to_connect(server, None)
+
+
+@pytest.mark.parametrize(
+    ("request_line", "status", "has_page"),
+    [
+        ("HEAD / HTTP/1.1", 200, False),  # a check of the server's health
+        ("GET / HTTP/1.0", 200, True),  # a proxy in its usual configuration
+        ("HEAD /nothing HTTP/1.0", 404, False),
+        ("OPTIONS * HTTP/1.1", 405, True),
+        ("POST / HTTP/1.1\r\nContent-Length: 3\r\n\r\nabc", 405, True),
+    ],
+)
+def test_every_request_gets_an_answer(request_line, status, has_page, caplog):
+    with served() as server, socket.create_connection(("127.0.0.1", server.get_port())) as raw:
+        raw.sendall(f"{request_line}\r\nHost: 127.0.0.1\r\n\r\n".encode())
+        head, _, page = raw.makefile("rb").read().partition(b"\r\n\r\n")
+    assert head.startswith(f"HTTP/1.1 {status} ".encode())
+    assert b"frame-ancestors 'none'" in head
+    assert bool(page) is has_page
+    assert caplog.records == []
 
 
 @pytest.mark.parametrize(
@@ -278,7 +314,7 @@ def test_the_gate_is_taken_away_again_for_other_servers():
 def test_a_viser_that_starts_in_another_way_is_not_used():
     with (
         pytest.raises(ServerError, match="this version of viser"),
-        Gate({"127.0.0.1"}, 0).closed(),
+        Gate("127.0.0.1", (), 0).closed(),
     ):
         pass
 

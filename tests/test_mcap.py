@@ -22,6 +22,7 @@ from app.errors import OutputError
 from app.robot import assets
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
+from app.simulation.trace.log_file import read_trace, write_trace
 from app.simulation.trace.mcap_file import write_mcap
 from app.simulation.trace.motion import WORLD
 from app.simulation.trace.trace import Trace
@@ -208,6 +209,32 @@ def test_wheels_turn_as_the_base_drives_whichever_way_their_axes_point(
         LinkPoses(each).update(q_m, np.array([0.3, 0.2])) for each in (mirrored, robot)
     )
     assert all(a.isApprox(b, 1e-9) for a, b in zip(drawn, wanted, strict=True))
+
+
+NAMES = ("arm_1", "arm1", "Arm-1", "a.b/c", "Gelenk;1", "Gelenk, ü", "7")
+
+
+def test_joints_with_any_names_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Protobuf refuses names that differ only in underscores and the case of letters."""
+    made = shutil.copytree(assets.ASSETS / "husky_panda", tmp_path / "named")
+    for file in ("robot.toml", "robot.urdf"):
+        text = (made / file).read_text("utf-8").replace('name = "husky_panda"', 'name = "named"', 1)
+        for number, name in enumerate(NAMES, 1):
+            text = text.replace(f'"panda_joint{number}"', f'"{name}"')
+        (made / file).write_text(text, "utf-8")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    named = RobotModel(load_robot("named"))
+    trace = Trace.of_snapshots(named, random_snapshots(3, 2))
+    write_mcap(tmp_path / "run.mcap", trace, named)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        steps = [content for *_, content in reader.iter_decoded_messages(topics=["/step"])]
+    for row, step in zip(trace.table, steps, strict=True):
+        found = [getattr(step, field.name) for field in step.DESCRIPTOR.fields]
+        assert found == pytest.approx(row, nan_ok=True, abs=0)
+    for ending in ("csv", "parquet"):
+        write_trace(tmp_path / f"log.{ending}", trace)
+        assert read_trace(tmp_path / f"log.{ending}").meta.joints == NAMES
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(

@@ -261,11 +261,35 @@ def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path:
         assert link.is_symlink()
         assert (tmp_path / "data" / "today.csv").read_text() == text
     os.mkfifo(pipe)
-    with pytest.raises(OutputError, match=r"pipe\.csv: it is a folder, a device or a pipe"):
+    with pytest.raises(OutputError, match=r"pipe\.csv: it is a folder, a device, a pipe"):
         system.write_whole(pipe, "three")
     assert pipe.is_fifo()
     left = {path.name for path in tmp_path.rglob("*")}
     assert left == {"data", "newest.csv", "pipe.csv", "today.csv"}
+
+
+@pytest.mark.parametrize("made", ["log.csv", "robot"])
+def test_a_mount_point_is_refused_before_the_work(
+    made: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a container; the system replaces no mount point."""
+    out = tmp_path / made
+    out.touch() if out.suffix else out.mkdir()
+    monkeypatch.setattr(os.path, "ismount", lambda path: Path(path) == out)
+    write = system.whole_file if out.suffix else system.whole_folder
+    with pytest.raises(OutputError, match="mount point"), write(out):
+        pytest.fail("the work began")
+
+
+def test_in_a_removed_folder_only_whole_paths_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "removed").mkdir()
+    monkeypatch.chdir(tmp_path / "removed")
+    (tmp_path / "removed").rmdir()
+    system.write_whole(tmp_path / "log.csv", "whole")
+    with pytest.raises(OutputError, match=r"log\.csv: the working folder has been removed"):
+        system.write_whole(Path("log.csv"), "lost")
 
 
 def test_two_who_write_one_file_at_once_do_not_write_into_each_others(tmp_path: Path) -> None:

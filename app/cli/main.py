@@ -72,7 +72,7 @@ def main(args: list[str] | None = None) -> None:
             _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
     except DbbError as error:
-        print(f"dbb: error: {error}", file=sys.stderr)
+        print(printable(f"dbb: error: {error}"), file=sys.stderr)
         sys.exit(2)
     except MemoryError as error:
         print(f"dbb: error: too little memory: {error}", file=sys.stderr)
@@ -87,7 +87,7 @@ def main(args: list[str] | None = None) -> None:
         if error.errno == errno.EPIPE:  # the reader, such as `head`, has ended
             sys.exit(1)
         where = "" if error.filename is None else f"{error.filename}: "
-        print(f"dbb: error: {where}{error.strerror or error}", file=sys.stderr)
+        print(printable(f"dbb: error: {where}{error.strerror or error}"), file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)

@@ -35,11 +35,11 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 def robots(json: Json = False) -> None:
     """List all robots, with the errors of invalid descriptions."""
     # Imported here, because it needs the readers of descriptions.
-    from app.robot.assets import absent_folders, robot_names
+    from app.robot.assets import robot_names, wrong_folders
     from app.robot.description import load_robot
 
-    if absent := absent_folders():
-        say(absent)
+    if wrong := wrong_folders():
+        say(wrong)
     found, broken = [], {}
     for name in robot_names():
         try:

@@ -12,7 +12,7 @@ from app.cli import options
 from app.cli.common import as_json, load_robot_and_border, print_json
 from app.cli.records import Given, from_record
 from app.cli.run_spec import check_no_others, read, result_of, spec_of_case, spec_with
-from app.errors import ConfigError, check_name
+from app.errors import ConfigError, check_name, printable
 from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
@@ -175,7 +175,7 @@ def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> 
         for key, value in result.figures.items():
             print(f"  {key:34} {number_text(value, missing(key))}")
     for path in written:
-        print(f"wrote {path}", file=sys.stderr if json else None)
+        print(printable(f"wrote {path}"), file=sys.stderr if json else None)
     if fail_on_contact and touches(result.figures):
         sys.exit(1)
 

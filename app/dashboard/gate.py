@@ -76,6 +76,9 @@ body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywh
 _WAY_OUT = """<p>To reach this server under this name, restart it with
 <code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
 _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
+_REQUEST = re.compile(rb"([A-Z]+) (\S+) HTTP/1\.[01]\r\n")
+_METHODS = "GET", "HEAD"
+_PORTS = {"http": 80, "https": 443}
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
 """Headers that may occur once only, because this module or viser reads a single value."""
 _SCRIPT, _CONTROLS, _STYLE = (
@@ -120,9 +123,16 @@ class GarbageError(RefusedError):
 class Gate:
     """Checks between a viser server and its connections."""
 
-    def __init__(self, names: Collection[str], largest_upload: int) -> None:
-        """Create a gate for the server's names, with the largest size of a file [bytes]."""
-        self._own_names = {name.lower() for name in names}
+    def __init__(self, host: str, allowed: Collection[str], largest_upload: int) -> None:
+        """Create a gate.
+
+        Args:
+            host: Address of the server.
+            allowed: Further names under which browsers may reach the server.
+            largest_upload: [bytes] largest size of a file.
+        """
+        host_name = () if _is_here(host, ()) else (host,)
+        self._own_names = {name.lower() for name in (*allowed, *host_name)}
         self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
@@ -148,6 +158,7 @@ class Gate:
             ) -> Any:
                 seen.append(True)
                 more |= {"max_size": LARGEST_MESSAGE, "max_queue": _MOST_WAITING}
+                more |= {"create_connection": _Connection}
                 return original(
                     self._handler(handler),
                     *args,
@@ -166,8 +177,8 @@ class Gate:
     def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
         """Wrap viser's answer to requests: check each request first, and add the headers."""
 
-        async def process(connection: ServerConnection, request: Request) -> Response | None:
-            answer = self._refusal(request)
+        async def process(connection: _Connection, request: Request) -> Response | None:
+            answer = self._refusal(request, connection.method)
             if answer is None:
                 answer = inner(connection, request)
                 answer = await answer if hasattr(answer, "__await__") else answer
@@ -181,15 +192,18 @@ class Gate:
                 host = ", ".join(request.headers.get_all("Host")).encode("ascii", "ignore").decode()
                 answer.headers.update(_HEADERS)
                 answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
+                answer.body = b"" if connection.method == "HEAD" else answer.body
             return answer
 
         return process
 
-    def _refusal(self, request: Request) -> Response | None:
+    def _refusal(self, request: Request, method: str) -> Response | None:
         """Return the refusal of a request, or None if viser may answer the request."""
         headers, more = request.headers, ""
         path, _, query = request.path.partition("?")
-        if twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
+        if method not in _METHODS:
+            status, why = http.HTTPStatus.METHOD_NOT_ALLOWED, f"this server has no {method}"
+        elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             status = http.HTTPStatus.BAD_REQUEST
             why = f"the request has the header {twice[0]} twice"
         elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_names):
@@ -230,6 +244,26 @@ class Gate:
                 self._uploads.discard(uploads)
 
         return handle
+
+
+class _Connection(ServerConnection):
+    """A connection that answers every HTTP request.
+
+    websockets reads only GET requests of HTTP/1.1, and closes the connection without an answer
+    after others. Proxies send HTTP/1.0, and checks of a server's health send HEAD.
+    """
+
+    method = "GET"
+    """Method of the request."""
+
+    def data_received(self, data: bytes) -> None:
+        """Read the first data of a request as those of a GET request of HTTP/1.1."""
+        if self.request is None and (line := _REQUEST.match(data)):
+            self.method, rest = line[1].decode(), data[line.end() :]
+            # Content that follows the request would be an error, and its headers announce it.
+            rest = rest if self.method in _METHODS else b"\r\n"
+            data = b"GET %b HTTP/1.1\r\n%b" % (line[2], rest)
+        super().data_received(data)
 
 
 class _Checked:
@@ -283,23 +317,28 @@ def is_allowed(origin: str | None, host: str | None, own_names: Collection[str])
 
     A browser sends the page's origin with each websocket request. The origin must be the address of
     the request. This address must be an IP address, localhost, or a name of this server or machine.
-    Without the second rule, another website could let its own name point to this machine.
+    Otherwise another website could let its own name point to this machine, and would be accepted. A
+    proxy can change the address of a request; therefore each name in `own_names` is accepted as the
+    origin of every request.
 
     Args:
         origin: The request's header `Origin`; None without this header, as from other programs.
         host: The request's header `Host`; None without this header.
-        own_names: Names under which browsers may reach the server, in lower case.
+        own_names: Names under which browsers may reach the server, in lower case, besides the names
+            that every server has.
     """
     if host is None:
         return origin is None
     try:
         here, page = urlsplit(f"//{host}"), urlsplit(origin or "")
+        port = _PORTS.get(page.scheme)
         whole = here.netloc == host and here.port != 0  # raises if the port is not a number
+        same = (here.hostname, here.port or port) == (page.hostname, page.port or port)
     except ValueError:  # not an address
         return False
     if not (whole and _is_here(here.hostname, own_names)):
         return False
-    return origin is None or page.netloc.lower() == host.lower()
+    return origin is None or same or (page.hostname or "").rstrip(".") in own_names
 
 
 def _is_here(name: str | None, own_names: Collection[str]) -> bool:

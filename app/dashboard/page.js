@@ -156,6 +156,20 @@
     place = null;
   };
 
+  // A page that a proxy does not connect to its server reports how it could.
+  let unconnected = 0; // looks of the timer
+  const explain = () => {
+    const waits = !window.dbb && document.getElementById("root")?.innerText.includes("Connecting...");
+    unconnected = waits ? unconnected + 1 : 0;
+    if (!waits) document.getElementById("dbb-unconnected")?.remove();
+    if (unconnected !== 30) return;
+    const box = document.createElement("p");
+    Object.assign(box, { id: "dbb-unconnected", role: "alert" });
+    box.textContent = "No connection to the server. A proxy in between must forward websockets. If it changes the " +
+      `requested name, the server needs the option --allow-host ${location.hostname}.`;
+    document.body.append(box);
+  };
+
   // viser's client sets this property when it starts; earlier timers do not survive its start.
   let points, timer;
   Object.defineProperty(window, "__viserTestpoints", {
@@ -170,6 +184,7 @@
       document.body.addEventListener("keydown", press);
       window.addEventListener("pointerdown", () => (byKeys = false), true);
       timer = setInterval(() => {
+        explain();
         makeHeads();
         makeNames();
         openPlace();

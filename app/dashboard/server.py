@@ -40,6 +40,8 @@ class DashboardServer:
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         self.viser, self.shared = viser_server, shared
         host = viser_server.get_host()
+        # Browsers of some systems do not open the address that stands for all addresses.
+        host = "localhost" if host in ("0.0.0.0", "::") else host
         host = f"[{host}]" if ":" in host else host  # IPv6
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
@@ -287,8 +289,9 @@ def check_address(host: str, port: int) -> None:
         raise ServerError(f"cannot listen at {host}:{port}: a port is between 0 and 65535")
     try:
         family, kind, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise ServerError(f"cannot listen at {host}:{port}: {error}") from None
+    except (OSError, UnicodeError) as error:  # UnicodeError: a label is empty or too long
+        hint = "--host is a name or an address of this machine, without brackets and port"
+        raise ServerError(f"cannot listen at {host}:{port}: {error}; {hint}") from None
     with socket.socket(family, kind) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -118,7 +118,7 @@ def open_server(
         logging.getLogger(name).addFilter(_knocks)  # a filter is added once only
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # normal at its end
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
-    gate = Gate({host, *allowed}, largest_upload)
+    gate = Gate(host, allowed, largest_upload)
     with _silence(), gate.closed():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     notifier = Notifier(server)

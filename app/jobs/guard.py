@@ -60,8 +60,8 @@ def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int
     finally:
         os.close(alive)
         if guard is not None:
-            guard.kill()  # the guard is possibly suspended
-            guard.wait()
+            with guard:
+                guard.kill()  # the guard is possibly suspended
 
 
 def main(heard: int, lives: int, pid: int, patience: float) -> None:

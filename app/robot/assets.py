@@ -62,8 +62,14 @@ def user_robots() -> list[Path]:
     An empty entry, or an unset `$DBB_ROBOTS`, stands for `robots` in the user's data folder.
     """
     usual = (home_folder(platformdirs.user_data_path) or cache_folder()) / "robots"
-    parts = os.environ.get("DBB_ROBOTS", "").split(os.pathsep)
-    return [Path(part.strip()).expanduser() if part.strip() else usual for part in parts]
+    return [folder or usual for folder in _listed_folders()]
+
+
+def _listed_folders() -> list[Path | None]:
+    """The folders in `$DBB_ROBOTS`; None for an empty entry."""
+    parts = map(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
+    # `Path.expanduser` would raise an error for an unknown user.
+    return [Path(os.path.expanduser(part)) if part else None for part in parts]
 
 
 def is_own(name: str) -> bool:
@@ -81,21 +87,26 @@ def check_robot_name(name: str) -> None:
     """Refuse the name of a robot that does not exist.
 
     Raises:
-        UnknownNameError: Lists the existing robots, and missing folders of `$DBB_ROBOTS`.
+        UnknownNameError: Lists the existing robots, and wrong folders of `$DBB_ROBOTS`.
     """
     try:
         check_name("robot", name, robot_names())
     except UnknownNameError as error:
-        if absent := absent_folders():
-            error.args = (f"{error}; {absent}",)
+        if wrong := wrong_folders():
+            error.args = (f"{error}; {wrong}",)
         raise
 
 
-def absent_folders() -> str:
-    """A sentence on the missing folders of `$DBB_ROBOTS`; empty if all exist."""
-    named = filter(str.strip, os.environ.get("DBB_ROBOTS", "").split(os.pathsep))
-    absent = [part for part in named if not Path(part.strip()).expanduser().is_dir()]
-    return f"DBB_ROBOTS names a folder that does not exist: {', '.join(absent)}" if absent else ""
+def wrong_folders() -> str:
+    """A sentence on the folders of `$DBB_ROBOTS` that cannot have robots; empty without any."""
+    for folder in filter(None, _listed_folders()):
+        if isfile(folder / "robot.toml"):
+            return f"DBB_ROBOTS names the folder of a robot, {folder}: name the folder around it"
+        if not isdir(folder):
+            return f"DBB_ROBOTS names a folder that does not exist: {folder}"
+        if not os.access(folder, os.R_OK | os.X_OK):
+            return f"DBB_ROBOTS names a folder that this user cannot read: {folder}"
+    return ""
 
 
 def robot_folder(name: str) -> Path:
@@ -103,7 +114,7 @@ def robot_folder(name: str) -> Path:
     same name. For an unknown name, the folder that a delivered robot of this name would have.
     """
     folders = [top / name for top in _tops()]
-    return next((each for each in folders if (each / "robot.toml").is_file()), folders[0])
+    return next((each for each in folders if isfile(each / "robot.toml")), folders[0])
 
 
 def _tops() -> list[Path]:

@@ -71,7 +71,9 @@ def _read_csv(path: Path) -> tuple[str, pa.Table]:
         changed = "; a spreadsheet has probably changed it: use the original file, or .parquet"
         raise ValueError(f"the first line is no metadata comment{changed * ('# ' in first)}")
     names, _, rows = rest.partition("\n")
-    between = next((mark for mark in "\t;" if mark in names), ",")  # as spreadsheets write them
+    # Spreadsheets write other marks; the names of later columns can contain a mark.
+    first_name = re.match(r'"?\w*"?([,;\t])', names)
+    between = first_name[1] if first_name else ","
     point = "," if between != "," and re.search(r"\d,\d", rows[:10_000]) else "."
     # pyarrow then distinguishes only numbers and texts; the caller knows the exact types.
     options = pyarrow.csv.ConvertOptions(

@@ -22,6 +22,7 @@ from app.strict import LARGEST_DATA, Strict, explain, problems_of
 
 SUFFIXES = ".csv", ".parquet"  # the ending of a file's name selects the format
 
+_NEWER = "; if a newer version of this program wrote the log, read it with that version"
 _CELL = 100  # [bytes] memory for a cell of a snapshot
 _NUMBER = 8  # [bytes] memory for a number of the table
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
@@ -49,7 +50,8 @@ class LogHeader(Strict):
             if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
                 fault = "the file has no metadata of a log: dbb run --log or --out writes logs"
                 raise LogError(fault) from None
-            raise LogError(f"the metadata: {explain(error, cls)}") from None
+            unknown = {"extra_forbidden", "literal_error"} & {kind for kind, _ in problems}
+            raise LogError(f"the metadata: {explain(error, cls)}{_NEWER * bool(unknown)}") from None
 
 
 def write_trace(path: Path, trace: Trace) -> None:
@@ -195,7 +197,7 @@ def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
         raise LogError("the metadata name a pair, a joint or an axis twice")
     for name in found:
         if name not in names:
-            raise LogError(f"unknown column {name!r}{did_you_mean(name, names)}")
+            raise LogError(f"unknown column {name!r}{did_you_mean(name, names)}{_NEWER}")
     missing = [c.name for c in known if c.name not in found]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""

@@ -192,14 +192,17 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
 
 
 def _fields(names: Iterable[str]) -> list[str]:
-    """The names of columns as valid and unique names of Protobuf fields."""
-    found: dict[str, None] = {}
+    """The names of columns as valid and unique names of Protobuf fields.
+
+    Protobuf refuses two names that differ only in underscores and the case of letters.
+    """
+    found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-        while plain in found:
-            plain += "_"
-        found[plain] = None
-    return list(found)
+        while (core := plain.replace("_", "").lower()) in found:
+            plain += "x"
+        found[core] = plain
+    return list(found.values())
 
 
 def _visual(visual: Element, materials: Materials, link: str) -> fg.ModelPrimitive | None:
