@@ -1,7 +1,8 @@
 """Shared fixtures: the paper's robot, compiled once, and its border from the cache."""
 
 import signal
-from collections.abc import Generator
+from asyncio import events
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
@@ -86,10 +87,27 @@ def pytest_runtest_setup() -> Generator[None]:
         return (yield)
 
 
+@contextmanager
+def _without_event_loop(item: pytest.Item) -> Generator[None]:
+    """Let a test without a browser run an event loop.
+
+    The loop of playwright counts as running in this thread from the first test with a browser on.
+    """
+    of_browser = events._get_running_loop()
+    if of_browser is None or "browser" in getattr(item, "fixturenames", ()):
+        yield
+        return
+    events._set_running_loop(None)
+    try:
+        yield
+    finally:
+        events._set_running_loop(of_browser)
+
+
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call() -> Generator[None]:
-    """Tests that need pybullet."""
-    with _what_needs_pybullet():
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    """Tests that need pybullet, or an event loop of their own."""
+    with _what_needs_pybullet(), _without_event_loop(item):
         return (yield)
 
 
@@ -139,15 +157,25 @@ _models: dict[str, RobotModel] = {}
 _borders: dict[RobotModel, BorderData] = {}
 
 
-@pytest.fixture(scope="module")
-def browser():
-    """A headless browser, one for the tests of a file.
+@pytest.fixture(scope="session")
+def only_browser() -> Iterator[Any]:
+    """A headless browser, one for all tests of this process.
 
-    It makes files of its pages at the tests' own priority, because other tests would delay it.
+    Its start takes seconds, and so does the first compilation of each shader.
     """
-    with pytest.MonkeyPatch.context() as changed, chromium() as browser:
-        changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
+    with chromium() as browser:
         yield browser
+
+
+@pytest.fixture(scope="module")
+def browser(only_browser: Any) -> Iterator[Any]:
+    """The browser.
+
+    Files of its pages are made at the tests' own priority, because other tests would delay them.
+    """
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
+        yield only_browser
 
 
 @pytest.fixture(autouse=True)
