@@ -126,10 +126,3 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
     status, printed = served.interrupt()
     assert status == 2
     assert "ended with status -9" in printed.splitlines()[-1]
-
-
-def test_the_simulation_ends_with_its_parent_however_that_ends(served):
-    simulation = simulation_of(served)
-    assert simulation.is_running()
-    served.process.kill()
-    simulation.wait(timeout=PATIENCE)
