@@ -23,7 +23,7 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def served():
     """The hand is pulled at the base, which has moved away, and time stands still."""
-    with served_dashboard() as served:
+    with served_dashboard(light=True) as served:
         served.pull_at_base(1.6)
         assert served.loop.latest().beta_m > 0.3
         yield served
