@@ -37,16 +37,18 @@ settings.load_profile("patient")
 
 _LONGEST = (
     "test_onboarding_robot",
+    "test_dashboard_browser",
+    "test_screenshot",
+    "test_browser_layers",
+    "test_browser_downloads",
     "test_browser_upload",
-    "test_cli",
-    "test_robot_build",
+    "test_oracle",
     "test_refrigerator",
     "test_postures",
-    "test_end_to_end",
-    "test_browser_downloads",
-    "test_oracle",
     "test_study_run",
-    "test_reach_map",
+    "test_cli",
+    "test_end_to_end",
+    "test_accessibility",
 )
 """Files of more than half a minute, the longest first: at the end one of them would run alone."""
 
