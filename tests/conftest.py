@@ -83,9 +83,9 @@ def _what_needs_pybullet() -> Generator[None]:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_setup() -> Generator[None]:
-    """Fixtures that need pybullet."""
-    with _what_needs_pybullet():
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    """Fixtures that need pybullet, or an event loop of their own."""
+    with _what_needs_pybullet(), _without_event_loop(item):
         return (yield)
 
 
