@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
-
-import pytest
 
 from app.border.dbb import Cloud
 from app.dashboard.page import Page
 from app.dashboard.robots import StartLoop
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.server import DashboardServer, serve_dashboard
-from app.dashboard.view import View
 from app.simulation.loop.commands import Compare, Pause, Reset, Speed
 from tests.browser import DashboardTab, wait_for
 from tests.fakes import ScriptedLoop, fake_clouds
@@ -54,11 +50,7 @@ class Served(NamedTuple):
 
 @contextmanager
 def served_dashboard(
-    loop: ScriptedLoop | None = None,
-    port: int = 0,
-    start_loop: StartLoop | None = None,
-    *,
-    light: bool = False,
+    loop: ScriptedLoop | None = None, port: int = 0, start_loop: StartLoop | None = None
 ) -> Iterator[Served]:
     """Serve until the end; the drawing has to have gone without an error.
 
@@ -66,16 +58,8 @@ def served_dashboard(
         loop: Behind it at first; one of its own if not given.
         port: Any free one if not given.
         start_loop: Begins another robot's loop.
-        light: Whether pages begin with low detail, with which a picture takes half of the work.
     """
-    with pytest.MonkeyPatch.context() as changed:
-        if light:
-            first = View.first
-            changed.setattr(View, "first", lambda *shown: replace(first(*shown), light=True))
-        yield from _served(loop or ScriptedLoop(husky_panda()), port, start_loop)
-
-
-def _served(loop: ScriptedLoop, port: int, start_loop: StartLoop | None) -> Iterator[Served]:
+    loop = loop or ScriptedLoop(husky_panda())
     loop.start()
     try:
         server = serve_dashboard(

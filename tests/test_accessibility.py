@@ -48,7 +48,7 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="module")
 def served():
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         yield served
 
 

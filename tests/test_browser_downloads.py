@@ -25,7 +25,7 @@ PATIENCE = 300_000  # [ms] for files that are made at low priority beside a simu
 @pytest.fixture(scope="module")
 def tab(browser):
     """Three seconds in which the base gives way, one of them marked; the tab "Save" is open."""
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
         served.pull_at_base(3.0)
         timeline = served.page().timeline

@@ -75,7 +75,7 @@ def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data)
 
 @pytest.mark.browser
 def test_a_visitor_explores_postures_and_points_at_the_border(browser):
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
         tab.open_tab("Lab")
         tab.page.get_by_text("Joint sliders", exact=True).click()

@@ -23,7 +23,7 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def served():
     """The hand is pulled at the base, which has moved away, and time stands still."""
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         served.pull_at_base(1.6)
         assert served.loop.latest().beta_m > 0.3
         yield served
@@ -133,7 +133,7 @@ def passed(served: Served) -> Array:
 LAYERS = (
     Layer("Robot", robot, 110, 9_000, ROOT),
     Layer("Convex bodies", robot, 110, 5000, ROOT),
-    Layer("Include the top", lambda served: border(served, above=True), 15, 800, ROOT, 0.7),
+    Layer("Include the top", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 110, 60),
     Layer("Acting points", of(acting), 60, 200, share=0.7),
@@ -182,7 +182,7 @@ def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair, 
     places = tab.pixels(ROOT, border(served, pair))
     for quantity in (*quantities, "hidden"):
         tab.choose(said[pair], quantity)
-        picture = tab.wait_for_change(picture, 500, places, radius=10)
+        picture = tab.wait_for_change(picture, 1500, places, radius=10)
         title = TITLES.get(quantity, "No border is shown")
         tab.page.get_by_text(title).filter(visible=True).first.wait_for(timeout=40_000)
     for name, quantity in ((pair, first), (other, "score" if other == "lm-lEE" else "hidden")):

@@ -20,7 +20,7 @@ DT = 0.02  # [s] between two snapshots
 
 @pytest.fixture(scope="module")
 def served():
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         yield served
 
 

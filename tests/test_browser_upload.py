@@ -92,7 +92,7 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Dashboar
     monkeypatch.setattr("app.robot.assets.cache_folder", lambda: folder)
     monkeypatch.setattr(robots, "build_robot", make_of_few)
     monkeypatch.setattr(robots, "kept_border_data", kept_of_few)
-    with served_dashboard(start_loop=begin, light=True) as (server, _):
+    with served_dashboard(start_loop=begin) as (server, _):
         yield server
 
 

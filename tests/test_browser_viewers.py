@@ -22,7 +22,7 @@ def hold(tab: DashboardTab, axis: int, metres: float) -> None:
 
 
 def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_pull(browser):
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         loop = served.loop
         first = DashboardTab(browser, served.server.address)
         page_of_first = served.page()
@@ -64,12 +64,12 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
 
 
 def test_the_page_goes_on_with_a_server_that_comes_back_and_tells_how_the_simulation_ended(browser):
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         port = int(served.server.address.rpartition(":")[2])
         tab = DashboardTab(browser, served.server.address)
         assert tab.errors == []
     loop = ScriptedLoop(husky_panda())
-    with served_dashboard(loop, port, light=True) as served:
+    with served_dashboard(loop, port) as served:
         wait_for(lambda: served.server.pages, 60.0, "the same tab is back")
         tab.wait_for_scene()
         tab.click("Pause")

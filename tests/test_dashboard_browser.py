@@ -35,7 +35,7 @@ LINK = "/robot/panda_joint4"
 
 @pytest.fixture(scope="module")
 def served_once():
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         yield served
 
 

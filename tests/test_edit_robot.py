@@ -130,7 +130,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     def begin(model: RobotModel, data: BorderData, config: Config, controller: str) -> ScriptedLoop:
         return ScriptedLoop(model)
 
-    with served_dashboard(start_loop=begin, light=True) as served:
+    with served_dashboard(start_loop=begin) as served:
         yield served
 
 

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture
 def served():
-    with served_dashboard(light=True) as served:
+    with served_dashboard() as served:
         yield served
 
 
