@@ -93,7 +93,7 @@ def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
 def _without_event_loop(item: pytest.Item) -> Generator[None]:
     """Let a test without a browser run an event loop.
 
-    The loop of playwright counts as running in this thread from the first test with a browser on.
+    Playwright's event loop counts as running in this thread for as long as the browser is open.
     """
     of_browser = events._get_running_loop()
     if of_browser is None or "browser" in getattr(item, "fixturenames", ()):
@@ -161,20 +161,14 @@ _borders: dict[RobotModel, BorderData] = {}
 
 @pytest.fixture(scope="session")
 def only_browser() -> Iterator[Any]:
-    """A headless browser, one for all tests of this process.
-
-    Its start takes seconds, and so does the first compilation of each shader.
-    """
+    """A headless browser for all tests of this process: its start takes seconds."""
     with chromium() as browser:
         yield browser
 
 
 @pytest.fixture(scope="module")
 def browser(only_browser: Any) -> Iterator[Any]:
-    """The browser.
-
-    Files of its pages are made at the tests' own priority, because other tests would delay them.
-    """
+    """The browser; files of its pages are made at the tests' own priority, without delay."""
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
         yield only_browser

@@ -142,7 +142,7 @@ FAST_LINES = {name: line.changed(duration=4.0) for name, line in LINES.items()}
 
 
 def line_without_a_run(_: object, side: postures.Side, on_progress: OnProgress) -> Place | str:
-    """As `line_from` finds it, but of few poses, and without runs on which the base gives way."""
+    """`line_from` with few poses, and without runs in which the base must give way."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(postures, "_SAMPLES", 800)
         return postures.find_place(side.model, side.data.pairs, side.name, on_progress=on_progress)

@@ -27,7 +27,7 @@ TABS = (
     ("Save",),
     ("Help",),
 )
-"""Of the right and of the left column, open at the same time."""
+"""Tabs of the right and of the left column that are open at the same time."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def served():
 
 
 def test_no_tab_has_a_violation(browser, served, axe):
-    """In both themes; names and landmarks are the same in both, contrasts are not."""
+    """In both themes. Names and landmarks do not depend on the theme, contrasts do."""
     tab = DashboardTab(browser, served.server.address, first_visit=True)
     tab.page.locator("#dbb-card").wait_for()
     tab.page.evaluate(axe + ";0")

@@ -553,7 +553,7 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
 
 
 def test_ctrl_c_ends_the_dashboard_cleanly():
-    """Also while somebody looks at it; nothing is printed after its address."""
+    """With a connected viewer; nothing is printed after the address."""
     process = command("serve", "--port", "0")
     wait_for(process.stderr, "Dashboard at ")
     address = process.stderr.readline().split()[0]

@@ -198,7 +198,7 @@ def test_a_base_velocity_in_another_unit_is_named_and_causes_no_overlap(run) -> 
 def test_perfect_readings_have_no_fault(
     robot: RobotModel, border_data: BorderData, scenario: str, controller: str
 ) -> None:
-    """Of each motion, and of each controller on the path that brings most pairs together."""
+    """Each motion with the controller dbb, and each other controller on one path."""
     line = LINES[scenario].changed(duration=3.0)
     found = run_scenario(
         robot, border_data, line, Config(), controller=controller, physics="kinematic"

@@ -239,7 +239,7 @@ def test_a_base_that_comes_back_while_the_hand_is_held_has_not_given_way(
             yield session, step
 
     monkeypatch.setattr(postures, "LINES", FAST_LINES)
-    monkeypatch.setattr(postures, "steps_of", back)  # otherwise it gives way: see above
+    monkeypatch.setattr(postures, "steps_of", back)  # without this, the base gives way: see above
     assert not gives_way(with_buffer(D_B), border_data, "guiding-lateral", place)
 
 

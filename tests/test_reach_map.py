@@ -269,7 +269,7 @@ def test_bodies_that_cannot_be_asked_for_are_refused_with_those_that_can():
 
 @pytest.mark.slow
 def test_the_forearms_coefficients_are_those_of_its_map(robot):
-    """They were counted pose by pose, whose seeds differ by a tenth; the map's by a fiftieth."""
+    """They were counted pose by pose; a map with a quarter of the samples gives the same."""
     fit = fit_reachability(
         sample_reach_map(robot, "l3", samples=FINE_SAMPLES // 4, spacing=FINE_SPACING)
     )

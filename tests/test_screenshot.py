@@ -110,7 +110,7 @@ def test_without_a_browser_it_is_said_what_provides_one(monkeypatch, tmp_path):
 
 @pytest.mark.browser
 def test_a_picture_has_the_asked_size_and_is_the_same_each_time(take, taken):
-    """Those of several times show the motion from one place."""
+    """Pictures of several times show the motion from one viewpoint."""
     for picture, again in zip(taken, take(LOOK), strict=True):
         assert picture.shape == (150, 200, 3)
         assert share(picture, again, least=0) <= 0.005

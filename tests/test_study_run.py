@@ -175,7 +175,7 @@ def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, t
 
 
 def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undisturbed, tmp_path):
-    from distributed import LocalCluster  # a second of imports that no other test needs
+    from distributed import LocalCluster  # no other test needs this slow import
 
     with LocalCluster(
         n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
