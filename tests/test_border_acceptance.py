@@ -107,7 +107,7 @@ class Arm:
 @pytest.fixture(scope="module", params=PAIRS)
 def sampled(request, clouds):
     arm = Arm(request.param.split("-")[1])
-    return request.param, clouds[request.param], arm, *arm.beside(250_000, seed=12345)
+    return request.param, clouds[request.param], arm, *arm.beside(500_000, seed=12345)
 
 
 def test_whatever_random_sampling_reaches_beside_the_base_lies_by_a_point_of_the_cloud(sampled):
