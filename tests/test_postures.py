@@ -209,7 +209,7 @@ def figures_of_run(data: BorderData, place: Place, d_b: float) -> dict[str, Any]
         (-0.02, 0.03, D_B),
         (-0.25, 0.1, D_B),
         (-0.15, 0.03, D_B),
-        (-0.15, 0.03, 0.06),
+        (-0.1, 0.03, 0.06),
     ],
 )
 def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
