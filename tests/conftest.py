@@ -1,7 +1,8 @@
 """Shared fixtures: the paper's robot, compiled once, and its border from the cache."""
 
 import signal
-from collections.abc import Generator
+from asyncio import events
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
@@ -36,16 +37,18 @@ settings.load_profile("patient")
 
 _LONGEST = (
     "test_onboarding_robot",
+    "test_dashboard_browser",
+    "test_screenshot",
+    "test_browser_layers",
+    "test_browser_downloads",
     "test_browser_upload",
-    "test_cli",
-    "test_robot_build",
+    "test_oracle",
     "test_refrigerator",
     "test_postures",
-    "test_end_to_end",
-    "test_browser_downloads",
-    "test_oracle",
     "test_study_run",
-    "test_reach_map",
+    "test_cli",
+    "test_end_to_end",
+    "test_accessibility",
 )
 """Files of more than half a minute, the longest first: at the end one of them would run alone."""
 
@@ -80,16 +83,33 @@ def _what_needs_pybullet() -> Generator[None]:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_setup() -> Generator[None]:
-    """Fixtures that need pybullet."""
-    with _what_needs_pybullet():
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
+    """Fixtures that need pybullet, or an event loop of their own."""
+    with _what_needs_pybullet(), _without_event_loop(item):
         return (yield)
 
 
+@contextmanager
+def _without_event_loop(item: pytest.Item) -> Generator[None]:
+    """Let a test without a browser run an event loop.
+
+    Playwright's event loop counts as running in this thread for as long as the browser is open.
+    """
+    of_browser = events._get_running_loop()
+    if of_browser is None or "browser" in getattr(item, "fixturenames", ()):
+        yield
+        return
+    events._set_running_loop(None)
+    try:
+        yield
+    finally:
+        events._set_running_loop(of_browser)
+
+
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_call() -> Generator[None]:
-    """Tests that need pybullet."""
-    with _what_needs_pybullet():
+def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
+    """Tests that need pybullet, or an event loop of their own."""
+    with _what_needs_pybullet(), _without_event_loop(item):
         return (yield)
 
 
@@ -139,15 +159,19 @@ _models: dict[str, RobotModel] = {}
 _borders: dict[RobotModel, BorderData] = {}
 
 
-@pytest.fixture(scope="module")
-def browser():
-    """A headless browser, one for the tests of a file.
-
-    It makes files of its pages at the tests' own priority, because other tests would delay it.
-    """
-    with pytest.MonkeyPatch.context() as changed, chromium() as browser:
-        changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
+@pytest.fixture(scope="session")
+def only_browser() -> Iterator[Any]:
+    """A headless browser for all tests of this process: its start takes seconds."""
+    with chromium() as browser:
         yield browser
+
+
+@pytest.fixture(scope="module")
+def browser(only_browser: Any) -> Iterator[Any]:
+    """The browser; files of its pages are made at the tests' own priority, without delay."""
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
+        yield only_browser
 
 
 @pytest.fixture(autouse=True)

@@ -146,9 +146,11 @@ FAST_LINES = {name: line.changed(duration=4.0) for name, line in LINES.items()}
 def line_without_a_run(
     _: object, job: tuple[str, RobotModel, BorderData, bool], on_progress: OnProgress
 ) -> Place | str:
-    """As `line_from` finds it, but for the runs on which the base has to give way."""
+    """`line_from` with few poses, and without runs in which the base must give way."""
     name, model, data, _anyway = job
-    return postures.find_place(model, data.pairs, name, on_progress=on_progress)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(postures, "_SAMPLES", 800)
+        return postures.find_place(model, data.pairs, name, on_progress=on_progress)
 
 
 @contextmanager

@@ -206,7 +206,9 @@ def slice_at(ring: Ring, z: float) -> tuple[Array, Array, Array]:
 def feet(p: complex, corners: Array, tangents: Array, outside: Array, found: list, ends: list):
     """Add the feet of p on each edge, square to the tangent blended along it, and cut ends."""
     ahead, turns = ((p - corners) * tangents.conj()).real, np.diff(tangents)
-    for i in np.flatnonzero(np.maximum(outside[:-1], outside[1:]) >= 0.0):
+    foot_there, cut = (ahead[:-1] >= 0.0) & (ahead[1:] < 0.0), outside < 0.0
+    shown = ~(cut[:-1] & cut[1:])
+    for i in np.flatnonzero(shown & (foot_there | cut[:-1] | cut[1:])):
         edge, turn, (a, b) = corners[i + 1] - corners[i], turns[i], outside[i : i + 2]
         first, last = max(a / (a - b) if a < 0 else 0.0, 0.0), a / (a - b) if b < 0 else 1.0
         if ahead[i] >= 0.0 > ahead[i + 1]:

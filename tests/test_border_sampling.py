@@ -15,7 +15,7 @@ from app.border.config import SamplingConfig
 from app.border.dbb import quantise_points
 from app.border.flood import PairReader, Voxels
 from app.border.sampling import sample_clouds
-from app.errors import DescriptionError, LoopError
+from app.errors import DescriptionError
 from app.jobs.pool import Workers
 from app.robot.link_pairs import Pair
 from tests.finite_differences import jacobian
@@ -142,28 +142,6 @@ def test_every_voxel_lies_in_one_sector_and_no_seam_on_the_wheels_axis():
 def test_a_base_too_large_to_be_kept_is_refused():
     with pytest.raises(DescriptionError, match="extends more than"):
         Voxels(np.full(3, -4.0), np.full(3, 4.0), reach=0.32, size=np.full(3, 0.01), sectors=1)
-
-
-def die_outside(pid: int, job: int) -> int:
-    if os.getpid() != pid:
-        os._exit(1)
-    return job * job
-
-
-def parent_pid() -> int:
-    return PARENT
-
-
-PARENT = int(os.environ.setdefault("BORDER_TEST_PARENT", str(os.getpid())))
-
-
-@pytest.mark.slow
-def test_a_job_at_which_each_worker_process_dies_ends_with_an_error():
-    with (
-        Workers(parent_pid, processes=2) as workers,
-        pytest.raises(LoopError, match="killed at the same job 3 times"),
-    ):
-        list(workers.map(die_outside, [1, 2, 3]))
 
 
 class Made:

@@ -114,15 +114,8 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     tab = DashboardTab(browser, server.address)
     tab.open_tab("Robot")
     tab.page.get_by_text("Your own robot").click()
-    for files, words in (
-        ({"../toy.urdf": TOY}, "leads out of the zip by '..'"),
-        (
-            {**good, "toy/toy.urdf": TOY.replace('xyz="0 0 0.34"', 'xyz="0 0 340"')},
-            "these look like millimetres",
-        ),
-    ):
-        choose_file(tab, zipped(tmp_path, files))
-        see(tab, words)
+    choose_file(tab, zipped(tmp_path, {"../toy.urdf": TOY}))
+    see(tab, "leads out of the zip by '..'")
     choose_file(tab, zipped(tmp_path, good))
     see(tab, "Choose the base link and the tip link.")
     tab.click("Create robot")

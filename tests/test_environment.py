@@ -73,26 +73,20 @@ def digests(cwd: Path, **other: str | None) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module")
-def usual() -> str:
-    return digests(PROJECT, TZ="UTC")
-
-
 @pytest.mark.slow
-def test_no_result_depends_on_folders_time_zone_or_open_files(usual: str, tmp_path: Path) -> None:
+def test_no_result_depends_on_folders_time_zone_open_files_or_decimal_commas(
+    tmp_path: Path,
+) -> None:
+    here, source, commas = tmp_path / "here", Path("/usr/lib/locale/C.utf8"), {}
+    here.mkdir()
+    if source.is_dir():  # a locale of glibc, to change
+        numbers = shutil.copytree(source, tmp_path / COMMAS) / "LC_NUMERIC"
+        numbers.write_bytes(numbers.read_bytes().replace(b".", b","))
+        commas = {"LOCPATH": str(tmp_path), "LC_ALL": None}
     folders = {"HOME": "/nonexistent", "XDG_CACHE_HOME": None, "XDG_DATA_HOME": None}
-    assert digests(tmp_path, TZ="Asia/Kathmandu", FILES="64", LANG="C", **folders) == usual
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_decimal_commas_change_no_bit(usual: str, tmp_path: Path) -> None:
-    source = Path("/usr/lib/locale/C.utf8")
-    if not source.is_dir():
-        pytest.skip("needs a locale of glibc to change")
-    numbers = shutil.copytree(source, tmp_path / COMMAS) / "LC_NUMERIC"
-    numbers.write_bytes(numbers.read_bytes().replace(b".", b","))
-    assert digests(PROJECT, LOCPATH=str(tmp_path), LC_ALL=None) == usual
+    elsewhere = digests(here, TZ="Asia/Kathmandu", FILES="64", LANG="C", **folders, **commas)
+    assert elsewhere == digests(PROJECT, TZ="UTC")
+    assert list(here.iterdir()) == []
 
 
 def test_robots_are_found_in_every_folder_of_a_list(

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from itertools import product
 from pathlib import Path
 
 import psutil
@@ -55,8 +56,13 @@ def start(script: Path, folder: Path, *args: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-@pytest.mark.parametrize("suspended", [False, True])
+@pytest.mark.parametrize(
+    ("suspended", "number"),
+    [
+        *product([False], [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]),
+        *product([True], [signal.SIGTERM, signal.SIGKILL]),
+    ],
+)
 def test_all_that_a_process_has_started_ends_with_it(
     tmp_path: Path, number: int, suspended: bool
 ) -> None:
@@ -107,9 +113,14 @@ time.sleep(60)
 """
 
 
-@pytest.mark.parametrize("leads", [(), ("leads a group",)])
-@pytest.mark.parametrize("code", [SLOW, HANGING], ids=["imports", "hangs"])
-@pytest.mark.parametrize("stopped", [False, True])
+LEADS = ("leads a group",)
+
+
+@pytest.mark.parametrize(
+    ("stopped", "code", "leads"),
+    [(False, SLOW, ()), (False, HANGING, LEADS), (True, SLOW, LEADS), (True, HANGING, ())],
+    ids=["imports", "hangs, leads", "stopped, imports, leads", "stopped, hangs"],
+)
 def test_a_child_ends_with_its_killed_parent_whatever_it_does(
     tmp_path: Path, stopped: bool, code: str, leads: tuple[str, ...]
 ) -> None:

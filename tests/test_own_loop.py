@@ -209,11 +209,17 @@ def test_a_base_velocity_in_another_unit_is_named_and_causes_no_overlap(run) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("controller", CONTROLLERS)
-@pytest.mark.parametrize("scenario", LINES)
+@pytest.mark.parametrize(
+    ("scenario", "controller"),
+    [
+        *((name, "dbb") for name in LINES),
+        *(("guiding-fold", name) for name in CONTROLLERS if name != "dbb"),
+    ],
+)
 def test_perfect_readings_have_no_fault(
     robot: RobotModel, border_data: BorderData, scenario: str, controller: str
 ) -> None:
+    """Each motion with the controller dbb, and each other controller on one path."""
     line = LINES[scenario].changed(duration=3.0)
     found = run_scenario(
         robot, border_data, line, Config(), controller=controller, physics="kinematic"

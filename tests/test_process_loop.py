@@ -92,6 +92,9 @@ def test_commands_go_out_and_snapshots_and_refusals_come_back(make_loop):
     loop.send(Play(SCENARIOS["way-out"]))
     wait_for(lambda: loop.latest().scenario == "way-out")
     assert loop.error is None
+    loop._child.end(at_once=True)
+    wait_for(lambda: loop.error is not None)
+    assert "status -9" in str(loop.error), "a killed child is an error that says so"
 
 
 def test_a_child_that_waits_simulates_what_it_is_given_until_it_is_stopped(robot, border_data):
@@ -134,13 +137,6 @@ def test_an_error_that_cannot_be_pickled_arrives_as_its_text(robot):
     with pytest.raises(LoopError, match="StubbornError: this and that"):
         loop.start()
     loop.stop()
-
-
-def test_a_killed_child_is_an_error_that_says_so(make_loop):
-    loop = make_loop()
-    loop._child.end(at_once=True)
-    wait_for(lambda: loop.error is not None)
-    assert "status -9" in str(loop.error)
 
 
 def test_history_is_in_order_and_begins_anew_when_time_goes_back(robot):

@@ -14,12 +14,12 @@ from app.border.reach import FINE_SPACING, ReachMap, fit_reachability, sample_re
 from app.cli.main import main
 from app.robot.model import RobotModel
 
-FEW = 20_000
+FEW = 6000
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    """A tenth of the samples."""
+    """Few samples."""
     monkeypatch.setattr(reach_map, "FINE_SAMPLES", FEW)
 
 

@@ -45,7 +45,8 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
 @pytest.fixture(scope="module")
 def drawn(sources: Sources) -> dict[str, Drawing]:
     names = ("fig3", "fig5", "fig6", "fig7", "fig8", "fig10", "fig12", "fig14", "fig15")
-    with styled():
+    with styled(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(offline, "FINE_SAMPLES", 6000)  # of Figure 6
         return {name: FIGURES[name].draw(sources) for name in names}
 
 

@@ -30,20 +30,16 @@ def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_
 
 @pytest.mark.slow
 def test_a_row_for_each_controller_with_avoidance_farther_away():
-    rows = table.robot_table(["husky_panda"], cases=[SHORT])["rows"]
-    none, dbb = rows
+    """Paths that do not come into the inner half of the buffer show nothing."""
+    cases = [SHORT, SHORT._replace(length=0.04)]
+    none, dbb, short = table.robot_table(["husky_panda"], cases=cases)["rows"]
     assert (none["controller"], dbb["controller"]) == table.COMPARED
     assert dbb["clearance_m"] > none["clearance_m"] > 0.03
     assert none["base_path_m"] < 1e-6 < dbb["base_path_m"]
     assert none["direction_deg"] == dbb["direction_deg"] == 10.0
     assert none["passed"] is True
-
-
-@pytest.mark.slow
-def test_paths_that_do_not_come_into_the_inner_half_of_the_buffer_show_nothing():
-    (row,) = table.robot_table(["husky_panda"], cases=[SHORT._replace(length=0.04)])["rows"]
-    assert "nothing to show" in row["reason"]
-    assert "controller" not in row
+    assert "nothing to show" in short["reason"]
+    assert "controller" not in short
 
 
 def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pytest.MonkeyPatch):

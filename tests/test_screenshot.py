@@ -19,8 +19,9 @@ from PIL import Image
 from app.config import Config
 from app.dashboard.export import Look
 from app.dashboard.export.browser import VARIABLE, browser_path
-from app.dashboard.export.offscreen import RecordedLoop
+from app.dashboard.export.offscreen import RecordedLoop, choose_layer
 from app.dashboard.export.screenshot import strip, take_pictures
+from app.dashboard.view import HIDDEN, View
 from app.errors import BrowserError
 from app.simulation.case import RunSpec
 from app.simulation.run import filmed
@@ -28,7 +29,7 @@ from app.simulation.scenarios import scenario_by_name
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent
-LOOK = Look(width=400, height=300)
+LOOK = Look(width=200, height=150)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def snapshots(robot, border_data):
 def take(browser, snapshots, robot, border_data):
     """Takes pictures of the run, as arrays."""
 
-    def pictures(look, times=(1.0,)):
+    def pictures(look, times=(0.0, 1.0)):
         taken = take_pictures(browser, snapshots, times, robot, border_data.clouds, look)
         return [np.asarray(picture).astype(int) for picture in taken]
 
@@ -51,9 +52,9 @@ def take(browser, snapshots, robot, border_data):
 
 
 @pytest.fixture(scope="module")
-def first(take):
-    """The first picture of the scene."""
-    return take(LOOK)[0]
+def taken(take):
+    """The first pictures of the scene, at the beginning and at the end."""
+    return take(LOOK)
 
 
 def share(a, b, least=8):
@@ -108,42 +109,49 @@ def test_without_a_browser_it_is_said_what_provides_one(monkeypatch, tmp_path):
 
 
 @pytest.mark.browser
-def test_a_picture_of_the_scene_has_the_asked_size_and_is_the_same_each_time(take, first):
-    assert first.shape == (300, 400, 3)
-    [again] = take(LOOK)
-    assert share(first, again, least=0) <= 0.005
+def test_a_picture_has_the_asked_size_and_is_the_same_each_time(take, taken):
+    """Pictures of several times show the motion from one viewpoint."""
+    for picture, again in zip(taken, take(LOOK), strict=True):
+        assert picture.shape == (150, 200, 3)
+        assert share(picture, again, least=0) <= 0.005
+    assert 0.005 < share(*taken) < 0.5
 
 
 @pytest.mark.browser
-def test_pictures_of_several_times_show_the_motion_from_one_place(take):
-    a, b, again = take(LOOK, (0.0, 1.0, 0.0))
-    assert 0.005 < share(a, b) < 0.5
-    assert share(a, again, least=0) <= 0.005
-
-
-@pytest.mark.browser
-def test_only_the_scene_is_to_be_seen(first):
+def test_only_the_scene_is_to_be_seen(taken):
     """Towards the upper edge the floor has faded: there is nothing but the ground."""
-    edge = first[:20]
+    edge = taken[1][:10]
     assert np.ptp(edge.reshape(-1, 3), axis=0).max() <= 2
 
 
 @pytest.mark.browser
 @pytest.mark.parametrize(
     ("change", "least"),
-    [({"layer": "none"}, 0.03), ({"layer": "reachability"}, 0.01), ({"light": True}, 0.5)],
-    ids=["no-layer", "layer", "light"],
+    [({"layer": "none"}, 0.03), ({"layer": "reachability", "light": True}, 0.5)],
+    ids=["no-layer", "layer-light"],
 )
-def test_each_option_changes_what_is_to_be_seen(take, first, change, least):
-    [picture] = take(replace(LOOK, **change))
-    assert share(first, picture) > least
+def test_each_option_changes_what_is_to_be_seen(take, taken, change, least):
+    for before, picture in zip(taken, take(replace(LOOK, **change)), strict=True):
+        assert share(before, picture) > least
+
+
+def test_a_layer_colours_the_border_of_the_shown_or_of_the_named_pair():
+    for layer, pair, wanted in (
+        ("reachability", "", ["reachability", HIDDEN]),
+        ("reachability", "lm-l3", [HIDDEN, "reachability"]),
+        ("none", "", [HIDDEN, HIDDEN]),
+    ):
+        view = View.first(["lm-lEE", "lm-l3"], [])
+        choose_layer(view, layer, pair)
+        assert [*view.borders.values()] == wanted
+        assert view.slice == (layer != "none")
 
 
 @pytest.mark.browser
 def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(take):
     """Also after a picture of another time."""
-    a, _, b = take(Look(width=1000, height=600, page=True), (1.0, 0.0, 1.0))
-    assert a.shape == (600, 1000, 3)
+    a, _, b = take(Look(width=1000, height=420, page=True), (1.0, 0.0, 1.0))
+    assert a.shape == (420, 1000, 3)
     assert share(a, b, least=0) <= 0.005
     for panel in (a[:, :300], a[:, -300:]):
         assert (panel.max(axis=-1) > 120).mean() > 0.01, "text"

@@ -15,7 +15,6 @@ from pathlib import Path
 import psutil
 import pyarrow.parquet as pq
 import pytest
-from distributed import LocalCluster
 
 from app.cli.main import main
 from app.studies.pulls import study as module
@@ -176,6 +175,8 @@ def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, t
 
 
 def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undisturbed, tmp_path):
+    from distributed import LocalCluster  # no other test needs this slow import
+
     with LocalCluster(
         n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
     ) as local:

@@ -59,7 +59,7 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
 
     said = []
     monkeypatch.setattr(Notifier, "warn", lambda self, client, text: said.append(text))
-    for wrong in ("7", "abc", "", "1e9", "-5"):
+    for wrong in ("7", "abc", ""):
         box(second, "Buffer distance d_b [m]").click()
         second.page.keyboard.press("Control+a")
         second.page.keyboard.press("Delete")
