@@ -16,7 +16,7 @@ from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS
-from app.onboarding.fit.travel import with_travel
+from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import ARM_ON_BASE, FREE
@@ -224,6 +224,12 @@ def held_still(parsed: Parsed) -> Iterator[str]:
         yield (
             "these joints are not between the base and --tip, so they are fixed at zero or at the "
             f"limit nearest to zero: {names}"
+        )
+    if led := followers(tree, [joint.name for joint in arm.joints]):
+        names = ", ".join(joint.name for joint in led)
+        yield (
+            f"these joints follow a joint of the arm (<mimic>), but are fixed here: {names}; the "
+            "bodies cover their whole travel"
         )
     if free := [joint.name for joint in tree.joints.values() if joint.kind in FREE]:
         free = [name for name in free if tree.joints[name].child in tree.below(arm.base)[1:]]

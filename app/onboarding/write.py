@@ -227,7 +227,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
             robot.append(_joint(joints[above.name]))
             if above.kind in MOVING and above.name not in driven:
                 _hold_within_limits(robot[-1], above)
-            _follow_from_rest(robot[-1], above, tree)
+            _follow_from_rest(robot[-1], above, tree, driven)
         robot.append(_link(tree.links[link], parsed.geometry[link], parsed.inertias[link], home))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
@@ -317,7 +317,7 @@ def _hold_within_limits(element: Element, joint: Joint) -> None:
     limit.attrib |= {"lower": f"{low - at:.9g}", "upper": f"{high - at:.9g}"}
 
 
-def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
+def _follow_from_rest(element: Element, joint: Joint, tree: Tree, driven: set[str]) -> None:
     """Adapt a mimic joint to the shifted zeros; remove the mimic if its leader does not exist."""
     if (mimic := element.find("mimic")) is None or joint.mimic is None:
         return
@@ -325,7 +325,8 @@ def _follow_from_rest(element: Element, joint: Joint, tree: Tree) -> None:
     if leader not in tree.joints:
         element.remove(mimic)
         return
-    offset += multiplier * held_at(tree.joints[leader]) - held_at(joint)
+    shift = 0.0 if leader in driven else held_at(tree.joints[leader])
+    offset += multiplier * shift - held_at(joint)
     mimic.attrib |= {"multiplier": f"{multiplier:.9g}", "offset": f"{offset:.9g}"}
 
 
