@@ -178,7 +178,7 @@ def _joints(robot: NewRobot) -> Iterator[str]:
             yield (
                 f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}: "
                 "beyond these limits a link would meet the base; the source of position_lower "
-                "names the link"
+                "names the link; a smaller --buffer-distance may make this limit unnecessary"
             )
     for field, text in limits.source.items():
         if "assumed for" in text and field != "position_upper":
