@@ -111,7 +111,8 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
-            "pair: try another number of --bodies, or limit the joints between them"
+            "pair: try a smaller --buffer-distance or another number of --bodies, or limit the "
+            "joints between them"
         )
     if robot.unseen.left_out:
         yield (
