@@ -14,7 +14,9 @@ import trimesh
 
 from app.errors import DbbError, RobotFileError
 from app.onboarding import new_robot
+from app.onboarding.fit.travel import filled
 from app.onboarding.new_robot import finish, parse
+from app.onboarding.read.links import read_geometry
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
 from app.onboarding.warn import held_still, wheels_carried
@@ -543,6 +545,44 @@ def test_a_follower_keeps_its_relation_to_a_leader_without_zero_in_its_limits(
     urdf = rebased_urdf(parse(request(tmp_path, text)), name="toy", header="test")
     mimic = ElementTree.fromstring(urdf).find("joint[@name='follower']/mimic")
     assert float(mimic.get("offset")) == pytest.approx(offset)
+
+
+LIFT = 'lower="-2.5" upper="2.5"'
+
+
+@pytest.mark.parametrize(
+    ("limits", "mimics", "low", "high"),
+    [
+        (LIFT, {"rides": ("lift", 0.1, 0.0)}, -0.25, 0.25),  # as a torso on half of a lift
+        ('lower="0.5" upper="1.5"', {"rides": ("lift", 0.2, 0.1)}, 0.2, 0.4),  # never at zero
+        (LIFT, {"rides": ("idles", -0.5, 0.1), "idles": ("lift", 0.2, 0.0)}, -0.15, 0.35),
+        (LIFT, {"rides": ("nothing", 0.1, 0.0)}, 0.0, 0.0),
+    ],
+)
+def test_links_beside_the_arm_that_follow_it_cover_their_travel(
+    tmp_path: Path,
+    limits: str,
+    mimics: dict[str, tuple[str, float, float]],
+    low: float,
+    high: float,
+) -> None:
+    """Also in the new URDF, from which a check reads the robot again."""
+    text = re.sub(
+        r'(name="lift".*?<limit )lower="-2.5" upper="2.5"', rf"\1{limits}", TOY, flags=re.S
+    )
+    for name, (leader, multiplier, offset) in mimics.items():
+        slide = joint(name, "prismatic", "base", f"{name}_link", limit='lower="-1" upper="1"')
+        follow = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/></joint>'
+        part = link(f"{name}_link", solid('<box size="0.1 0.1 0.1"/>'))
+        text = text.replace("</robot>", part + slide.replace("</joint>", follow) + "</robot>")
+    parsed = parse(request(tmp_path, text))
+    again = make_tree(ElementTree.fromstring(rebased_urdf(parsed, name="toy", header="test")))
+    for tree in (parsed.tree, again):
+        chain = [tree.joints[name] for name in ARM_JOINTS]
+        z = filled(tree, read_geometry(tree), chain)["rides_link"].corners[:, 2]
+        assert [z.min(), z.max()] == pytest.approx([low - 0.05, high + 0.05], abs=1e-6)
+    warned = " ".join(held_still(parsed))
+    assert ("follow a joint of the arm (<mimic>)" in warned) is (low < high)
 
 
 def robot_model(folder: Path, asked: Request) -> RobotModel:

@@ -172,6 +172,19 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
         assert mesh_name(mesh_address(reference, tmp_path), mesh.parent.parent) == "package/m.stl"
 
 
+@pytest.mark.parametrize("reference", ["src/m.stl", "package://src/m.stl"])
+def test_a_folder_of_the_current_directory_is_no_installed_package(
+    reference: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`python -m app` searches the current directory too; elsewhere the address would be lost."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    mesh = tmp_path / "src" / "m.stl"
+    mesh.parent.mkdir()
+    mesh.write_bytes(b"solid")
+    assert mesh_address(reference, tmp_path) == str(mesh)
+
+
 @pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])
 def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
     tmp_path: Path, folder: str

@@ -17,7 +17,7 @@ from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.compose import ARM_ON_BASE
 from app.onboarding.fit.collision_sampling import ALWAYS
-from app.onboarding.fit.travel import with_travel
+from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import FREE
@@ -112,7 +112,8 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
         yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}; bodies that are neighbours or close by design are no "
-            "pair: try another number of --bodies, or limit the joints between them"
+            "pair: try a smaller --buffer-distance or another number of --bodies, or limit the "
+            "joints between them"
         )
     if robot.unseen.left_out:
         yield (
@@ -179,7 +180,7 @@ def _joints(robot: NewRobot) -> Iterator[str]:
             yield (
                 f"{joint.name} is limited to {low:g} … {high:g} instead of {lower:g} … {upper:g}: "
                 "beyond these limits a link would meet the base; the source of position_lower "
-                "names the link"
+                "names the link; a smaller --buffer-distance may make this limit unnecessary"
             )
     for field, text in limits.source.items():
         if "assumed for" in text and field != "position_upper":
@@ -225,6 +226,12 @@ def held_still(parsed: Parsed) -> Iterator[str]:
         yield (
             "these joints are not between the base and --tip, so they are fixed at zero or at the "
             f"limit nearest to zero: {names}"
+        )
+    if led := followers(tree, [joint.name for joint in arm.joints]):
+        names = ", ".join(joint.name for joint in led)
+        yield (
+            f"these joints follow a joint of the arm (<mimic>), but are fixed here: {names}; the "
+            "bodies cover their whole travel"
         )
     if free := [joint.name for joint in tree.joints.values() if joint.kind in FREE]:
         free = [name for name in free if tree.joints[name].child in tree.below(arm.base)[1:]]

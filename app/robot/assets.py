@@ -158,11 +158,15 @@ def followed(path: Path) -> Path:
 
 
 def package_roots(package: str) -> list[Path]:
-    """Folders of an installed package: a Python package's own, then those below `share`."""
+    """Folders of an installed package: a Python package's own, then those below `share`.
+
+    A folder of the current directory is not installed, although Python may import it there.
+    """
     spec = None
     if package.isidentifier() and package != "__main__":  # which has no folder
         spec = importlib.util.find_spec(package)
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
+    roots = [root for root in roots if root.resolve().parent != Path.cwd()]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
         roots += [share / package for share in share_folders() if isdir(share / package)]
     return roots

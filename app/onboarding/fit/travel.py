@@ -19,12 +19,16 @@ _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which shapes of the end-effector and of telescopes cover their whole motion.
+    """Geometry in which shapes of the end-effector, of telescopes, and of links that follow the arm
+    cover their whole motion.
 
     `chain` are the joints of the arm. The shapes are in the frames of the links at rest.
     """
     found = with_travel(tree, geometry, chain[-1].child)
     own = [joint.name for joint in chain]
+    for joint in followers(tree, own):
+        beside = [each.name for each in tree.children(joint.parent) if each is not joint]
+        found = with_travel(tree, found, joint.parent, [*own, *beside], [_leader(tree, joint)[0]])
     for slide in [joint for joint in chain[:-1] if joint.kind == "prismatic"]:
         below = tree.children(slide.child)
         other = [joint.name for joint in below if not (joint.moves and parallel(slide, joint))]
@@ -32,22 +36,50 @@ def filled(
     return found
 
 
+def followers(tree: Tree, chain: Sequence[str]) -> list[Joint]:
+    """Joints outside of the arm's chain that follow a joint of the chain (`<mimic>`).
+
+    An example is a torso that rises by half of the arm's lift.
+    """
+    outside = [joint for joint in tree.joints.values() if joint.mimic and joint.name not in chain]
+    return [joint for joint in outside if _leader(tree, joint)[0].name in chain]
+
+
+def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
+    """The motor that a mimic joint follows, also through other mimic joints, with multiplier and
+    offset; for a motor, the motor itself.
+    """
+    multiplier, offset = 1.0, 0.0
+    for _ in tree.joints:  # a closed chain of mimic joints ends too
+        if joint.mimic is None or joint.mimic[0] not in tree.joints:
+            break
+        name, factor, shift = joint.mimic
+        joint, multiplier, offset = (
+            tree.joints[name],
+            multiplier * factor,
+            offset + multiplier * shift,
+        )
+    return joint, multiplier, offset
+
+
 def with_travel(
     tree: Tree,
     geometry: Mapping[str, LinkGeometry],
     carrier: str,
     without: Sequence[str] = (),
+    motors: Sequence[Joint] | None = None,
 ) -> dict[str, LinkGeometry]:
     """Geometry in which the shapes of each descendant of `carrier` cover its whole motion.
 
-    The joints between `carrier` and the link move through their ranges, mimic joints with their
-    leaders. The shapes are in the frames of the links at rest, see `held_at`. Links beyond the
-    joints in `without` do not change.
+    The motion is that over the ranges of `motors`; default: all motors between `carrier` and the
+    link. Mimic joints move with their leaders. The shapes are in the frames of the links at rest,
+    see `held_at`. Links beyond the joints in `without` do not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
     held = _placed(tree, links, carrier, {joint.name: held_at(joint) for joint in joints})
-    tried = [_placed(tree, links, carrier, each) for each in _positions(joints)]
+    motors = [joint for joint in joints if joint.moves] if motors is None else motors
+    tried = [_placed(tree, links, carrier, each) for each in _positions(joints, motors)]
     found = dict(geometry)
     for link in links:
         motions = [held[link].actInv(places[link]) for places in tried]
@@ -63,18 +95,19 @@ def held_at(joint: Joint) -> float:
     return 0.0 if low >= high else float(np.clip(0.0, low, high))
 
 
-def _positions(joints: Sequence[Joint]) -> Iterator[Positions]:
-    """Positions of joints: each through its range with the others at rest, then all together."""
-    own = [joint for joint in joints if joint.moves]
-    ranges = {joint.name: _range(joint) for joint in own}
-    rest = {joint.name: held_at(joint) for joint in own}
+def _positions(joints: Sequence[Joint], motors: Sequence[Joint]) -> Iterator[Positions]:
+    """Positions of joints: each motor through its range with the others at rest, then all
+    together.
+    """
+    ranges = {joint.name: _range(joint) for joint in motors}
+    rest = {joint.name: held_at(joint) for joint in [*joints, *motors] if joint.moves}
     for name, values in ranges.items():
         for value in values:
-            yield _followed(joints, {**rest, name: value})
+            yield {**rest, name: value}
     most = max(map(len, ranges.values()), default=0)
     for share in np.linspace(0.0, 1.0, most):
         at = {name: each[0] + share * (each[-1] - each[0]) for name, each in ranges.items()}
-        yield _followed(joints, at)
+        yield {**rest, **at}
 
 
 def _range(joint: Joint) -> list[float]:
@@ -86,23 +119,13 @@ def _range(joint: Joint) -> list[float]:
     return np.linspace(low, high, count).tolist()
 
 
-def _followed(joints: Sequence[Joint], at: Positions) -> Positions:
-    """The positions with those of mimic joints added."""
-    found = dict(at)
-    for _ in joints:  # a mimic joint may follow another mimic joint
-        for joint in joints:
-            if joint.mimic is not None:
-                leader, multiplier, offset = joint.mimic
-                found[joint.name] = multiplier * found.get(leader, 0.0) + offset
-    return found
-
-
 def _placed(tree: Tree, links: Sequence[str], carrier: str, at: Positions) -> dict[str, pin.SE3]:
     """T_carrier_link of the links below a carrier; `links` has parents before children."""
     found = {carrier: pin.SE3.Identity()}
     for link in links:
         joint = tree.joint_of[link]
-        moved = joint.kind in MOVING
-        own = joint.motion(at.get(joint.name, 0.0)) if moved else joint.T_parent_child
+        leader, multiplier, offset = _leader(tree, joint)
+        q = at.get(joint.name, multiplier * at.get(leader.name, 0.0) + offset)
+        own = joint.motion(q) if joint.kind in MOVING else joint.T_parent_child
         found[link] = found[joint.parent] * own
     return found
