@@ -160,7 +160,7 @@ def report_html(
     said, forces = outcome(summary)
     parts = [
         said,
-        *(Part(each.title, name, [each.words], pictures[name]) for name, each in PICTURES.items()),
+        *(Part(each.title, name, [each.caption], pictures[name]) for name, each in PICTURES.items()),
         _envelope(envelope),
         forces,
         _counted("By the direction of the pull", "from", summary["by_kind"]),
