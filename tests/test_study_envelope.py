@@ -14,7 +14,7 @@ from app.errors import StudyError
 from app.studies.pulls import envelope as module
 from app.studies.pulls.envelope import (
     MARGIN,
-    RESERVE,
+    NEAR,
     Envelope,
     as_toml,
     fit_envelope,
@@ -118,9 +118,9 @@ def test_a_further_failure_never_widens_the_envelope_and_a_success_never_narrows
 
 
 def test_a_case_that_came_too_near_bounds_the_envelope_too():
-    near = {**row(0, 50.0, 0.5, 0.1, 0), "min_clearance_m": RESERVE - 1e-6}
+    near = {**row(0, 50.0, 0.5, 0.1, 0), "min_clearance_m": NEAR - 1e-6}
     assert not fit_envelope([near], RANGES).holds(near)
-    clear = {**near, "min_clearance_m": RESERVE}
+    clear = {**near, "min_clearance_m": NEAR}
     assert fit_envelope([clear], RANGES).holds({**clear, "hand_force_clear_max_n": 49.0})
 
 

@@ -25,7 +25,6 @@ from app.studies.paper.experiments import (
     LATERAL,
     TRACKING,
     TRACKING_REPULSIVE,
-    Experiment,
     Sources,
 )
 

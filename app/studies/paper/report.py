@@ -79,8 +79,9 @@ def reproduce(
         DbbError: A run is not possible.
     """
     begin, experiments = perf_counter(), experiments_for(names)
+    sources = load_sources()  # samples a missing border before the processes start
     runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
-    sources = replace(load_sources(), runs=runs)
+    sources = replace(sources, runs=runs)
     figures: dict[str, dict[str, Any]] = {}
     parts, done = [], duration(experiments)
     for name in names:

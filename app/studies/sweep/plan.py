@@ -124,7 +124,7 @@ def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]
             yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
 
 
-def way_out(p: Array, direction: Array, lower: Array, upper: Array) -> float:
+def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
     """[m] distance from a point inside a box to the box's surface, along a direction.
 
     All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.

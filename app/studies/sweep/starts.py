@@ -15,7 +15,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
 from app.strict import Array
-from app.studies.sweep.plan import Approach, Start, point_of, way_out
+from app.studies.sweep.plan import Approach, Start, exit_distance, point_of
 
 _Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joint positions
 
@@ -102,7 +102,7 @@ class StartFinder:
         if approach.kind == "above":
             return np.array([*approach.place, upper[2] + gap])
         centre, outwards = (lower + upper)[:2] / 2, -approach.inwards[:2]
-        reach = way_out(centre, outwards, lower[:2], upper[:2]) + gap
+        reach = exit_distance(centre, outwards, lower[:2], upper[:2]) + gap
         x, y = centre + reach * outwards
         return np.array([x, y, approach.height])
 
