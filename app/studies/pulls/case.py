@@ -118,7 +118,7 @@ def met_itself(row: Row) -> bool:
 
 
 def entered_buffer(row: Row, d_b: float) -> bool:
-    """Whether the arm came nearer to the base than d_b [m]; false if the run stopped by an error."""
+    """Whether the arm came nearer to the base than d_b [m]; false for a run without results."""
     distance = row.get("min_clearance_m")
     return distance is not None and distance < d_b
 
@@ -134,7 +134,7 @@ def failed(row: Row) -> bool:
 
 
 def flat(results: Mapping[str, Any]) -> Row:
-    """The results of a run by the columns of the table, without those that a study does not store."""
+    """The results of a run by the columns of a study's table."""
     return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})
 
 

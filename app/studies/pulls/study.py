@@ -1,7 +1,7 @@
 """A study: it runs the missing cases, and writes the table, the failures, the summary, the report.
 
-A journal gets one line as soon as a case is finished. The cases run in processes of this machine,
-or on the workers of a running dask scheduler.
+A journal stores the results of each case before the next results arrive. The cases run in processes
+of this machine, or on the workers of a running dask scheduler.
 """
 
 from __future__ import annotations
@@ -9,19 +9,20 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
+from app.robot.description import load_robot
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
 from app.studies.pulls.case import failed, play_case, spec_of, stopped
-from app.studies.pulls.draw import StudySources, draw_case, load_sources
+from app.studies.pulls.draw import draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
@@ -30,13 +31,10 @@ from app.system import claim, write_whole
 if TYPE_CHECKING:
     from distributed import Client
 
-Job = TypeVar("Job")
-Result = TypeVar("Result")
-
-_AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
+_AT_ONCE = 1000  # [-] number of cases that are sent to the workers together, to limit the memory
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
 _PATIENCE = 10.0  # [s] timeout of the connection to a scheduler
-_WORKERS_PATIENCE = 30.0  # [s] time to wait for the scheduler's first worker
+_WORKERS_PATIENCE = 30.0  # [s] timeout for the scheduler's first worker
 
 
 def study(
@@ -52,28 +50,32 @@ def study(
 
     Args:
         parameters: All parameters that determine the cases.
-        cases: Number of cases; a folder with fewer cases is continued.
+        cases: Number of cases. If the folder has fewer cases, the others run; if it has more, the
+            results are those of the first cases.
         out: An existing folder.
         scheduler: Address of a dask scheduler, or None for processes on this machine.
         processes: Number of processes on this machine.
-        on_progress: Called with the number of finished cases.
+        on_progress: Called with the number of finished cases among these.
 
     Returns:
         The content of `study.json`.
 
     Raises:
-        StudyError: The folder has another study, the scheduler does not answer, or a range has no
-            part inside the stated envelope.
-        DbbError: The robot cannot be loaded, or no case is possible.
+        StudyError: The folder has another study or is in use, the scheduler does not answer or has
+            no suitable workers, or a range has no part inside the stated envelope.
+        DbbError: The robot cannot be loaded, or the arm reaches no start.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
         parameters = parameters.model_copy(update={"ranges": inside})
     with Journal(out, identity_of(parameters)) as journal:
         todo = [number for number in range(cases) if number not in journal.rows]
-        on_progress(cases - len(todo))
-        if todo:
-            _do(todo, parameters, scheduler, processes, journal, on_progress)
+        finished = cases - len(todo)
+        on_progress(finished)
+        with closing(_rows(todo, parameters, scheduler, processes)) as arriving:
+            for number, row in enumerate(arriving, finished + 1):
+                journal.add(row)
+                on_progress(number)
         rows = [journal.rows[number] for number in range(cases)]
         return _write(rows, parameters, out)
 
@@ -83,37 +85,35 @@ def identity_of(parameters: StudyParameters) -> dict[str, Any]:
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
-def _do(
-    todo: Sequence[int],
-    parameters: StudyParameters,
-    scheduler: str | None,
-    processes: int,
-    journal: Journal,
-    on_progress: Callable[[float], None],
-) -> None:
-    """Run the cases with the numbers `todo`; the journal stores each result immediately."""
-    load = partial(load_sources, parameters.robot)
-    load()  # samples a missing border once
-    workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
-    kept, lost = len(journal.rows), partial(_lost_row, parameters)
-    with workers:
-        for begin in range(0, len(todo), _AT_ONCE):
-            numbers = todo[begin : begin + _AT_ONCE]
-            for row in workers.map(partial(_row, parameters), numbers, lost=lost):
-                journal.add(row)
-                kept += 1
-                on_progress(kept)
+def _rows(
+    todo: Sequence[int], parameters: StudyParameters, scheduler: str | None, processes: int
+) -> Generator[Row, None, None]:
+    """Run the cases with the numbers `todo`, and yield each row as soon as possible."""
+    if not todo:
+        return
+    load_sources(parameters.robot)  # samples a missing border before the processes start
+    batches = [todo[begin : begin + _AT_ONCE] for begin in range(0, len(todo), _AT_ONCE)]
+    if scheduler:
+        with _connected(scheduler) as client:
+            for numbers in batches:
+                yield from _rows_of_cluster(client, parameters, numbers)
+        return
+    load, lost = partial(load_sources, parameters.robot), partial(_lost_row, parameters)
+    with Workers(load, min(processes, len(todo))) as workers:
+        for numbers in batches:
+            yield from workers.map(partial(_row, parameters), numbers, lost=lost)
 
 
-def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
+def _row(parameters: StudyParameters, _: object, number: int) -> Row:
+    sources = load_sources(parameters.robot)  # cached in each process
     drawn = draw_case(parameters, number, sources)
     return play_case(drawn, parameters, sources.model, sources.data)
 
 
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
-    """The row of a case whose process has ended in each attempt."""
+    """The row of a case whose process ended in each attempt."""
     drawn = draw_case(parameters, number, load_sources(parameters.robot))
-    return stopped(drawn, "the process was killed in each attempt")
+    return stopped(drawn, "the process ended in each attempt")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -122,9 +122,10 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     from app.studies.pulls.report import report_html, summary_of
     from app.studies.style import png_of, styled
 
-    summary, envelope = summary_of(rows, parameters)
+    d_b = load_robot(parameters.robot).config.border.d_b
+    summary, envelope = summary_of(rows, parameters, d_b)
     with styled():
-        pictures = {name: png_of(each.draw(rows, envelope)) for name, each in PICTURES.items()}
+        pictures = {n: png_of(each.draw(rows, envelope, d_b)) for n, each in PICTURES.items()}
     write_rows(out / "results.parquet", rows)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
@@ -148,7 +149,10 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for each failed case, for `--case`, and remove the files of other cases."""
+    """Write a file for each failed case, and remove the files of other cases.
+
+    `dbb run --case` and `dbb serve --case` read these files.
+    """
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -165,8 +169,8 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 class Journal(AbstractContextManager["Journal"]):
     """The stored rows of a study, by the number of the case.
 
-    Each row is one line of JSON, which is on the disk before `add` returns. An incomplete line of a
-    killed process is removed, and the case runs again.
+    Each row is one line of JSON, which is on the disk before `add` returns. If the last line is
+    incomplete, because its process was killed, it is removed, and the case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
@@ -177,8 +181,8 @@ class Journal(AbstractContextManager["Journal"]):
             identity: The data that identify the study, as JSON.
 
         Raises:
-            StudyError: The folder has another study, another process uses the folder, or a row
-                cannot be read.
+            StudyError: The folder has another study, another process uses the folder, or the data
+                in the folder are damaged.
         """
         self.rows: dict[int, Row] = {}
         """Rows by the number of the case."""
@@ -215,12 +219,12 @@ class Journal(AbstractContextManager["Journal"]):
             write_json(path, identity)
             return
         try:
-            kept = parsed(json.loads, file_text(path))
+            stored = parsed(json.loads, file_text(path))
         except ValueError:
             raise StudyError(f"--out: {path} is damaged; choose another folder") from None
-        if kept != identity:
+        if stored != identity:
             raise StudyError(
-                f"--out: {self._folder} has another study ({_difference(kept, identity)}); "
+                f"--out: {self._folder} has another study ({_difference(stored, identity)}); "
                 "continue that study with its own options, or choose another folder"
             )
 
@@ -236,21 +240,21 @@ class Journal(AbstractContextManager["Journal"]):
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 raise StudyError(
-                    f"line {number} of {self._folder / _LINES} is damaged; remove the line, and "
+                    f"line {number} of {self._folder / _LINES} is damaged; remove the line, then "
                     "the case runs again"
                 ) from None
         self._file.truncate(whole)  # writing continues at the end, because it is open to append
 
 
-def _difference(kept: Any, wanted: dict[str, Any]) -> str:
+def _difference(stored: Any, requested: dict[str, Any]) -> str:
     """The differences between two identities as a text, such as `seed: 1, not 2`."""
-    if not isinstance(kept, dict):
+    if not isinstance(stored, dict):
         return "its parameters cannot be read"
-    if kept.get("code") != wanted.get("code"):  # then other parts may differ too
-        return f"code of another version: {kept.get('code')}, not {wanted.get('code')}"
+    if stored.get("code") != requested.get("code"):  # then other parts may differ too
+        return f"code of another version: {stored.get('code')}, not {requested.get('code')}"
     parts = []
-    for key in sorted({*kept, *wanted}):
-        there, here = kept.get(key), wanted.get(key)
+    for key in sorted({*stored, *requested}):
+        there, here = stored.get(key), requested.get(key)
         if there == here:
             continue
         if isinstance(there, dict) and isinstance(here, dict):
@@ -260,85 +264,36 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-class Cluster(AbstractContextManager["Cluster"]):
-    """Runs jobs on the workers of a dask scheduler, as `app.jobs.pool.Workers` does in processes.
+@contextmanager
+def _connected(scheduler: str) -> Iterator[Client]:
+    """Connect to a dask scheduler, which continues to run after the `with`.
 
-    Use it in a `with`, which does not end the scheduler. The certificates for `tls://` addresses
-    come from dask's configuration.
+    The certificates for `tls://` addresses come from dask's configuration.
+
+    Raises:
+        StudyError: No scheduler answers, the scheduler has no workers, or the workers have other
+            code.
     """
-
-    def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
-        """Connect to a scheduler.
-
-        Args:
-            scheduler: Address, such as `tls://10.0.0.7:8786`.
-            make_context: Returns the data that the jobs share; each job calls this function, so it
-                must cache the data.
-
-        Raises:
-            StudyError: No scheduler answers, the scheduler has no workers, or the workers have
-                other code.
-        """
-        for name in ("distributed", "tornado"):  # their errors arrive as exceptions
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-        self._make_context = make_context
-        self._client = _connected(scheduler)
-        try:
-            _check_workers(self._client, scheduler)
-        except BaseException:
-            self._client.close()
-            raise
-
-    def __exit__(self, *_: object) -> None:
-        self._client.close()
-
-    def map(
-        self,
-        function: Callable[[Any, Job], Result],
-        jobs: Sequence[Job],
-        *,
-        lost: Callable[[Job], Result],
-    ) -> Iterator[Result]:
-        """Execute the jobs, and yield the results in the order in which the jobs end.
-
-        If the worker's process ends in each attempt at a job, `lost` makes the result.
-        """
-        from distributed import as_completed
-        from distributed.scheduler import KilledWorker
-
-        run = partial(_run, function, self._make_context)
-        futures = self._client.map(run, jobs, pure=False)
-        names = {future.key: job for future, job in zip(futures, jobs, strict=True)}
-        for future in as_completed(futures):
-            try:
-                result = future.result()
-            except KilledWorker:
-                result = lost(names[future.key])
-            yield result
-
-
-def _run(
-    function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
-) -> Result:
-    return function(make_context(), job)
-
-
-def _connected(scheduler: str) -> Client:
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client
 
+    for name in ("distributed", "tornado"):  # their errors arrive as exceptions
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        return Client(scheduler, timeout=_PATIENCE)
+        client = Client(scheduler, timeout=_PATIENCE)
     except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificates
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise StudyError(
             f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
             "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
         ) from None
+    with client:
+        _check_workers(client, scheduler)
+        yield client
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a cluster has workers, and that their code is the code of this process."""
+    """Check that a scheduler has workers, and that their code is the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:
@@ -349,8 +304,26 @@ def _check_workers(client: Client, scheduler: str) -> None:
         raise StudyError(
             f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
         )
-    strange = [worker for worker, digest in digests.items() if digest != code_digest()]
-    if strange:
+    others = [worker for worker, digest in digests.items() if digest != code_digest()]
+    if others:
         raise StudyError(
-            f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
+            f"--scheduler: these workers of {scheduler} have another version of the code: "
+            f"{', '.join(others)}; install this version there"
         )
+
+
+def _rows_of_cluster(
+    client: Client, parameters: StudyParameters, numbers: Sequence[int]
+) -> Iterator[Row]:
+    """Run cases on the workers of a cluster; yield the rows in the order in which the cases end."""
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    futures = client.map(partial(_row, parameters, None), numbers, pure=False)
+    number_of = {future.key: number for future, number in zip(futures, numbers, strict=True)}
+    for future in as_completed(futures):
+        try:
+            row = future.result()
+        except KilledWorker:
+            row = _lost_row(parameters, number_of[future.key])
+        yield row
