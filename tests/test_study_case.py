@@ -272,6 +272,6 @@ def test_files_that_are_not_there_end_a_study_instead_of_being_a_row_of_it(
     def missing(*_: object) -> None:
         raise AssetError("no such mesh")
 
-    monkeypatch.setattr("app.simulation.run.run_from_spec", missing)
+    monkeypatch.setattr("app.studies.pulls.case.run_from_spec", missing)
     with pytest.raises(AssetError, match="no such mesh"):
         play_case(cases[0], PARAMETERS, sources.model, sources.data)

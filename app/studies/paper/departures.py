@@ -122,13 +122,9 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B, which is zero except for the base's rows and one pair of L_m^c.
+    """The diagonal of B (k,) with activations of the base's rows and of one pair of L_m^c.
 
-    Args:
-        w: The control step.
-        base: [-] activation of the base's rows.
-        link: [-] activation of the pair.
-        pair: Index of the pair in L_m^c.
+    `pair` is the index of the pair in L_m^c, `link` its activation. All other entries are zero.
     """
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link

@@ -109,13 +109,9 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
 
 
 def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
-    """Limit axes that show points from above to a square around the points.
+    """Limit axes that show points (N, 2) or (N, 3) [m] from above to a square around the points.
 
-    Args:
-        ax: The axes.
-        points: (N, 2) or (N, 3) [m] the points.
-        margin: [m] smallest distance of the points from the square's sides.
-        smallest: [m] lower bound of the square's side, without the margin.
+    The side of the square, without the margin [m], is at least `smallest` [m].
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     half = max(smallest, float((high - low).max())) / 2 + margin
@@ -128,10 +124,7 @@ def placed_meshes(
 ) -> list[tuple[str, trimesh.Trimesh]]:
     """The meshes of all shapes of the convex bodies, in the world, each with its body's name.
 
-    Args:
-        model: The robot.
-        base_pose: (3,) x, y [m] and heading [rad] of the base.
-        q_m: (n_m,) [rad or m] joint positions of the arm.
+    `base_pose` (3,) has x, y [m] and heading [rad]; `q_m` (n_m,) are the arm's joint positions.
     """
     data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
     q = model.configuration(base_pose, q_m)
@@ -269,9 +262,7 @@ def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
 
 
 def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> None:
-    """Draw an arrow between two points in x and y, which the layout ignores; further coordinates
-    of the points are ignored too.
-    """
+    """Draw an arrow, which the layout ignores, from x and y of one point to x and y of another."""
     look = {"linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, **look}
     head: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, **look}
     head_at, tail_at = (end[0], end[1]), (start[0], start[1])

@@ -36,13 +36,10 @@ class Experiment(RunSpec):
 
     @classmethod
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
-        """The run of a scenario.
+        """The run of a scenario, by the names of scenario and controller.
 
-        Args:
-            scenario: Name of the scenario.
-            controller: Name of the controller.
-            points: Whether the border consists of points, as in the paper.
-            line: `start` or `move` (3,) [m] of the end-effector, instead of the scenario's own.
+        With `points` the border consists of points, as in the paper. `line` may have the options
+        `start` and `move` (3,) [m] of the scenario.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
@@ -143,12 +140,9 @@ class Sources:
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Compute acting point and force (3,) [N] with the controller's functions.
+        """Compute acting point and force (3,) [N] for closest points in the base's frame.
 
-        Args:
-            finder: Algorithm 3 on a border.
-            closest: The closest points, in the base's frame.
-            force: Parameters of the force; default: those of `config`.
+        `finder` is Algorithm 3 on a border; `force` are parameters, by default those of `config`.
         """
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
@@ -195,13 +189,9 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Run each experiment once, in parallel processes.
+    """Run each experiment once with the same seed, in parallel processes.
 
-    Args:
-        experiments: The runs; a repeated one is executed once.
-        seed: Seed of all runs, which replaces the experiments' own.
-        processes: Number of processes.
-        on_progress: Called after each run with the simulated time [s] of all finished runs.
+    After each run `on_progress` gets the simulated time [s] of all finished runs.
 
     Raises:
         UnreachableError: The arm cannot reach the start of an experiment.

@@ -63,14 +63,9 @@ def reproduce(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Make figures with their data, judge their claims, and write all files.
+    """Make figures with their data, judge their claims, and write all files into a folder.
 
-    Args:
-        names: Names of the figures.
-        out: An existing folder.
-        seed: Seed of all runs.
-        processes: Number of processes.
-        on_progress: Called with the part of `work` [s] that is done.
+    `on_progress` gets the part of `work` [s] that is done.
 
     Returns:
         The content of `metrics.json`.
@@ -118,13 +113,7 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """The HTML of `index.html`.
-
-    Args:
-        figures: The parts of the figures.
-        claims: Results of `Claim.judge`, which are in a table below the figures.
-        about: Sentences about the runs, for the top of the page.
-    """
+    """The HTML of `index.html`, with a sentence `about` the runs and results of `Claim.judge`."""
     tally = f"{_number_that_hold(claims)} of {len(claims)} claims hold here. " if claims else ""
     lead = (
         "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "

@@ -3,22 +3,19 @@
 Robot, controller, plant and the random quantities determine the run.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from app.border.cache import BorderData
 from app.errors import AssetError, DbbError
 from app.robot.description import load_robot
+from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
+from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
 from app.studies.runs import Row, flattened, rounded
-
-if TYPE_CHECKING:
-    from app.border.cache import BorderData
-    from app.robot.model import RobotModel
 
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Results of a run that depend on the machine, which a study does not store."""
@@ -84,9 +81,6 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     Raises:
         AssetError: The robot's files are missing.
     """
-    # Imported here, because drawing cases does not need it.
-    from app.simulation.run import run_from_spec
-
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
     except AssetError:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from app.config import parameter
+from app.simulation.trace.words import number_text
 from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
@@ -73,15 +74,9 @@ _COLUMNS = {
 def summary_of(
     rows: Sequence[Row], parameters: StudyParameters, d_b: float
 ) -> tuple[dict[str, Any], Envelope]:
-    """Summarise a study.
+    """The summary of at least one case, whose keys end in the unit, and the fitted envelope.
 
-    Args:
-        rows: The rows of at least one case.
-        parameters: The parameters of the study.
-        d_b: [m] buffer distance of the robot.
-
-    Returns:
-        The summary, whose keys end in the unit, and the envelope that is fitted to the cases.
+    `d_b` [m] is the buffer distance of the robot.
     """
     stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
@@ -175,15 +170,7 @@ def report_html(
     envelope: Envelope,
     pictures: Mapping[str, bytes],
 ) -> str:
-    """The HTML of the report.
-
-    Args:
-        rows: The rows of the cases.
-        parameters: The parameters of the study.
-        summary: The summary from `summary_of`.
-        envelope: The fitted envelope.
-        pictures: A PNG for each of `PICTURES`, by its name.
-    """
+    """The HTML of the report, with the results of `summary_of` and a PNG for each of `PICTURES`."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     verdict, forces = outcome(summary)
     parts = [
@@ -209,7 +196,7 @@ def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
 def _lead(parameters: StudyParameters) -> str:
     ranges = parameters.ranges.model_dump()
     intervals = ", ".join(
-        f"{name.replace('_', ' ')} {_number(v[0])} to {_number(v[1])}"
+        f"{name.replace('_', ' ')} {number_text(v[0])} to {number_text(v[1])}"
         for name, v in ranges.items()
         if isinstance(v, tuple)
     )
@@ -236,20 +223,20 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         f"convex bodies met. {s['solver_failure']} runs had steps with the fallback command, "
         f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error.",
     ]
-    force, speed = s["hand_force_max_n"], s["hand_speed_max_mps"]
-    if force and speed:
+    if s["hand_force_max_n"]:
+        weakest, median, strongest = _texts(s["hand_force_max_n"], "0_%", "50_%", "100_%")
+        (speed,) = _texts(s["hand_speed_max_mps"], "100_%")
         lines.append(
-            f"The largest force of the person in a run was {_number(force['0_%'])} to "
-            f"{_number(force['100_%'])} N (median {_number(force['50_%'])} N). The largest speed "
-            f"of the end-effector was {_number(speed['100_%'])} m/s. In "
+            f"The largest force of the person in a run was {weakest} to {strongest} N (median "
+            f"{median} N). The largest speed of the end-effector was {speed} m/s. In "
             f"{_percent(s['entered_buffer_share'])} of the runs the arm entered the buffer of the "
             "base."
         )
     if distance:
+        smallest, few, half = _texts(distance, "0_%", "5_%", "50_%")
         lines.append(
-            f"The smallest distance between arm and base was {_number(distance['0_%'])} m; it was "
-            f"at least {_number(distance['50_%'])} m in half of the runs, and at least "
-            f"{_number(distance['5_%'])} m in 95 of 100 runs."
+            f"The smallest distance between arm and base was {smallest} m. It was at least "
+            f"{half} m in half of the runs, and at least {few} m in 95 of 100 runs."
         )
     lines.append(
         f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
@@ -259,6 +246,10 @@ def _verdict(s: Mapping[str, Any]) -> list[str]:
         else "No case is inside an envelope that was fitted to other cases."
     )
     return [*lines, _stated(s["stated_envelope"])]
+
+
+def _texts(quantiles: Mapping[str, float], *names: str) -> list[str]:
+    return [number_text(quantiles[name]) for name in names]
 
 
 def _stated(stated: Mapping[str, Any]) -> str:
@@ -292,7 +283,7 @@ def _forces(summary: Mapping[str, Any]) -> Part:
 def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
     """A table of numbers by group, with the title `group` of the first column."""
     head = [group, *map(label, next(iter(found.values())))]
-    body = [[name, *map(_number, counts.values())] for name, counts in found.items()]
+    body = [[name, *map(number_text, counts.values())] for name, counts in found.items()]
     return Part(title, tables=[Grid(head, body, numbers=True)])
 
 
@@ -301,7 +292,7 @@ def _failures(rows: Sequence[Row]) -> Part:
     if not bad:
         return Part("Failures", text=["No case failed."])
     bad.sort(key=exerted)
-    body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
+    body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
     cut = len(bad) > _MAX_FAILURES
     more = f" The table has {_MAX_FAILURES} of {len(bad)} failures." if cut else ""
     text = (
@@ -313,14 +304,10 @@ def _failures(rows: Sequence[Row]) -> Part:
     return Part("Failures", text=[text], tables=[grid])
 
 
-def _number(value: Any) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.3g}".replace("-", "−") if isinstance(value, float) else str(value)
-
-
 def _interval(value: Any) -> str:
-    return " to ".join(map(_number, value)) if isinstance(value, tuple) else _number(value)
+    if isinstance(value, tuple):
+        return " to ".join(map(number_text, value))
+    return number_text(value)
 
 
 def _percent(rate: float) -> str:

@@ -54,7 +54,7 @@ class Quantity(NamedTuple):
     """Whether values above the limit are good."""
 
     def share(self, value: float) -> float:
-        """[-] position of a value on the scale, from 0 to 1; values beyond an end are at the end."""
+        """[-] position of a value on the scale, clipped to 0 to 1."""
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
@@ -207,12 +207,7 @@ def _panels(
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
     """Make a figure, and its panels, each with the controller and the quantity that it shows.
 
-    Args:
-        title: Title of the figure.
-        names: Names of the controllers.
-        rows: The drawn rows of paths.
-        panel: [in] height of a panel.
-        projection: Projection of the panels.
+    The scales of the quantities include all `rows`; `panel` is the height [in] of a panel.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -248,14 +243,10 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline, the wheel axis and the arm's mount.
+    """Draw the base's outline in a style, the wheel axis, and the arm's mount.
 
-    Args:
-        ax: The axes.
-        model: The robot.
-        mount: [m] radius of the mount's circle.
-        axis: [m] y of both ends of the wheel axis.
-        style: Options of the outline.
+    The mount is a circle with the radius `mount` [m]; `axis` has y [m] of both ends of the wheel
+    axis.
     """
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
@@ -288,7 +279,7 @@ def _scale(ax: Any, quantity: Quantity) -> None:
 
 
 def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
-    """Draw a bar in a path's direction, from the inner radius to `radius` [m], `width` [deg] wide."""
+    """Draw a bar in a path's direction, up to a radius [m] in plan, with a width [deg]."""
     middle, style = math.radians(row["direction_deg"]), {"zorder": 2, **style}
     ax.bar(middle, radius - _INNER, math.radians(width), _INNER, **style)
 
