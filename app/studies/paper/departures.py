@@ -5,7 +5,6 @@ numbers are better.
 """
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -40,17 +39,9 @@ Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 """A function that computes q̈ (n,) from a control step, the diagonal of B (k,) [-] and the gains."""
 
 
-class Departure(NamedTuple):
-    """A row of the table of departures."""
-
-    place: str
-    """The equation and the departure."""
-    key: str
-    """Key of the measured number, which ends in the unit."""
-    printed: float
-    """The number of the printed form."""
-    here: float
-    """The number of the project's form."""
+Departure = tuple[str, str, float, float]
+"""The equation and the departure; the key of the measured number, which ends in the unit; the
+number of the printed form; the number of the project's form."""
 
 
 @style.picture(
@@ -70,9 +61,9 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
         colour, label = style.METHOD_COLOURS[name], style.METHOD_NAMES[name]
         ax.barh(places + above, values, 0.36, color=colour, label=label)
     ax.set_xscale("log")
-    ax.set_yticks(places, [f"{row.place}\n{row.key}" for row in rows])
+    ax.set_yticks(places, [f"{place}\n{key}" for place, key, *_ in rows])
     ax.legend(loc="lower right")
-    measured = {row.key: {"printed": row.printed, "here": row.here} for row in rows}
+    measured = {key: {"printed": printed, "here": here} for _, key, printed, here in rows}
     return drawing.Drawing(
         figure,
         {"": table},
@@ -159,12 +150,15 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
         enters.append([_torque(w, change) for change in changes])
         left.append(left_as_printed(step_at_rest(controller, q_m, 0.001), gains))
     w = step_at_rest(controller, postures(sources)[0], _FAR)
-    demands = [np.linalg.norm(hqp.end_effector(w, gains).b), np.linalg.norm(w.b_ee)]
+    demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
     jumps = [jump(sources, controller, solve) for solve in SOLVERS]
-    yield Departure("(26) strict levels", "jump_radps2", *jumps)
-    yield Departure("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *map(float, demands))
-    yield Departure("(29) reference on the left", "off_at_zero_radps2", max(left), 0.0)
-    yield Departure("(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist())
+    for place, key, (theirs, ours) in (
+        ("(26) strict levels", "jump_radps2", jumps),
+        ("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", demands),
+        ("(29) reference on the left", "off_at_zero_radps2", (max(left), 0.0)),
+        ("(29) a row enters", "torque_jump_nm", np.nanmax(enters, axis=0).tolist()),
+    ):
+        yield place, key, theirs, ours
 
 
 def postures(sources: Sources) -> list[Array]:
@@ -212,7 +206,8 @@ def _of_runs(sources: Sources) -> Iterator[Departure]:
     tracking, axis = AS_PRINTED[:2]
 
     def compare(place: str, key: str, theirs: Experiment, ours: Experiment) -> Departure:
-        return Departure(place, key, *(sources.runs[e].figures[key] for e in (theirs, ours)))
+        printed, here = (sources.runs[e].figures[key] for e in (theirs, ours))
+        return place, key, printed, here
 
     yield compare("(29) base as commanded", "ee_error_max_m", tracking, TRACKING)
-    yield compare("(29) base's rows fix its motion", "ee_error_final_m", axis, WHEEL_AXIS)
+    yield compare("(29) the base's rows fix its motion", "ee_error_final_m", axis, WHEEL_AXIS)

@@ -27,6 +27,7 @@ _PALE, _DEEP = 0.45, 0.95  # [-] used range of a colour map
 _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # colours in the legend
 _NEVER: dict[str, Any] = {"facecolor": "white", "edgecolor": "#B10026", "hatch": "////"}
 _UNREACHABLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DAE0", "hatch": "////"}
+_DOT: dict[str, Any] = {"marker": "o", "linestyle": "none"}
 _INNER, _OUTER = 0.80, 1.60  # [m] radii in plan of the bars' scale, which surrounds the base
 _MIN_BAR = 0.06  # [-] smallest length of a bar, relative to the scale
 _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [m] radius, [deg] angle between dots for the wheel axis
@@ -234,9 +235,9 @@ def _legend(figure: Figure, *, axis: bool) -> None:
         Line2D([], [], color=INK, marker="x", linestyle="none", label="contact"),
     ]
     if axis:
-        look = {"color": _WITHIN, "marker": "o", "markeredgecolor": INK, "linestyle": "none"}
         text = "along the wheel axis, x of $p_b$ = 0, ±1, ±10, ±50 mm"
-        handles.append(Line2D([], [], label=text, **look))
+        dot = Line2D([], [], label=text, color=_WITHIN, markeredgecolor=INK, **_DOT)
+        handles.append(dot)
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5)
 
 
@@ -292,8 +293,8 @@ def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
-    look = {"marker": "o", "markersize": 6.5, "markeredgewidth": 0.8, "linestyle": "none"}
-    ax.plot(angle, _AXIS_RADIUS, markerfacecolor=face, markeredgecolor=edge, zorder=6, **look)
+    look = {"markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": 0.8, "zorder": 6}
+    ax.plot(angle, _AXIS_RADIUS, markersize=6.5, **look, **_DOT)
     _cross(ax, row, (angle, 1.9), 4)
 
 
