@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]  # finite numbers, texts, booleans and None, by the name of the column
 
 _DECIMALS = 9  # [-] decimals of stored numbers
-_KEPT_EVERY = 10  # [-] one of so many control steps is a row of a thinned trace
+_KEPT_EVERY = 10  # [-] number of control steps from one row of a thinned trace to the next
 
 
 def thinned(result: RunResult) -> RunResult:

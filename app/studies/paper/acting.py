@@ -21,7 +21,7 @@ TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4}
 """Parameters with which the step α is always 0.4 m, the largest valid bound."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
-_EVERY = 20  # [-] the force is evaluated in one of so many rows of a run
+_EVERY = 20  # [-] number of rows from one evaluation of the force to the next
 _ZOOM = 0.30  # [m] smallest side of the square around the points of Algorithm 3
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 

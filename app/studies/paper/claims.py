@@ -137,7 +137,7 @@ class Claim(NamedTuple):
         }
 
 
-CLAIMS: list[Claim] = []  # in the order of the paper
+CLAIMS: list[Claim] = []  # in the order of the report
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:

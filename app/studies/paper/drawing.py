@@ -174,7 +174,7 @@ class Strip:
     def paths(self, *columns: str, every: int = 10) -> Table:
         """A table of time, pose of the base, position of the end-effector, and further columns.
 
-        The table has one of `every` rows of the run.
+        The table has each `every`-th row of the run.
         """
         run = self.run.trace
         table = {name: run[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}

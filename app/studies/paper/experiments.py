@@ -64,7 +64,7 @@ TRACKING = Experiment.of("tracking", "dbb")
 TRACKING_REPULSIVE = Experiment.of("tracking", "repulsive")
 TRACKING_NONE = Experiment.of("tracking", "none")
 WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
-"""An approach along the wheel axis, in which direction the base cannot move at once."""
+"""An approach along the wheel axis. In this direction the base cannot move immediately."""
 WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
 LATERAL = Experiment.of("guiding-lateral", "dbb")
 FRONT = Experiment.of("guiding-front", "dbb")
