@@ -41,9 +41,9 @@ COLUMNS = {
     "stated_period": "stated_period_s",
     "fault_at": "fault_at_s",
 }
-"""The column of each random quantity, by its name: in `StudyRange`, or for `_OF_LINE` in
-`LineScenario`. `release_at` and `regrasp_at` are None if the person does not release or does not
-grasp again."""
+"""The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
+`LineScenario`. The columns of release and new grasp are None if the event does not happen.
+`fault_at_s` is a time, not a share of the pull."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
 _NOT_STORED = {
     *("scenario", "controller", "robot", "seed", "duration_s", "physics"),  # equal to the inputs

@@ -233,7 +233,7 @@ class Journal(AbstractContextManager["Journal"]):
         whole, lines = 0, iter(partial(self._file.readline, SMALL), b"")
         for number, line in enumerate(lines, start=1):
             if not line.endswith(b"\n") and len(line) < SMALL:
-                break  # cut off
+                break  # incomplete
             whole += len(line)
             try:
                 row = parsed(json.loads, line.decode())
