@@ -378,8 +378,7 @@ def smoother_than_repulsive(s: Sources) -> Findings:
 def trade_off(s: Sources) -> Findings:
     """A denser border makes the acting point more continuous, at a higher cost."""
     table = density.trade_off(s)
-    points = table["border"] == "points"
-    jump, cost, count = (table[k][points] for k in ("jump_max_m", "find_p50_us", "points"))
+    jump, cost, count = (table[k][:-1] for k in ("jump_max_m", "find_p50_us", "points"))
     text = ", ".join(
         f"{n} points: {1e3 * j:.0f} mm, {c:.0f} µs"
         for n, j, c in zip(count, jump, cost, strict=True)

@@ -40,19 +40,17 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     point are smaller. About 50,000 points are suitable for a control rate of 1 kHz.
     """
     table = trade_off(sources)
+    counts = table["points"][:-1]
     figure = style.new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
-    look = {"color": style.METHOD_COLOURS["points"]}
+    look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (printed)"}
+    name = "continuous surface (default)"
     for ax, column, label in (
         (jump, "jump_max_m", "largest jump in a control step [m]"),
         (cost, "find_p50_us", "median time of a search [µs]"),
     ):
-        values = {kind: table[column][table["border"] == kind] for kind in _NAMES}
-        counts = table["points"][table["border"] == "points"]
-        ax.plot(
-            counts, values["points"], "o-", label="border of points, searched as printed", **look
-        )
-        surface, name = float(values["surface"][0]), "as a continuous surface (used here)"
+        *values, surface = table[column].tolist()
+        ax.plot(counts, values, "o-", **look)
         if ax is jump:
             style.level(ax, surface, name)
         else:
@@ -66,18 +64,10 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     style.panel_title(cost, "", "cost of the acting point")
     jump.legend(loc="upper right")
     cost.legend(loc="upper left")
-    rows = {
-        "surface" if kind == "surface" else f"{n} {kind}": {
-            x: float(table[x][k]) for x in _MEASURED
-        }
-        for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
-    }
-    return drawing.Drawing(
-        figure,
-        {"": table},
-        rows,
-        ["All rows have the path of the lateral guiding, at the control rate."],
-    )
+    names = [*(f"{n} points" for n in counts), "surface"]
+    rows = {name: {x: float(table[x][k]) for x in _MEASURED} for k, name in enumerate(names)}
+    remark = "All rows have the path of the lateral guiding, at the control rate."
+    return drawing.Drawing(figure, {"": table}, rows, [remark])
 
 
 @cache
