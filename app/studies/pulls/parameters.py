@@ -96,8 +96,8 @@ class StudyRange(Strict):
     """[s] control period that the controller assumes in a case with this fault; the true period is
     0.001 s."""
     faulty: float = 0.5
-    """[-] probability of one to three of the faults sensor_delay, sensor_period, dropped,
-    unknown_load, stated_period in a case; otherwise it has none."""
+    """[-] probability that a case has one to three of the faults sensor_delay, sensor_period,
+    dropped, unknown_load, stated_period; the other cases have no fault."""
     fault_at: Interval = (0.0, 0.5)
     """[-] time at which the faults begin, as a share of the pull's duration; a wrong stated_period
     acts from the start."""

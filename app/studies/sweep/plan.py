@@ -146,7 +146,7 @@ class SweepPlan:
     speeds: tuple[float, ...] = (0.025,)
     """[m/s] mean speeds of the end-effector on a path, one or several."""
     step: float = 5.0
-    """[deg] angle between two neighbouring directions; 360 must be a multiple of it."""
+    """[deg] angle between two neighbouring directions; 360 must be a multiple of this angle."""
     mode: Mode = "tracking"
     """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
     wheel_axis: bool = True
