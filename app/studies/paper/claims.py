@@ -370,7 +370,7 @@ def smoother_than_repulsive(s: Sources) -> Findings:
     )
     key, text = "torque_rate_sign_changes", "sign changes of a torque's rate"
     yield compare(text, f"dbb_{key}", own, high=TORQUE_SIGN_CHANGES)
-    with_repulsion = f"with the repulsive method {repulsive} (required: more)"
+    with_repulsion = f"with the repulsive method {repulsive} (required: more than {own})"
     yield Finding(with_repulsion, own < repulsive, {f"repulsive_{key}": repulsive})
 
 
