@@ -202,10 +202,10 @@ def _lead(parameters: StudyParameters) -> str:
     )
     inside = " Only pulls inside the stated envelope were drawn." if parameters.inside else ""
     return (
-        "A person pulls the end-effector towards the base or along it, from random starts around, "
-        f"above and below. Robot {parameters.robot}, plant {parameters.physics}, seed "
-        f"{parameters.seed}. Ranges in SI units: {intervals}. The distribution is uniform, for the "
-        "stiffness on a logarithmic scale. The probability of one to three of the faults "
+        "A person pulls the end-effector towards the base or along it, from random starts on all "
+        f"sides of the base. Robot {parameters.robot}, plant {parameters.physics}, seed "
+        f"{parameters.seed}. Ranges in SI units: {intervals}. The distributions are uniform, for "
+        "the stiffness on a logarithmic scale. The probability of one to three of the faults "
         f"{', '.join(FAULTS)} is {_percent(parameters.ranges.faulty)}. The probability that the "
         f"person releases the end-effector early is {_percent(parameters.ranges.released)}, and "
         "the probability of a new grasp after a release is "
