@@ -1,7 +1,7 @@
 """A study: it runs the missing cases, and writes the table, the failures, the summary, the report.
 
-A journal stores the results of each case before the next results arrive. The cases run in processes
-of this machine, or on the workers of a running dask scheduler.
+A journal gets one line as soon as a case is finished. The cases run in processes of this machine,
+or on the workers of a running dask scheduler.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
@@ -22,7 +22,7 @@ from app.robot.description import load_robot
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
 from app.studies.pulls.case import failed, play_case, spec_of, stopped
-from app.studies.pulls.draw import draw_case, load_sources
+from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
@@ -31,10 +31,13 @@ from app.system import claim, write_whole
 if TYPE_CHECKING:
     from distributed import Client
 
-_AT_ONCE = 1000  # [-] number of cases that are sent to the workers together, to limit the memory
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+_AT_ONCE = 1000  # number of cases that are sent to the workers together, to limit the memory
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
 _PATIENCE = 10.0  # [s] timeout of the connection to a scheduler
-_WORKERS_PATIENCE = 30.0  # [s] timeout for the scheduler's first worker
+_WORKERS_PATIENCE = 30.0  # [s] time to wait for the scheduler's first worker
 
 
 def study(
@@ -55,7 +58,7 @@ def study(
         out: An existing folder.
         scheduler: Address of a dask scheduler, or None for processes on this machine.
         processes: Number of processes on this machine.
-        on_progress: Called with the number of finished cases among these.
+        on_progress: Called with the number of finished cases.
 
     Returns:
         The content of `study.json`.
@@ -70,12 +73,9 @@ def study(
         parameters = parameters.model_copy(update={"ranges": inside})
     with Journal(out, identity_of(parameters)) as journal:
         todo = [number for number in range(cases) if number not in journal.rows]
-        finished = cases - len(todo)
-        on_progress(finished)
-        with closing(_rows(todo, parameters, scheduler, processes)) as arriving:
-            for number, row in enumerate(arriving, finished + 1):
-                journal.add(row)
-                on_progress(number)
+        on_progress(cases - len(todo))
+        if todo:
+            _do(todo, parameters, scheduler, processes, journal, on_progress)
         rows = [journal.rows[number] for number in range(cases)]
         return _write(rows, parameters, out)
 
@@ -85,35 +85,37 @@ def identity_of(parameters: StudyParameters) -> dict[str, Any]:
     return {**parameters.model_dump(mode="json"), "code": code_digest()}
 
 
-def _rows(
-    todo: Sequence[int], parameters: StudyParameters, scheduler: str | None, processes: int
-) -> Generator[Row, None, None]:
-    """Run the cases with the numbers `todo`, and yield each row as soon as possible."""
-    if not todo:
-        return
-    load_sources(parameters.robot)  # samples a missing border before the processes start
-    batches = [todo[begin : begin + _AT_ONCE] for begin in range(0, len(todo), _AT_ONCE)]
-    if scheduler:
-        with _connected(scheduler) as client:
-            for numbers in batches:
-                yield from _rows_of_cluster(client, parameters, numbers)
-        return
-    load, lost = partial(load_sources, parameters.robot), partial(_lost_row, parameters)
-    with Workers(load, min(processes, len(todo))) as workers:
-        for numbers in batches:
-            yield from workers.map(partial(_row, parameters), numbers, lost=lost)
+def _do(
+    todo: Sequence[int],
+    parameters: StudyParameters,
+    scheduler: str | None,
+    processes: int,
+    journal: Journal,
+    on_progress: Callable[[float], None],
+) -> None:
+    """Run the cases with the numbers `todo`; the journal stores each result immediately."""
+    load = partial(load_sources, parameters.robot)
+    load()  # samples a missing border once
+    workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
+    kept, lost = len(journal.rows), partial(_lost_row, parameters)
+    with workers:
+        for begin in range(0, len(todo), _AT_ONCE):
+            numbers = todo[begin : begin + _AT_ONCE]
+            for row in workers.map(partial(_row, parameters), numbers, lost=lost):
+                journal.add(row)
+                kept += 1
+                on_progress(kept)
 
 
-def _row(parameters: StudyParameters, _: object, number: int) -> Row:
-    sources = load_sources(parameters.robot)  # cached in each process
+def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
     drawn = draw_case(parameters, number, sources)
     return play_case(drawn, parameters, sources.model, sources.data)
 
 
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
-    """The row of a case whose process ended in each attempt."""
+    """The row of a case whose process has ended in each attempt."""
     drawn = draw_case(parameters, number, load_sources(parameters.robot))
-    return stopped(drawn, "the process ended in each attempt")
+    return stopped(drawn, "the process was killed in each attempt")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -149,10 +151,7 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for each failed case, and remove the files of other cases.
-
-    `dbb run --case` and `dbb serve --case` read these files.
-    """
+    """Write a file for each failed case, which `dbb run --case` reads; remove other such files."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -219,12 +218,12 @@ class Journal(AbstractContextManager["Journal"]):
             write_json(path, identity)
             return
         try:
-            stored = parsed(json.loads, file_text(path))
+            kept = parsed(json.loads, file_text(path))
         except ValueError:
             raise StudyError(f"--out: {path} is damaged; choose another folder") from None
-        if stored != identity:
+        if kept != identity:
             raise StudyError(
-                f"--out: {self._folder} has another study ({_difference(stored, identity)}); "
+                f"--out: {self._folder} has another study ({_difference(kept, identity)}); "
                 "continue that study with its own options, or choose another folder"
             )
 
@@ -233,28 +232,28 @@ class Journal(AbstractContextManager["Journal"]):
         whole, lines = 0, iter(partial(self._file.readline, SMALL), b"")
         for number, line in enumerate(lines, start=1):
             if not line.endswith(b"\n") and len(line) < SMALL:
-                break  # incomplete
+                break  # cut off
             whole += len(line)
             try:
                 row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 raise StudyError(
-                    f"line {number} of {self._folder / _LINES} is damaged; remove the line, then "
+                    f"line {number} of {self._folder / _LINES} is damaged; remove the line, and "
                     "the case runs again"
                 ) from None
         self._file.truncate(whole)  # writing continues at the end, because it is open to append
 
 
-def _difference(stored: Any, requested: dict[str, Any]) -> str:
+def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     """The differences between two identities as a text, such as `seed: 1, not 2`."""
-    if not isinstance(stored, dict):
+    if not isinstance(kept, dict):
         return "its parameters cannot be read"
-    if stored.get("code") != requested.get("code"):  # then other parts may differ too
-        return f"code of another version: {stored.get('code')}, not {requested.get('code')}"
+    if kept.get("code") != wanted.get("code"):  # then other parts may differ too
+        return f"code of another version: {kept.get('code')}, not {wanted.get('code')}"
     parts = []
-    for key in sorted({*stored, *requested}):
-        there, here = stored.get(key), requested.get(key)
+    for key in sorted({*kept, *wanted}):
+        there, here = kept.get(key), wanted.get(key)
         if there == here:
             continue
         if isinstance(there, dict) and isinstance(here, dict):
@@ -264,36 +263,85 @@ def _difference(stored: Any, requested: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-@contextmanager
-def _connected(scheduler: str) -> Iterator[Client]:
-    """Connect to a dask scheduler, which continues to run after the `with`.
+class Cluster(AbstractContextManager["Cluster"]):
+    """Runs jobs on the workers of a dask scheduler, as `app.jobs.pool.Workers` does in processes.
 
-    The certificates for `tls://` addresses come from dask's configuration.
-
-    Raises:
-        StudyError: No scheduler answers, the scheduler has no workers, or the workers have other
-            code.
+    Use it in a `with`, which does not end the scheduler. The certificates for `tls://` addresses
+    come from dask's configuration.
     """
+
+    def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
+        """Connect to a scheduler.
+
+        Args:
+            scheduler: Address, such as `tls://10.0.0.7:8786`.
+            make_context: Returns the data that the jobs share; each job calls this function, so it
+                must cache the data.
+
+        Raises:
+            StudyError: No scheduler answers, the scheduler has no workers, or the workers have
+                other code.
+        """
+        for name in ("distributed", "tornado"):  # their errors arrive as exceptions
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._make_context = make_context
+        self._client = _connected(scheduler)
+        try:
+            _check_workers(self._client, scheduler)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+    def map(
+        self,
+        function: Callable[[Any, Job], Result],
+        jobs: Sequence[Job],
+        *,
+        lost: Callable[[Job], Result],
+    ) -> Iterator[Result]:
+        """Execute the jobs, and yield the results in the order in which the jobs end.
+
+        If the worker's process ends in each attempt at a job, `lost` makes the result.
+        """
+        from distributed import as_completed
+        from distributed.scheduler import KilledWorker
+
+        run = partial(_run, function, self._make_context)
+        futures = self._client.map(run, jobs, pure=False)
+        names = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+        for future in as_completed(futures):
+            try:
+                result = future.result()
+            except KilledWorker:
+                result = lost(names[future.key])
+            yield result
+
+
+def _run(
+    function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
+) -> Result:
+    return function(make_context(), job)
+
+
+def _connected(scheduler: str) -> Client:
     # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
     from distributed import Client
 
-    for name in ("distributed", "tornado"):  # their errors arrive as exceptions
-        logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client = Client(scheduler, timeout=_PATIENCE)
+        return Client(scheduler, timeout=_PATIENCE)
     except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificates
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise StudyError(
             f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
             "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
         ) from None
-    with client:
-        _check_workers(client, scheduler)
-        yield client
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Check that a scheduler has workers, and that their code is the code of this process."""
+    """Check that a cluster has workers, and that their code is the code of this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:
@@ -304,26 +352,8 @@ def _check_workers(client: Client, scheduler: str) -> None:
         raise StudyError(
             f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
         )
-    others = [worker for worker, digest in digests.items() if digest != code_digest()]
-    if others:
+    strange = [worker for worker, digest in digests.items() if digest != code_digest()]
+    if strange:
         raise StudyError(
-            f"--scheduler: these workers of {scheduler} have another version of the code: "
-            f"{', '.join(others)}; install this version there"
+            f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
         )
-
-
-def _rows_of_cluster(
-    client: Client, parameters: StudyParameters, numbers: Sequence[int]
-) -> Iterator[Row]:
-    """Run cases on the workers of a cluster; yield the rows in the order in which the cases end."""
-    from distributed import as_completed
-    from distributed.scheduler import KilledWorker
-
-    futures = client.map(partial(_row, parameters, None), numbers, pure=False)
-    number_of = {future.key: number for future, number in zip(futures, numbers, strict=True)}
-    for future in as_completed(futures):
-        try:
-            row = future.result()
-        except KilledWorker:
-            row = _lost_row(parameters, number_of[future.key])
-        yield row
