@@ -51,7 +51,7 @@ def test_the_csv_holds_what_is_drawn_and_its_own_steps(drawn) -> None:
 
 
 def test_the_path_is_the_logged_one_inside_the_buffer(sources: Sources) -> None:
-    t, path = density.hand_path_in_buffer(sources, 0.001)
+    t, path = density.smooth_path_in_buffer(sources, 0.001)
     run = sources.runs[LATERAL]
     logged = np.interp(t, run.trace["t_s"], run.trace["d_lm-lEE_m"])
     np.testing.assert_allclose([closest.d for closest in path], logged, atol=1e-4)
@@ -67,7 +67,7 @@ def test_the_longest_stretch_is_taken(sources: Sources) -> None:
     inside[5:10] = inside[20:90] = inside[-9:] = True
     log = run.trace.rows(slice(None))
     log["d_lm-lEE_m"][:] = np.where(inside, 0.1, 0.2)
-    t, _ = density.hand_path_in_buffer(
+    t, _ = density.smooth_path_in_buffer(
         replace(sources, runs={LATERAL: run._replace(trace=log)}), 0.001
     )
     np.testing.assert_allclose([t[0], t[-1]], [log.t[20], log.t[89]], atol=0.002)

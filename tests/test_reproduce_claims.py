@@ -185,14 +185,14 @@ def test_the_control_rate_is_judged_by_the_slow_steps_not_by_the_median(p99, hol
 
 def test_what_is_missing_or_no_number_does_not_hold():
     for value in (None, float("nan"), float("inf")):
-        for bound in ({"least": claims.CLEAR}, {"most": claims.CLEAR}):
-            finding = claims.held("x", "x_m", value, **bound)
+        for bound in ({"low": claims.CLEAR}, {"high": claims.CLEAR}):
+            finding = claims.compare("x", "x_m", value, **bound)
             assert (finding.holds, finding.values) == (False, {"x_m": None})
 
 
 def test_a_claim_of_several_parts_holds_only_with_all_of_them():
-    yes = claims.held("x", "x_m", 0.06, least=claims.CLEAR)
-    no = claims.held("y", "y_m", 0.04, least=claims.CLEAR)
+    yes = claims.compare("x", "x_m", 0.06, low=claims.CLEAR)
+    no = claims.compare("y", "y_m", 0.04, low=claims.CLEAR)
     assert (yes.holds, no.holds) == (True, False)
     for findings in ((yes, no), (no, yes), (yes, yes)):
         row = Claim("1", "fig3", "", (), lambda _, found=findings: found).judge(None)
@@ -202,7 +202,7 @@ def test_a_claim_of_several_parts_holds_only_with_all_of_them():
 
 @pytest.mark.parametrize(("value", "holds"), [(24.9, False), (25.0, True), (35.1, False)])
 def test_a_number_between_two_bounds_holds_within_them(value, holds):
-    finding = claims.held("x", "x_s", value, least=claims.MET_FROM, most=claims.MET_TO)
+    finding = claims.compare("x", "x_s", value, low=claims.MET_FROM, high=claims.MET_TO)
     assert finding.holds is holds
     assert finding.measured.endswith("(required: 25 to 35 s)")
 

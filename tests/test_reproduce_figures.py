@@ -84,7 +84,7 @@ def test_figures_have_a_number_labelled_axes_and_units(drawn):
     for name, drawing in drawn.items():
         number = name.removeprefix("fig")
         assert FIGURES[name].title.startswith(f"Figure {number}:")
-        assert len(FIGURES[name].words) > 40
+        assert len(FIGURES[name].caption) > 40
         # Panels that share an axis are labelled once.
         for labels in (
             [ax.get_xlabel() for ax in drawing.figure.axes],

@@ -113,7 +113,7 @@ def test_cases_stand_side_by_side_and_what_one_lacks_is_said(section):
     measured = {"dbb": {"d_m": 0.1, "jump": {"linear_mps2": 0.25}}, "none": {"d_m": None}}
     text = Reader(paper_page([section(measured=measured)], [], "")).text
     assert "dbb" in text
-    assert "jump, linear [m/s²]" in text
+    assert "jump linear [m/s²]" in text
     assert text.count("not measured") == 2
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from app.studies.pulls.draw import (
     sector_of,
 )
 from app.studies.pulls.envelope import Envelope
-from app.studies.pulls.parameters import FAULTS, StudyParameters, StudyRange
+from app.studies.pulls.parameters import FAULTS, StudyParameters, StudyRange, code_digest
 from app.studies.pulls.parameters import PARAMETERS as DRAWN
 from app.studies.runs import Row, rounded
 
@@ -272,6 +273,16 @@ def test_files_that_are_not_there_end_a_study_instead_of_being_a_row_of_it(
     def missing(*_: object) -> None:
         raise AssetError("no such mesh")
 
-    monkeypatch.setattr("app.simulation.run.run_from_spec", missing)
+    monkeypatch.setattr("app.studies.pulls.case.run_from_spec", missing)
     with pytest.raises(AssetError, match="no such mesh"):
         play_case(cases[0], PARAMETERS, sources.model, sources.data)
+
+
+@pytest.mark.parametrize("file", ["control/controller.py", "studies/sweep/plan.py", "structs.py"])
+def test_a_change_of_any_file_of_the_program_changes_the_digest_of_the_code(file, monkeypatch):
+    before, read = code_digest.__wrapped__(), Path.read_bytes
+    changed = f"app/{file}"
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path: read(path) + b"#" * path.as_posix().endswith(changed)
+    )
+    assert code_digest.__wrapped__() != before

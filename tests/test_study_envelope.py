@@ -14,7 +14,7 @@ from app.errors import StudyError
 from app.studies.pulls import envelope as module
 from app.studies.pulls.envelope import (
     MARGIN,
-    RESERVE,
+    NEAR,
     Envelope,
     as_toml,
     fit_envelope,
@@ -22,7 +22,8 @@ from app.studies.pulls.envelope import (
     tally,
     tally_by_halves,
 )
-from app.studies.pulls.parameters import StudyRange
+from app.studies.pulls.parameters import StudyParameters, StudyRange
+from app.studies.pulls.report import summary_of
 from app.studies.runs import Row
 
 if sys.version_info >= (3, 11):
@@ -118,9 +119,9 @@ def test_a_further_failure_never_widens_the_envelope_and_a_success_never_narrows
 
 
 def test_a_case_that_came_too_near_bounds_the_envelope_too():
-    near = {**row(0, 50.0, 0.5, 0.1, 0), "min_clearance_m": RESERVE - 1e-6}
+    near = {**row(0, 50.0, 0.5, 0.1, 0), "min_clearance_m": NEAR - 1e-6}
     assert not fit_envelope([near], RANGES).holds(near)
-    clear = {**near, "min_clearance_m": RESERVE}
+    clear = {**near, "min_clearance_m": NEAR}
     assert fit_envelope([clear], RANGES).holds({**clear, "hand_force_clear_max_n": 49.0})
 
 
@@ -205,3 +206,12 @@ def test_a_damaged_envelope_is_refused_by_name(tmp_path, monkeypatch):
         path.write_text(text, encoding="utf-8")
         with pytest.raises(StudyError, match=r"envelope\.toml"):
             Envelope.stated()
+
+
+def test_an_entry_into_the_buffer_is_judged_by_the_robots_own_buffer_distance():
+    events = {"kind": "side", "redraws": 0, "release_at_s": None, "regrasp_at_s": None}
+    rows = [{**row(0, 20.0, 0.5, 0.1, 0), **events, "min_clearance_m": 0.17}]
+    for d_b, entered in ((0.15, 0), (0.2, 1)):
+        summary, _ = summary_of(rows, StudyParameters(), d_b)
+        assert summary["entered_buffer_share"] == entered
+        assert sum(band["entered_buffer"] for band in summary["by_force"]) == entered

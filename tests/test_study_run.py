@@ -143,7 +143,7 @@ def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
     assert fitted["source"]["cases"] == CASES
     summary = json.loads((undisturbed / "study.json").read_text(encoding="utf-8"))
     assert fitted["envelope"].items() <= summary["envelope"].items()
-    assert f"of {CASES} runs had a contact" in page
+    assert f"of {CASES} cases failed" in page
 
 
 def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, tmp_path):

@@ -17,9 +17,9 @@ from app.studies.sweep.plan import (
     AXIS_OFFSETS,
     Approach,
     Start,
+    exit_distance,
     from_above,
     ring,
-    way_out,
     wheel_axis,
 )
 from app.studies.sweep.starts import StartFinder
@@ -60,7 +60,7 @@ def test_the_outline_is_where_a_ray_leaves_the_rectangle(angle: float, a: float,
     half = np.array([a, b])
     direction = np.array([np.cos(angle), np.sin(angle)])
     within = np.array([0.3 * a, -0.2 * b])
-    r = way_out(within, direction, -half, half)
+    r = exit_distance(within, direction, -half, half)
     assert np.max(np.abs(within + r * direction) / half) == pytest.approx(1.0)
 
 

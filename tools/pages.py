@@ -105,8 +105,9 @@ def study_range() -> str:
         value = field.default
         drawn = " to ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:g}"
         if name in LOGARITHMIC:
-            text += " Equal factors have equal probability."
-        rows.append([f"`--{name.replace('_', '-')}`", drawn.replace("-", "−"), unit, text.strip()])
+            text += " The distribution is uniform on a logarithmic scale."
+        option, meaning = f"`--{name.replace('_', '-')}`", " ".join(text.split())
+        rows.append([option, drawn.replace("-", "−"), unit, meaning])
     return grid(["option", "default", "unit", "meaning"], rows)
 
 

@@ -1,1 +1,1 @@
-"""Many runs: the figures of the paper, sweeps, random pulls, and their reports."""
+"""Reports of runs, and studies of many runs: the paper's figures, sweeps and random pulls."""

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from jinja2 import Environment, StrictUndefined, Template
 
 from app.simulation.trace.words import missing, number_text
+from app.studies.runs import flattened
 
 _UNITS = {
     "_m4prad4": "m⁴/rad⁴",
@@ -27,59 +28,53 @@ _UNITS = {
     "_radps": "rad/s",
     "_mps": "m/s",
 }
-"""Units by the ending of a key; if an ending is part of a longer one, the longer one is first."""
+"""Units by the ending of a key. A longer ending is before an ending that is a part of it."""
 
 
 class Cell(NamedTuple):
     """A cell of a table with notes or a colour."""
 
     text: str
-    """The text."""
     notes: Sequence[str] = ()
     """Lines in small print below the text."""
     mark: str = ""
-    """`yes`, `no` or empty, which selects the colour."""
+    """Colour of the text: green for `yes`, red for `no`, the usual colour if empty."""
 
 
 class Grid(NamedTuple):
     """A table."""
 
     head: Sequence[str]
-    """Titles of the columns, or empty."""
+    """Titles of the columns; empty for a table without titles."""
     rows: Sequence[Sequence[str | Cell]]
-    """Rows of cells, plain text or `Cell`."""
     numbers: bool = False
-    """Whether the columns after the first have numbers, which must not be broken into lines."""
+    """Whether the columns after the first have numbers, which stay on one line."""
 
 
 class Part(NamedTuple):
-    """A part of a page, with its fields in the order of display."""
+    """A part of a page; the page shows the fields in this order."""
 
     title: str = ""
-    """Heading, which also describes the picture."""
+    """Heading, and alternative text of the picture."""
     name: str = ""
-    """Name of the anchor to which the page links; empty without a link."""
+    """Anchor to which the top of the page links; empty for a part without a link."""
     text: Sequence[str] = ()
     """Paragraphs."""
     png: bytes | None = None
     """A picture, which is embedded in the page."""
     tables: Sequence[Grid] = ()
-    """Tables."""
     points: Sequence[str] = ()
-    """A list of sentences."""
+    """Sentences of a list with bullets."""
     note: str = ""
-    """A last line, in grey."""
+    """A last paragraph, in grey."""
     sides: Sequence[Part] = ()
-    """Two parts side by side."""
+    """Two parts side by side, which have no name and no sides."""
 
 
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
-    """The HTML of a page; all texts are without markup.
+    """The HTML of a page; characters of markup in the texts are escaped.
 
-    Args:
-        title: Title of the page.
-        lead: One or two sentences below the title, before the links to the named parts.
-        parts: The parts.
+    `lead` is a paragraph below the title, before the links to the named parts.
     """
     return _template().render(title=title, lead=lead, parts=parts)
 
@@ -94,41 +89,26 @@ def _template() -> Template:
 
 
 def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
-    """Tables of figures: one of the plain figures, one with a column for each nested mapping."""
-    plain = _flat({k: v for k, v in measured.items() if not isinstance(v, Mapping)})
-    cases = {k: _flat(v) for k, v in measured.items() if isinstance(v, Mapping)}
+    """Tables of measured numbers: one of single numbers, one with a column for each mapping.
+
+    A table without rows is left out.
+    """
+    single = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
+    cases = {k: flattened(v) for k, v in measured.items() if isinstance(v, Mapping)}
     keys = dict.fromkeys(key for case in cases.values() for key in case)
-    grids = [
-        Grid(
-            (),
-            [(label(key), number_text(value, missing(key))) for key, value in plain.items()],
-            numbers=True,
-        ),
-        Grid(
-            ("", *cases),
-            [
-                (label(key), *(number_text(case.get(key), missing(key)) for case in cases.values()))
-                for key in keys
-            ],
-            numbers=True,
-        ),
-    ]
+
+    def row(key: str, *values: Any) -> tuple[str, ...]:
+        return label(key), *(number_text(value, missing(key)) for value in values)
+
+    alone = [row(key, value) for key, value in single.items()]
+    compared = [row(key, *(case.get(key) for case in cases.values())) for key in keys]
+    grids = Grid((), alone, numbers=True), Grid(("", *cases), compared, numbers=True)
     return [grid for grid in grids if grid.rows]
 
 
 def label(key: str) -> str:
-    """A key in readable form, with its unit in brackets."""
+    """A key with blanks, and with the unit of its ending in brackets; `d_m` gives `d [m]`."""
     for ending, unit in _UNITS.items():
-        if key.endswith(ending) and len(key) > len(ending):
+        if key.endswith(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"
     return key.replace("_", " ")
-
-
-def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= {f"{key}, {inner}": v for inner, v in value.items()}
-        else:
-            flat[key] = value
-    return flat

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -20,16 +21,17 @@ from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.runs import flattened
 
-_BETWEEN = "; values between two rows are not recorded"
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
-"""Colours of the pairs without a colour in `PAIR_COLOURS`."""
+"""Colours of the pairs without a colour in `PAIR_COLOURS`, repeated if there are more pairs."""
 _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the page of a run: key numbers, figures, and parameters that differ from the defaults.
+    """Make the page of a run: key numbers, pictures, and changed parameters.
 
-    `on_progress` is called with the share of the figures that are drawn.
+    Args:
+        run: The run, with snapshots.
+        on_progress: Called before each picture with the share of the pictures that are finished.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
@@ -40,9 +42,9 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
         numbers["min_distance_m"] = {spoken(pair, chain): d for pair, d in named}
     parts.append(Part("Key numbers", "numbers", tables=measured_grids(flattened(numbers))))
     with style.styled():
-        for k, each in enumerate(_FIGURES.values()):
-            on_progress(k / len(_FIGURES))
-            parts.append(Part(each.title, each.name, [each.words], style.png_of(each.draw(run))))
+        for k, each in enumerate(_PICTURES.values()):
+            on_progress(k / len(_PICTURES))
+            parts.append(Part(each.title, each.name, [each.caption], style.png_of(each.draw(run))))
     parts.append(_changes(run))
     return page_html(title, _about(run), parts)
 
@@ -50,14 +52,17 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
 def _about(run: Trace) -> str:
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     plant = f"plant {meta.physics}, " if meta.physics else ""
+    rows = "one for each control step" if run.each_step else "without the steps between them"
     return (
         f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
-        f"{len(run)} rows{', one a control step' if run.each_step else _BETWEEN}."
+        f"{len(run)} rows, {rows}."
     )
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
-    """Names of the bodies of the run's robot, the base first; empty without a description."""
+    """Names of the bodies of the run's robot, the base first; empty if the robot has no valid
+    description here.
+    """
     try:
         return tuple(body.name for body in load_robot(meta.robot).bodies)
     except DbbError:
@@ -65,9 +70,10 @@ def _chain(meta: TraceMeta) -> tuple[str, ...]:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """Numbers of a run by the keys of `dbb run --json`, and its largest speeds and torques.
+    """The results of a run by the keys of `dbb run --json`, and some more of the whole run.
 
-    None replaces values that are not finite, which an edited log may have.
+    The further numbers are the duration, the largest speeds of the base, and the largest torque or
+    force of each joint. None replaces values that are not finite, which an edited log may have.
     """
     return _finite({**extremes(run), **metrics(run)})
 
@@ -82,7 +88,7 @@ def _changes(run: Trace) -> Part:
     changes = config_changes([s.config for s in run.snapshots])
     rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
     if not rows:
-        return Part("Parameters", "parameters", text=["All parameters were at their defaults."])
+        return Part("Parameters", "parameters", text=["All parameters had the program's defaults."])
     head = ("changed", "unit", "default", "here")
     return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
 
@@ -96,11 +102,11 @@ def _unit(path: str) -> str:
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
-    """Find the parameters that differ from the defaults in any of some configurations.
+    """Find the parameters that differ from the program's defaults in at least one configuration.
 
     Returns:
-        For each parameter its path, such as `border.d_b`, its default, and its value, or a list of
-        its values in order.
+        For each parameter: the path, such as `border.d_b`; the default; and the value, or, if the
+        configurations differ, a list of the different values in order of their first use.
     """
     changes = []
     for path, about in tunables().items():
@@ -122,7 +128,7 @@ def distances_figure(run: Trace) -> Figure:
     figure = style.new_figure(6.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     chain = _chain(run.meta)
-    others = iter(_OTHERS * (1 + len(run.meta.pairs)))
+    others = cycle(_OTHERS)
     for k, pair in enumerate(run.meta.pairs):
         mobile = pair in run.meta.mobile_pairs
         colour = style.PAIR_COLOURS.get(pair) or next(others)
@@ -146,22 +152,24 @@ def distances_figure(run: Trace) -> Figure:
 
 @style.picture("base", "Accelerations and velocities of the base")
 def base_figure(run: Trace) -> Figure:
-    """Commanded acceleration and velocity of the base, and the measured velocity."""
+    """Above: commanded acceleration of the base, and desired acceleration of the avoidance. Below:
+    commanded and true velocity of the base.
+    """
     figure = style.new_figure(6.4)
-    linear = run.of("base_acceleration").shape[1] - 1  # the last axis turns
+    linear = run.of("base_acceleration").shape[1] - 1  # the last axis is angular
     grid = figure.subplots(2, linear + 1, sharex=True)
     names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
     rates = [(rf"\dot {name}", "m/s²") for name in names] + [(r"\dot\omega", "rad/s²")]
     speeds = [(name, "m/s") for name in names] + [(r"\omega", "rad/s")]
-    asked, inserted = run.of("base_acceleration"), run.of("avoidance_acceleration")
-    commanded, measured = run.of("base_velocity_command"), run.of("base_velocity")
+    acceleration, avoidance = run.of("base_acceleration"), run.of("avoidance_acceleration")
+    command, velocity = run.of("base_velocity_command"), run.of("base_velocity")
     for k, ((rate, rate_unit), (speed, speed_unit)) in enumerate(zip(rates, speeds, strict=True)):
         above, below = grid[:, k]
-        above.plot(run.t, asked[:, k], color=style.PATH, label="commanded by the QP")
-        above.plot(run.t, inserted[:, k], color=style.ACTING, label=r"avoidance, $\beta\,\ddot x$")
+        above.plot(run.t, acceleration[:, k], color=style.PATH, label="commanded by the QP")
+        above.plot(run.t, avoidance[:, k], color=style.ACTING, label=r"avoidance, $\beta\,\ddot x$")
         above.set_ylabel(f"${rate}$ [{rate_unit}]")
-        below.step(run.t, commanded[:, k], where="post", color=style.SOFT, label="commanded")
-        below.plot(run.t, measured[:, k], color=style.PATH, label="measured")
+        below.step(run.t, command[:, k], where="post", color=style.SOFT, label="commanded")
+        below.plot(run.t, velocity[:, k], color=style.PATH, label="true")
         below.set_ylabel(f"${speed}$ [{speed_unit}]")
     for row in grid:
         row[0].legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=2, borderaxespad=0.1)
@@ -169,15 +177,17 @@ def base_figure(run: Trace) -> Figure:
     return figure
 
 
-@style.picture("hand", "The hand")
+@style.picture("hand", "The end-effector")
 def hand_figure(run: Trace) -> Figure:
-    """Distance of the end-effector from its target, and the force on it."""
+    """Above: distance of the end-effector from the person's target, or from the reference if no
+    person pulls. Below: force of people on the end-effector, or of the end-effector on a door.
+    """
     figure = style.new_figure(4.6)
     error, force = figure.subplots(2, 1, sharex=True)
     error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.HAND)
     error.set_ylabel("end-effector error [mm]")
     force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
-    force.set_ylabel("force on the end-effector [N]")
+    force.set_ylabel("force [N]")
     for ax in (error, force):
         ax.set_ylim(bottom=0.0)
     _over_time((error, force), run)
@@ -186,7 +196,7 @@ def hand_figure(run: Trace) -> Figure:
 
 @style.picture("torques", "Torques of the arm")
 def torques_figure(run: Trace) -> Figure:
-    """Torques of the arm's joints."""
+    """Commanded torque of each revolute joint of the arm, or force of a prismatic joint."""
     figure = style.new_figure(3.6)
     ax = figure.subplots()
     for k, joint in enumerate(run.meta.joints):
@@ -199,38 +209,27 @@ def torques_figure(run: Trace) -> Figure:
 
 @style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
-    """Paths of base and end-effector from above; squares mark the start."""
+    """Paths of base and end-effector from above. A square marks the start, a circle the end, and an
+    arrow the base's heading there, which is grey at the start.
+    """
     figure = style.new_figure(5.0)
     ax = figure.subplots()
     for points, colour, text in (
         (run.of("base_pose"), style.PATH, "base"),
-        (run.of("p_ee"), style.HAND, "hand"),
+        (run.of("p_ee"), style.HAND, "end-effector"),
     ):
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
         ax.plot(*points[0, :2], **style.marker_style(colour, "s", 7.0))
         ax.plot(*points[-1, :2], **style.marker_style(colour))
-    for k, filled in ((0, False), (-1, True)):
-        x, y, phi = run.of("base_pose")[k].tolist()
-        ax.annotate(
-            "",
-            (x + 0.2 * math.cos(phi), y + 0.2 * math.sin(phi)),
-            (x, y),
-            arrowprops={
-                "arrowstyle": "-|>",
-                "color": style.PATH if filled else style.SOFT,
-                "linewidth": 1.6,
-            },
-        )
+    for k, colour in ((0, style.SOFT), (-1, style.PATH)):
+        x, y, yaw = run.of("base_pose")[k].tolist()
+        tip = x + 0.2 * math.cos(yaw), y + 0.2 * math.sin(yaw)
+        head = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.6}
+        ax.annotate("", tip, (x, y), arrowprops=head)
     targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
     if len(targets):
-        ax.plot(
-            targets[:, 0],
-            targets[:, 1],
-            ":",
-            color=style.TARGET,
-            linewidth=1.4,
-            label="pull target",
-        )
+        line = {"color": style.TARGET, "linewidth": 1.4, "label": "target of the pull"}
+        ax.plot(targets[:, 0], targets[:, 1], ":", **line)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
@@ -243,7 +242,11 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Let the x axes be the time of the log, and shade the intervals with contact."""
+    """Limit the x axes to the times of the run, and shade intervals in which the arm touches the
+    base or itself.
+
+    `bottom` are the axes with a label of the x axis; default: the last of `axes`.
+    """
     touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
     for ax in axes:
         if run.t[-1] > run.t[0]:
@@ -251,15 +254,16 @@ def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None =
         for begin, end in touched:
             ax.axvspan(begin, end, color=style.TARGET, alpha=0.12, linewidth=0.0)
     for ax in axes[-1:] if bottom is None else bottom:
-        ax.set_xlabel(
-            "time [s]" + (", in contact where shaded" if touched else ""), color=style.INK
-        )
+        ax.set_xlabel("time [s]" + (", in contact where shaded" if touched else ""))
 
 
 def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
-    """Start and end [s] of the intervals in which a flag (N,) is true, at times t (N,)."""
-    stretches = np.ma.clump_unmasked(np.ma.masked_array(t, ~flags))
-    return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in stretches]
+    """Start and end [s] of the intervals in which a flag (N,) is true, at times t (N,) [s].
+
+    An interval ends at the first time at which the flag is false again, or at the last time.
+    """
+    intervals = np.ma.clump_unmasked(np.ma.masked_array(t, ~flags))
+    return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in intervals]
 
 
-_FIGURES = style.pictures_in(globals())
+_PICTURES = style.pictures_in(globals())

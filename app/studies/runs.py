@@ -1,4 +1,4 @@
-"""Functions for the results of all studies: rows of rounded figures, and files."""
+"""The results of runs as rows of a table, and files of such tables."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]  # finite numbers, texts, booleans and None, by the name of the column
 
-DIGITS = 9  # [-] decimals of stored numbers
-_LOG_EVERY = 10  # control steps between two rows of a thinned trace
+_DECIMALS = 9  # [-] decimals of stored numbers
+_KEPT_EVERY = 10  # [-] number of control steps from one row of a thinned trace to the next
 
 
 def thinned(result: RunResult) -> RunResult:
-    """A run with a row for each hundredth of a second, which is smaller."""
-    return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
+    """A run with a tenth of its rows, one for each 0.01 s, and the results of all its rows."""
+    return result._replace(trace=result.trace.rows(slice(None, None, _KEPT_EVERY)))
 
 
-def flattened(figures: Mapping[str, Any]) -> Row:
-    """Figures of several pairs, axes or joints as separate figures, whose keys end in the unit.
+def flattened(results: Mapping[str, Any]) -> Row:
+    """Results with one key for each number: a mapping becomes several keys.
 
-    For example, `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
+    The unit stays at the end: `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
     """
     row: Row = {}
-    for key, value in figures.items():
+    for key, value in results.items():
         if isinstance(value, Mapping):
             stem, unit = (key[:-2], key[-2:]) if key.endswith(("_m", "_s")) else (key, "")
             row |= {f"{stem}_{inner}{unit}": each for inner, each in value.items()}
@@ -39,17 +39,20 @@ def flattened(figures: Mapping[str, Any]) -> Row:
 
 
 def rounded(value: object) -> object:
-    """A number rounded to `DIGITS`; other values do not change.
+    """A number rounded to nine decimals; other values do not change.
 
-    The last digit of the QP solver's solutions depends on memory addresses, and a result must not
-    depend on the number of processes.
+    The last digits of the QP solver's solutions depend on memory addresses, so without rounding the
+    results would depend on the number of processes.
     """
-    return round(value, DIGITS) if isinstance(value, float) else value
+    return round(value, _DECIMALS) if isinstance(value, float) else value
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length completely or not at all; None and NaN are empty cells."""
-    # Imported here, because it is needed only when all runs are done.
+    """Write columns of equal length as CSV or Parquet, according to the path's ending.
+
+    The file is written completely or not at all. None and NaN are empty cells.
+    """
+    # Imported here: pyarrow is needed only when all runs are done.
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow
@@ -60,7 +63,7 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 
 
 def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> None:
-    """Write rows as `write_table` does, with a column for each key; the keys in `first` lead."""
+    """Write rows as `write_table` does, with a column for each key, those of `first` first."""
     names = dict.fromkeys([*first, *(name for row in rows for name in row)])
     write_table(path, {name: [row.get(name) for row in rows] for name in names})
 

@@ -1,4 +1,4 @@
-"""The style of all figures: colours, line widths and sizes; and the type of a picture."""
+"""The style of all figures (colours, line widths, sizes), and the record of a picture."""
 
 import io
 import logging
@@ -19,7 +19,7 @@ METHOD_COLOURS = {
     "barrier": "#CC79A7",
     "none": "#7A7F87",
 }
-"""One colour for each controller, all from Okabe and Ito's palette for colour-blind readers."""
+"""One colour for each controller, and for `dbb` with a border of points (`points`)."""
 METHOD_NAMES = {
     "dbb": "proposed (DBB)",
     "hqp": "as printed (HQP)",
@@ -29,7 +29,7 @@ METHOD_NAMES = {
     "none": "no avoidance",
 }
 PAIR_COLOURS = {"lm-lEE": "#009E73", "lm-l3": "#E69F00", "lm-door": "#882E72"}
-"""One colour for each pair of L_m."""
+"""One colour for each pair of L_m of the paper's robot."""
 PAIR_NAMES = {
     "lm-lEE": r"$\mathcal{L}_m(1)$: base, end-effector",
     "lm-l3": r"$\mathcal{L}_m(2)$: base, forearm",
@@ -45,9 +45,9 @@ PATH = "#0072B2"
 """The path of the base."""
 HAND = "#009E73"
 """The path of the end-effector."""
-SCORE_MAP = "viridis"  # low blue, high yellow, as in the paper
+SCORE_MAP = "viridis"  # low scores are dark, high scores are yellow
 
-WIDTH = 11.0  # [in] width of every figure; with DPI, the pixels of a slide
+WIDTH = 11.0  # [in] default width of a figure
 DPI = 150
 
 _RULES: dict[Any, Any] = {
@@ -80,7 +80,7 @@ _RULES: dict[Any, Any] = {
 }
 
 
-# At the level INFO matplotlib reports each letter from another font.
+# At the level INFO matplotlib reports each letter that it takes from another font.
 logging.getLogger("matplotlib").setLevel(logging.WARNING)
 
 
@@ -92,16 +92,16 @@ def styled() -> Iterator[None]:
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Make an empty figure with a height and a width [in], and a layout without overlaps.
+    """Make an empty figure with a height and a width [in]; its layout prevents overlaps.
 
-    The figure belongs to no window and no global list, so it needs no display and is freed after
-    use.
+    The figure has no window and is in no list of pyplot, so it needs no display and is freed after
+    its use.
     """
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def png_of(figure: Figure) -> bytes:
-    """The figure as a PNG."""
+    """The figure as a PNG; equal figures give equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
@@ -113,48 +113,47 @@ class Picture(NamedTuple):
     name: str
     """Name in commands, files and links."""
     title: str
-    """Title."""
     needs: tuple[Any, ...]
-    """The runs that the picture needs, if any."""
+    """The runs whose results the picture shows; empty if it needs no run."""
     draw: Callable[..., Any]
-    """Function that draws the picture; its docstring is the caption."""
+    """The function that draws the picture; the function's docstring is the caption."""
 
     @property
-    def words(self) -> str:
-        """The caption."""
-        return words_of(self.draw)
+    def caption(self) -> str:
+        """The text below the title."""
+        return docstring_of(self.draw)
 
 
 def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
-    """Decorate a function that draws a picture; the result is the `Picture`."""
+    """Decorator that replaces a drawing function by its `Picture`, with the fields' arguments."""
     return lambda draw: Picture(name, title, needs, draw)
 
 
 def pictures_in(module: Mapping[str, Any]) -> dict[str, Picture]:
-    """The pictures among the names of a module, in their order."""
+    """The pictures of a module by their names, in the order of the module's text."""
     return {each.name: each for each in module.values() if isinstance(each, Picture)}
 
 
-def words_of(function: Callable[..., Any]) -> str:
-    """A function's docstring in one line."""
+def docstring_of(function: Callable[..., Any]) -> str:
+    """A function's docstring as one line."""
     return " ".join((function.__doc__ or "").split())
 
 
 def panel_title(axes: Axes, letter: str, text: str) -> None:
-    """Write a panel's letter in the paper and its title above the panel's upper left corner."""
+    """Write a title, such as `(a) plan`, above the upper left corner; `letter` may be empty."""
     title = f"({letter}) {text}" if letter else text
     # The title of three-dimensional axes is inside the axes, so the layout ignores it.
     axes.set_title(title, y=0.97 if axes.name == "3d" else None)
 
 
 def time_axis(axes: Axes, duration: float) -> None:
-    """Let the x axis be the time from 0 to a duration [s]."""
+    """Limit the x axis to 0 to a duration [s], and label it as the time."""
     axes.set_xlim(0.0, duration)
     axes.set_xlabel("time [s]")
 
 
 def level(axes: Axes, value: float, text: str) -> None:
-    """Draw a dashed horizontal line with a text above the right end."""
+    """Draw a dashed horizontal line at a value, with a text above its right end."""
     axes.axhline(value, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
     axes.annotate(
         text,

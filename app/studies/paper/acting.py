@@ -21,20 +21,20 @@ TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4}
 """Parameters with which the step α is always 0.4 m, the largest valid bound."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
-_EVERY = 20  # rows of a log between two evaluations of the force
-_ZOOM = 0.30  # [m] smallest side of a detail around the acting point
+_EVERY = 20  # [-] number of rows from one evaluation of the force to the next
+_ZOOM = 0.30  # [m] smallest side of the square around the points of Algorithm 3
 _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 
 
 class Force(NamedTuple):
-    """The force at one instant of a run, while the end-effector is in its buffer."""
+    """The avoidance force of L_m(1) at one instant of a run, in the base's frame."""
 
     t: float
     """[s] time."""
     q_m: Array
     """(n_m,) [rad or m] joint positions of the arm."""
     closest: ClosestPoints
-    """Closest points of base and end-effector, in the base's frame."""
+    """Closest points of base and end-effector."""
     acting: ActingPoint
     """The result of Algorithm 3."""
     f: Array
@@ -42,7 +42,7 @@ class Force(NamedTuple):
 
     @property
     def components(self) -> tuple[Array, Array]:
-        """The force along the line from p_n to p_b and perpendicular to it, both (3,) [N].
+        """The components of the force along the line from p_n to p_b and across it, (3,) [N] each.
 
         Paper: §3.1, Figure 7a.
         """
@@ -63,7 +63,7 @@ class Force(NamedTuple):
         }
 
     def measured(self) -> dict[str, float]:
-        """Figures of the force and its components."""
+        """Distance, step α, and magnitudes of the force and of its components, by key."""
         f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
         return {
             "distance_m": self.closest.d,
@@ -78,22 +78,28 @@ class Force(NamedTuple):
 def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
-    """The force in row k of an experiment's log; default: with the experiment's parameters."""
-    log = sources.runs[experiment].trace
-    q_m = log.of("q_m")[k]
+    """Compute the force in row k of an experiment, with the border as a surface.
+
+    `config` are the parameters of the force; default: those of `sources`.
+    """
+    run = sources.runs[experiment].trace
+    q_m = run.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
     acting, f = sources.force(sources.surface, closest, config)
-    return Force(float(log.t[k]), q_m, closest, acting, f)
+    return Force(float(run.t[k]), q_m, closest, acting, f)
 
 
 def deepest(sources: Sources) -> int:
-    """Index of the row of the lateral guiding with the smallest distance of the end-effector."""
-    return int(sources.runs[LATERAL].trace[f"d_{sources.pair.name}_m"].argmin())
+    """Index of the row of the lateral guiding with the smallest distance of L_m(1)."""
+    return int(sources.distances(LATERAL).argmin())
 
 
 def turning(sources: Sources) -> Force:
-    """The instant near the wheel axis at which the smaller component of the force is largest."""
-    distance = sources.runs[WHEEL_AXIS].trace[f"d_{sources.pair.name}_m"]
+    """The force at the instant of the run near the wheel axis that shows both components best.
+
+    This is the instant in the buffer at which the smaller component is largest.
+    """
+    distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
     return max(
         (force_at(sources, WHEEL_AXIS, int(k)) for k in inside),
@@ -103,9 +109,9 @@ def turning(sources: Sources) -> Force:
 
 @style.picture("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
 def figure_7(sources: Sources) -> drawing.Drawing:
-    """The force starts at the acting point and points to the closest point of the end-effector. One
-    of its two orthogonal components moves the base away from the end-effector; the other brings the
-    part of the border with a high score closer to it.
+    """The force starts at the acting point and points to the closest point of the end-effector. It
+    has two orthogonal components. One component moves the base away from the end-effector; the
+    other brings the part of the border with a high score closer to the end-effector.
     """
     force = turning(sources)
     along, across = force.components
@@ -115,11 +121,11 @@ def figure_7(sources: Sources) -> drawing.Drawing:
     whole, near = figure.subplots(1, 2)
     for ax in (whole, near):
         shown = _plan(ax, sources, force, table)
-    style.panel_title(whole, "", "the border at the end-effector's height")
+    style.panel_title(whole, "", "the border at the height of $p_b$")
     _points(whole, force, "p_b", "p_act")
     whole.set(xlim=(-0.70, 0.80), ylim=(-0.75, 0.75))
     figure.colorbar(shown, ax=whole, label=_SCORE, shrink=0.8)
-    style.panel_title(near, "a", "its two orthogonal components")
+    style.panel_title(near, "a", "the force and its two components")
     drawing.square_around(near, np.array(list(force.points.values())), 0.06, _ZOOM)
     length = float(np.linalg.norm(p_b - p_act) / max(np.linalg.norm(force.f), 1e-9))
     for vector, colour, text in (
@@ -141,10 +147,10 @@ def figure_7(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig8", "Figure 8: finding the acting point", LATERAL)
 def figure_8(sources: Sources) -> drawing.Drawing:
-    """(a) The method starts at the border point nearest to the end-effector and steps along the
-    tangent towards a better score. The acting point is the border point nearest to the result. (b)
-    If the step is too large, the force may have no component along the line between the
-    end-effector and the border; therefore the step is bounded.
+    """(a) The method starts at p_n, the border point nearest to the end-effector, and steps along
+    the tangent towards a better score, to p_t. The acting point is the border point nearest to p_t.
+    (b) If the step is too large, the force may have no component along the line between the
+    end-effector and the border. Therefore the step is bounded.
     """
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
@@ -169,8 +175,8 @@ def figure_8(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig10", "Figure 10: activation by distance")
 def figure_10(sources: Sources) -> drawing.Drawing:
-    """The activation is 0 beyond the buffer distance of 0.15 m and 1 up to 0.05 m; between these
-    distances it is a cubic.
+    """The activation is 0 at distances of at least 0.15 m, the buffer distance, and 1 at distances
+    of at most 0.05 m. Between these distances it is a cubic polynomial.
     """
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
@@ -180,16 +186,8 @@ def figure_10(sources: Sources) -> drawing.Drawing:
     ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
     for at, text in ((d_full, "task fully active"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
-        ax.annotate(
-            text,
-            (at, 0.5),
-            xytext=(4, 0),
-            textcoords="offset points",
-            rotation=90,
-            va="center",
-            fontsize=9,
-            color="#616E7C",
-        )
+        place: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "rotation": 90}
+        ax.annotate(text, (at, 0.5), va="center", fontsize=9, color="#616E7C", **place)
     ax.set(xlim=(0.0, 0.2), ylim=(-0.02, 1.05), xlabel="distance of the pair [m]")
     ax.set_ylabel(r"activation $\beta$ [–]")
     return drawing.Drawing(
@@ -200,31 +198,32 @@ def figure_10(sources: Sources) -> drawing.Drawing:
 
 
 def _slice(sources: Sources, force: Force) -> drawing.Table:
-    """The border's points at the end-effector's height, with their scores."""
+    """The border's points at the height of p_b, with their scores."""
     points = sources.border.same_height(float(force.closest.p_b[2]))
     return drawing.points_table(points, score_m4prad4=sources.field.score(points))
 
 
 def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> PathCollection:
-    """Draw base, border, end-effector and force from above; return the points for a colour bar."""
+    """Draw base, border, end-effector and force from above.
+
+    Returns:
+        The border's points, whose colours are the scores, for a colour bar.
+    """
     drawing.base_in_plan(ax, sources.model)
     score = border["score_m4prad4"]
     shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=style.SCORE_MAP, zorder=2)
-    look: dict[str, Any] = {
-        "facecolor": style.PAIR_COLOURS["lm-lEE"],
-        "alpha": 0.18,
-        "linewidth": 0,
-    }
+    colour = style.PAIR_COLOURS["lm-lEE"]
     for name, mesh in drawing.placed_meshes(sources.model, (0.0, 0.0, 0.0), force.q_m):
         if name == sources.pair.b:
             corners = mesh.vertices[:, :2]
-            ax.add_patch(Polygon(corners[ConvexHull(corners).vertices], zorder=1, **look))
+            outline = corners[ConvexHull(corners).vertices]
+            ax.add_patch(Polygon(outline, facecolor=colour, alpha=0.18, linewidth=0, zorder=1))
     drawing.arrow(ax, force.acting.p_act, force.closest.p_b, style.ACTING)
     return shown
 
 
 def _points(ax: Axes, force: Force, *names: str) -> None:
-    """Draw some points of Algorithm 3 with their names; without `names`, all points."""
+    """Draw the named points of Algorithm 3 with their symbols; all points if none is named."""
     looks: dict[str, tuple[str, str, tuple[float, float]]] = {
         "p_n": ("$p_n$", style.INK, (-18, 8)),
         "p_t": ("$p_t$", style.SOFT, (8, 8)),

@@ -1,4 +1,4 @@
-"""§4.2: approaches of the end-effector to the base, and a refrigerator (Figures 11 to 18)."""
+"""§4.2, §4.3: approaches of the end-effector to the base, and a refrigerator (Figures 11 to 18)."""
 
 from contextlib import closing
 from functools import partial
@@ -25,18 +25,39 @@ from app.studies.paper.experiments import (
     LATERAL,
     TRACKING,
     TRACKING_REPULSIVE,
-    Experiment,
     Sources,
 )
 
 _TRACKED = {"dbb": TRACKING, "repulsive": TRACKING_REPULSIVE}
 DIRECTIONS = GUIDING["dbb"]
 
-_TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] of the snapshots of tracking
-_SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] shares of a run for the snapshots of guiding
-_VIEWS = {LATERAL: (0.85, 0.45), FRONT: (0.70, 0.45)}  # [rad] from the left front, from above
+_TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] times of the snapshots of tracking
+_SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] times of the snapshots of guiding, as shares of the run
+_VIEWS = {LATERAL: (0.85, 0.45), FRONT: (0.70, 0.45)}  # [rad] yaw and pitch of the camera
 _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
+_DOORS = {"dbb": DOOR, "none": DOOR_NONE}
+_DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] times of the snapshots, which the paper mentions
+_DOOR_YAW = 2.35  # [rad] angle from the closed door to the camera, on the side of the free edge
+_DOOR_PITCH = 0.55  # [rad] elevation of the camera
+_COLOURS: dict[str, Rgba] = {
+    "case": (0.82, 0.85, 0.88, 1.0),
+    "board": (0.93, 0.95, 0.97, 1.0),
+    "handle": (0.35, 0.38, 0.42, 1.0),
+}
+_MAGENTA: Rgba = (0.83, 0.20, 0.62, 1.0)
+_SHAPE_COLOUR: Rgba = (0.36, 0.62, 0.80, 1.0)
+_OF_DOOR = (
+    "door_min_distance_m",
+    "door_contacts",
+    "door_met_base_s",
+    "door_angle_final_rad",
+    "door_opened_80deg_at_s",
+    "base_back_off_s",
+    "base_yaw_rad",
+    "hand_force_max_n",
+    "radial_error_at_5s_rad",
+)
 
 
 @style.picture(
@@ -44,7 +65,7 @@ _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m"
 )
 def figure_11(sources: Sources) -> drawing.Drawing:
     """With the proposed method a force moves the base back, and the end-effector reaches its target
-    without a collision. The repulsive method pushes the arm away from the base: it avoids the
+    without a collision. The repulsive method pushes the arm away from the base. This avoids the
     collision, but the end-effector cannot reach the target.
     """
     strips = [
@@ -56,7 +77,7 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         drawing.snapshot_figure(sources.model, strips, aim="target and desired motion"),
         {"": drawing.stacked({strip.name: strip.paths() for strip in strips}, "controller")},
-        sources.figures(_TRACKED, _MOTION),
+        sources.results(_TRACKED, _MOTION),
     )
 
 
@@ -64,12 +85,12 @@ def figure_11(sources: Sources) -> drawing.Drawing:
     "fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE
 )
 def figure_12(sources: Sources) -> drawing.Drawing:
-    """(a) The distances fall below the buffer distance of 0.15 m, so that the avoidance task of
-    each method is inserted continuously with top priority. (b) The repulsive method has a position
+    """(a) When the distances fall below the buffer distance of 0.15 m, the avoidance task of each
+    method is inserted continuously with top priority. (b) The repulsive method has a position
     error, the proposed method has none.
     """
     distances = [f"d_{pair}_m" for pair in _PAIRS]
-    parts = _columns(sources, _TRACKED, "t_s", *distances, "ee_error_m")
+    parts = sources.columns(_TRACKED, "t_s", *distances, "ee_error_m")
     table = drawing.stacked(parts, "controller")
     figure = style.new_figure(6.4)
     grid = figure.subplots(2, 2, sharex=True)
@@ -96,18 +117,18 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         figure,
         {"": table},
-        sources.figures(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m")),
+        sources.results(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m")),
         [
-            "The repulsive method's task takes all three directions of the closest point, so the "
-            "end-effector almost stops where the buffer begins."
+            "The task of the repulsive method prescribes all three components of the closest "
+            "point's acceleration, so the end-effector almost stops at the edge of the buffer."
         ],
     )
 
 
 @style.picture("fig13", "Figure 13: guiding of the end-effector towards the base", LATERAL, FRONT)
 def figure_13(sources: Sources) -> drawing.Drawing:
-    """(a) In the lateral direction, a force on the base avoids the collision. (b) From the front,
-    the base moves back as the arm approaches.
+    """(a) If the end-effector is guided from the lateral direction, a force on the base avoids the
+    collision. (b) If it is guided from the front, the base moves back while the arm approaches.
     """
     strips = []
     for name, e in DIRECTIONS.items():
@@ -117,17 +138,17 @@ def figure_13(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         drawing.snapshot_figure(sources.model, strips, aim="guiding direction and its end"),
         {"": drawing.stacked({strip.name: strip.paths() for strip in strips}, "direction")},
-        sources.figures(DIRECTIONS, _MOTION),
+        sources.results(DIRECTIONS, _MOTION),
     )
 
 
 @style.picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
 def figure_14(sources: Sources) -> drawing.Drawing:
-    """As a distance falls below the buffer distance of 0.15 m, its activation rises, and the
-    avoidance task is inserted continuously.
+    """When the distance of a pair falls below the buffer distance of 0.15 m, the activation of the
+    pair rises, and the avoidance task is inserted continuously.
     """
     columns = ("t_s", *(f"d_{p}_m" for p in _PAIRS), *(f"beta_{p}" for p in _PAIRS))
-    parts = _columns(sources, DIRECTIONS, *columns)
+    parts = sources.columns(DIRECTIONS, *columns)
     figure = style.new_figure(6.2)
     grid = figure.subplots(2, 2, sharex="col", sharey="row")
     for k, (name, part) in enumerate(parts.items()):
@@ -148,21 +169,26 @@ def figure_14(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         figure,
         {"": drawing.stacked(parts, "direction")},
-        sources.figures(DIRECTIONS, keys),
+        sources.results(DIRECTIONS, keys),
     )
 
 
 @style.picture("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
 def figure_15(sources: Sources) -> drawing.Drawing:
-    """The desired linear (a) and angular (b) accelerations of the base, times the activation, are
-    smooth: no chattering or vibration, because the task transition is continuous.
+    """The desired linear (a) and angular (b) accelerations of the base, multiplied by the
+    activation, are smooth. They have no chattering or vibration, because the task transition is
+    continuous.
     """
+    runs = {
+        f"{name}, {method}": (sources.runs[experiment], method)
+        for method, by_direction in GUIDING.items()
+        for name, experiment in by_direction.items()
+    }
+    tables = {name: _avoidance_columns(*run) for name, run in runs.items()}
     figure = style.new_figure(6.2)
     grid = figure.subplots(2, 2, sharex="col", sharey="row")
     for k, name in enumerate(DIRECTIONS):
-        parts = {
-            m: _avoidance_columns(sources.runs[GUIDING[m][name]], m) for m in reversed(GUIDING)
-        }
+        parts = {method: tables[f"{name}, {method}"] for method in reversed(GUIDING)}
         for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
             unit = "mps2" if kind == "linear" else "radps2"
             drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
@@ -171,40 +197,32 @@ def figure_15(sources: Sources) -> drawing.Drawing:
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
     _legend_below(figure, grid[0][0])
-    runs = {
-        f"{name}, {method}": (sources.runs[experiment], method)
-        for method, by_direction in GUIDING.items()
-        for name, experiment in by_direction.items()
-    }
     return drawing.Drawing(
         figure,
-        {
-            "": drawing.stacked(
-                {n: _avoidance_columns(*run) for n, run in runs.items()}, "direction and controller"
-            )
-        },
+        {"": drawing.stacked(tables, "direction and controller")},
         {name: _smoothness(*run) for name, run in runs.items()},
         [
-            "With the border as the paper's points the acting point jumps from point to point, "
-            "and so do the accelerations. The controller here uses a surface through the points.",
-            "The repulsive method pushes only the arm; its curve is the commanded acceleration.",
+            "With a border of points, as in the paper, the acting point jumps from point to point, "
+            "and the accelerations jump with it. The default here is a continuous surface.",
+            "The repulsive method accelerates only the arm; its curve is the commanded "
+            "acceleration of the base.",
         ],
     )
 
 
 def _smoothness(run: RunResult, method: str) -> dict[str, object]:
-    """Largest changes in a control step, and sign changes, of the base acceleration of avoidance.
+    """Largest changes in a control step, and sign changes, of base accelerations and torques.
 
-    For the repulsive method, which has no such acceleration, the commanded acceleration counts.
+    The repulsive method has no base acceleration of avoidance.
     """
-    inserted = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes")
-    commanded = (
+    keys = (
         "base_acceleration_jump_max",
         "base_acceleration_sign_changes",
         "torque_jump_max_nm",
         "torque_rate_sign_changes",
     )
-    keys = commanded if method == "repulsive" else (*inserted, *commanded)
+    if method != "repulsive":
+        keys = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes", *keys)
     return {key: run.figures[key] for key in keys}
 
 
@@ -229,46 +247,14 @@ def _legend_below(figure: Figure, ax: Axes) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
-def _columns(
-    sources: Sources, by_name: dict[str, Experiment], *columns: str
-) -> dict[str, drawing.Table]:
-    return {name: {c: sources.runs[e].trace[c] for c in columns} for name, e in by_name.items()}
-
-
-_DOORS = {"dbb": DOOR, "none": DOOR_NONE}
-
-_DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] times of the snapshots, which the paper mentions
-_DOOR_VIEW = 2.35  # [rad] angle from the closed door to the camera, on the side of the free edge
-_DOOR_PITCH = 0.55  # [rad] elevation of the camera
-_COLOURS: dict[str, Rgba] = {
-    "case": (0.82, 0.85, 0.88, 1.0),
-    "board": (0.93, 0.95, 0.97, 1.0),
-    "handle": (0.35, 0.38, 0.42, 1.0),
-}
-_MAGENTA: Rgba = (0.83, 0.20, 0.62, 1.0)
-_SHAPE_COLOUR: Rgba = (0.36, 0.62, 0.80, 1.0)
-_OF_DOOR = (
-    "door_min_distance_m",
-    "door_contacts",
-    "door_met_base_s",
-    "door_angle_final_rad",
-    "door_opened_80deg_at_s",
-    "base_back_off_s",
-    "base_yaw_rad",
-    "hand_force_max_n",
-    "radial_error_at_5s_rad",
-)
-
-
 @style.picture("fig16", "Figure 16: the refrigerator", DOOR)
 def figure_16(sources: Sources) -> drawing.Drawing:
-    """The end-effector is fixed to the door; the door, modelled by a hyper-ellipsoid, can collide
-    with the mobile robot.
+    """The end-effector is fixed to the door. The door can collide with the mobile robot; a
+    hyper-ellipsoid is its collision model.
     """
     run, door = sources.runs[DOOR], _door()
     pose, q_m = run.trace.of("base_pose")[0], run.trace.of("q_m")[0]
-    solids = refrigerator(run, 0)
-    shapes = collision_shapes(sources, run)
+    solids, shapes = refrigerator(run, 0), collision_shapes(sources, run)
     start = Camera(np.zeros(3), 6.0, *_door_view(door), 780, 640)
     bodies = drawing.placed_meshes(sources.model, pose, q_m)
     camera = drawing.framed(start, [mesh for _, mesh in bodies] + [solid.mesh for solid in solids])
@@ -279,7 +265,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
             photographer.take(pose, q_m, camera, solids),
             photographer.take(pose, q_m, camera, shapes, robot=False),
         )
-    texts = ("opening a refrigerator", "collision models; the door's in magenta")
+    texts = ("opening a refrigerator", "collision models, magenta for the door")
     for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
         drawing.show_picture(ax, shot, camera)
         style.panel_title(ax, letter, text)
@@ -305,7 +291,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
 def figure_17(sources: Sources) -> drawing.Drawing:
-    """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door
+    """(a) With obstacle avoidance the mobile robot moves back and turns clockwise while the door
     approaches. (b) Without avoidance the door collides with the mobile robot at 30 s.
     """
     view, strips = _door_view(_door()), []
@@ -317,17 +303,17 @@ def figure_17(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         drawing.snapshot_figure(sources.model, strips, marks="arc of the door's edge"),
         {"": drawing.stacked(paths, "controller")},
-        sources.figures(_DOORS, _OF_DOOR),
+        sources.results(_DOORS, _OF_DOOR),
     )
 
 
 @style.picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
 def figure_18(sources: Sources) -> drawing.Drawing:
-    """As the distance between door and mobile robot falls below the buffer distance, the avoidance
-    task is inserted continuously.
+    """When the distance between door and mobile robot falls below the buffer distance, the
+    avoidance task is inserted continuously.
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")
-    parts = _columns(sources, _DOORS, *columns)
+    parts = sources.columns(_DOORS, *columns)
     figure = style.new_figure(3.6)
     distance, activation = figure.subplots(1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
@@ -341,13 +327,13 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     return drawing.Drawing(
         figure,
         {"": drawing.stacked(parts, "controller")},
-        sources.figures(_DOORS, _OF_DOOR),
-        ["Without avoidance the activation is computed but no task is inserted."],
+        sources.results(_DOORS, _OF_DOOR),
+        ["Without avoidance the activation is computed, but no task is inserted."],
     )
 
 
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
-    """The refrigerator's case, door and handle, in their poses in row k of the log."""
+    """The refrigerator's case, door and handle, at the door angle in row k of the run."""
     parts = drawn_parts(_door(), float(run.trace["door_angle_rad"][k]))
     return [
         Solid(trimesh.creation.box(size, T.homogeneous), _COLOURS[name])
@@ -357,12 +343,8 @@ def refrigerator(run: RunResult, k: int) -> list[Solid]:
 
 def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
     """The controller's convex bodies at the start of the run, including the body of the door."""
-    model, door, pose, q_m = (
-        sources.model,
-        _door(),
-        run.trace.of("base_pose")[0],
-        run.trace.of("q_m")[0],
-    )
+    model, door = sources.model, _door()
+    pose, q_m = run.trace.of("base_pose")[0], run.trace.of("q_m")[0]
     data = model.pin.createData()
     pin.forwardKinematics(model.pin, data, model.configuration(pose, q_m))
     T_ee = pin.updateFramePlacement(model.pin, data, model.ee_frame)
@@ -375,7 +357,7 @@ def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
 
 
 def arc(run: RunResult) -> Array:
-    """(N, 3) [m] path of the door's free edge, on the floor."""
+    """(N, 3) [m] path of the door's free edge on the floor, from 0 to the largest door angle."""
     door = _door()
     angles = np.linspace(0.0, float(run.trace["door_angle_rad"].max()), 60)
     edge = np.array([0.0, -door.side * door.width, 0.0])
@@ -390,4 +372,4 @@ def _door() -> Door:
 
 def _door_view(door: Door) -> tuple[float, float]:
     """[rad] yaw and pitch of the camera that shows the door."""
-    return door.yaw - door.side * _DOOR_VIEW, _DOOR_PITCH
+    return door.yaw - door.side * _DOOR_YAW, _DOOR_PITCH

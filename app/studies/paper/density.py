@@ -1,4 +1,7 @@
-"""§4.3: a denser border of points causes smaller jumps at a higher cost; a surface has no jumps."""
+"""§4.3: jumps of the acting point, and time of its search, on borders of points and on a surface.
+
+A denser border of points has smaller jumps and a longer search; on the surface there is no jump.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -22,35 +25,32 @@ from app.studies.paper.experiments import GUIDING, LATERAL, Sources
 PAPERS_COUNT = 50_000  # [-] points of a border that the paper recommends
 COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
 """Numbers of points of the thinned borders; the full border is added at the end."""
-FINER = 10  # [-] refinement of the path, which distinguishes jumps from motion
+FINER = 10  # [-] refinement of the path, which distinguishes a jump from a motion
 LONGEST = 4.0  # [s] longest path for the comparison of points and surface
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
-_MIN_CHANGE = 1e-9  # [m] lower end of the logarithmic axis; smaller steps are drawn there
-_ZOOM = 0.03  # [m] margin around the paths in plan
-
+_MIN_CHANGE = 1e-9  # [m] smallest drawn step, because the axis is logarithmic
+_MARGIN = 0.03  # [m] margin around the paths, seen from above
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
 @style.picture("density", "§4.3: density of the border", LATERAL)
 def figure_density(sources: Sources) -> drawing.Drawing:
-    """A denser border makes the search more costly and the jumps of the acting point smaller; about
-    50,000 points suit a control rate of 1 kHz.
+    """In a denser border the search of the acting point takes longer, and the jumps of the acting
+    point are smaller. About 50,000 points are suitable for a control rate of 1 kHz.
     """
     table = trade_off(sources)
+    counts = table["points"][:-1]
     figure = style.new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
-    look = {"color": style.METHOD_COLOURS["points"]}
+    look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (printed)"}
+    name = "continuous surface (default)"
     for ax, column, label in (
         (jump, "jump_max_m", "largest jump in a control step [m]"),
         (cost, "find_p50_us", "median time of a search [µs]"),
     ):
-        values = {kind: table[column][table["border"] == kind] for kind in _NAMES}
-        counts = table["points"][table["border"] == "points"]
-        ax.plot(
-            counts, values["points"], "o-", label="border of points, searched as printed", **look
-        )
-        surface, name = float(values["surface"][0]), "as a continuous surface (used here)"
+        *values, surface = table[column].tolist()
+        ax.plot(counts, values, "o-", **look)
         if ax is jump:
             style.level(ax, surface, name)
         else:
@@ -64,24 +64,16 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     style.panel_title(cost, "", "cost of the acting point")
     jump.legend(loc="upper right")
     cost.legend(loc="upper left")
-    rows = {
-        "surface" if kind == "surface" else f"{n} {kind}": {
-            x: float(table[x][k]) for x in _MEASURED
-        }
-        for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
-    }
-    return drawing.Drawing(
-        figure,
-        {"": table},
-        rows,
-        ["All use the path of the lateral guiding, at the control rate."],
-    )
+    names = [*(f"{n} points" for n in counts), "surface"]
+    rows = {name: {x: float(table[x][k]) for x in _MEASURED} for k, name in enumerate(names)}
+    remark = "All rows have the path of the lateral guiding, at the control rate."
+    return drawing.Drawing(figure, {"": table}, rows, [remark])
 
 
 @cache
 def trade_off(sources: Sources) -> drawing.Table:
-    """Jumps of p_act and time of a search, for each number of points and for the surface."""
-    path, whole = hand_in_buffer(sources), len(sources.border)
+    """Jumps of p_act and time of a search, for each number of points; the last row: the surface."""
+    path, whole = path_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
     finders = [("points", n, sources.points(thinned(sources.border, n))) for n in counts]
     finders.append(("surface", whole, sources.surface))
@@ -91,9 +83,9 @@ def trade_off(sources: Sources) -> drawing.Table:
 
 @cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
-    """Figures of the lateral guiding with 50,000 points in each border.
+    """Results of the lateral guiding with about 50,000 points in each border, or all if fewer.
 
-    The run is not in parallel with other runs, because its durations count.
+    The run is not in parallel with other runs, because the durations of its steps are measured.
     """
     experiment = GUIDING["points"]["lateral"]
     clouds = {
@@ -122,11 +114,14 @@ def _chosen(total: int, count: int) -> Array:
     return np.sort(np.random.default_rng(0).choice(total, count, replace=False))
 
 
-def hand_in_buffer(sources: Sources) -> list[ClosestPoints]:
-    """The closest points of the end-effector at each control step in its buffer."""
-    run = sources.runs[LATERAL]
-    fine = np.arange(run.trace.t[0], run.trace.t[-1], DT)
-    q_m = np.column_stack([np.interp(fine, run.trace.t, q) for q in run.trace.of("q_m").T])
+def path_in_buffer(sources: Sources) -> list[ClosestPoints]:
+    """The closest points of L_m(1) during the lateral guiding, at each control step in the buffer.
+
+    The joint positions are interpolated between the rows of the run.
+    """
+    run = sources.runs[LATERAL].trace
+    fine = np.arange(run.t[0], run.t[-1], DT)
+    q_m = np.column_stack([np.interp(fine, run.t, q) for q in run.of("q_m").T])
     d_b = sources.config.border.d_b
     return [closest for closest in sources.closest_points(q_m) if closest.d < d_b]
 
@@ -148,21 +143,18 @@ def jump_and_cost(
 
 @style.picture("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> drawing.Drawing:
-    """With a border of points, the acting point jumps from point to point as the end-effector
-    moves. More points reduce the jumps and increase the cost.
+    """On a border of points, the acting point jumps from point to point while the end-effector
+    moves. With more points the jumps are smaller and the search takes longer.
     """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
-    finders = {
-        "points": sources.points(points),
-        "surface": sources.surface,
-    }
-    coarse, fine = (hand_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))
+    finders = {"points": sources.points(points), "surface": sources.surface}
+    coarse, fine = (smooth_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))
     found = {kind: acting_path(sources, finder, *coarse) for kind, finder in finders.items()}
     finer = {kind: acting_path(sources, finder, *fine) for kind, finder in finders.items()}
     figure = style.new_figure(4.6)
     plan, steps = figure.subplots(1, 2, width_ratios=(1, 1.35))
-    style.panel_title(plan, "", "the acting point in plan")
-    style.panel_title(steps, "", "its motion in each control step")
+    style.panel_title(plan, "", "the acting point from above")
+    style.panel_title(steps, "", "motion of the acting point in each control step")
     for kind, along in found.items():
         mark = "." if kind == "points" else "-"
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
@@ -181,29 +173,29 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         {"": drawing.stacked(found, "border")},
         _measured(found, finer),
         [
-            "All use the path of the lateral guiding within the buffer, "
-            "a cubic spline through the logged closest points.",
-            f"On a path sampled {FINER} times finer, motion has {FINER} times smaller steps; "
-            "a jump has not.",
+            "Both borders have the same path, a cubic spline through the closest points of the "
+            "lateral guiding within the buffer.",
+            f"If the path is sampled {FINER} times finer, the steps of a continuous motion are "
+            f"{FINER} times smaller, but a jump keeps its size.",
         ],
     )
 
 
-def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s] and closest points during the end-effector's longest stay in the buffer.
+def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
+    """Times (N,) [s], every `dt` [s], and closest points during the longest stay in the buffer.
 
-    The stay is cut to `LONGEST` [s]. A spline through the log's rows gives the points: at each step
-    the collision library would add errors of about 0.3 mm, more than the motion in a step.
+    The stay of L_m(1) is cut to `LONGEST` [s]. The points are on a spline through the points of the
+    run's rows. Points from the collision library at each step would have errors of about 0.3 mm,
+    which is more than the motion in a step.
     """
-    log = sources.runs[LATERAL].trace
-    outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b
-    stretches = np.ma.clump_unmasked(np.ma.masked_array(log.t, outside))
-    longest = max((log.t[stretch] for stretch in stretches), key=len)
-    begin, end = longest[[0, -1]]
+    run = sources.runs[LATERAL].trace
+    outside = sources.distances(LATERAL) >= sources.config.border.d_b
+    stays = np.ma.clump_unmasked(np.ma.masked_array(run.t, outside))
+    begin, end = max((run.t[stay] for stay in stays), key=len)[[0, -1]]
     t = np.arange(begin, min(end, begin + LONGEST), dt)
-    logged = sources.closest_points(log.of("q_m"))
+    recorded = sources.closest_points(run.of("q_m"))
     d, p_a, p_b, n = (
-        CubicSpline(log.t, [getattr(closest, name) for closest in logged])(t)
+        CubicSpline(run.t, [getattr(closest, name) for closest in recorded])(t)
         for name in ("d", "p_a", "p_b", "n")
     )
     n /= np.linalg.norm(n, axis=1)[:, None]
@@ -214,10 +206,11 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
-    """A table of the acting point along the end-effector's path, with a row for each time (N,) [s].
+    """Table with a row for each time (N,) [s] of a path.
 
-    The columns are the time, the closest point p_b on the end-effector, the acting point, its
-    motion in the previous step, and the base acceleration that the force causes.
+    The columns are the time, the closest point p_b on the end-effector, the acting point, the
+    distance of the acting point from that of the previous row (NaN in the first row), and the base
+    acceleration that the force causes.
     """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
@@ -240,8 +233,10 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Largest steps of the acting point, their ratio to the finer path, largest changes of
-    acceleration.
+    """The measured numbers of both borders, and the ratios of their accelerations' changes.
+
+    For each border these are the largest step of the acting point on the path and on the finer
+    path, the ratio of these steps, and the largest changes of the base's acceleration in a step.
     """
     result: dict[str, Any] = {}
     for kind, along in found.items():
@@ -268,15 +263,10 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
 
 
 def _base_and_hand(ax: Axes, sources: Sources, along: drawing.Table) -> None:
-    """Draw the base's outline and the closest point's path, and limit the axes to both paths."""
+    """Draw the base's outline and the path of p_b; limit the axes to the paths of p_b and p_act."""
     drawing.base_in_plan(ax, sources.model)
-    ax.plot(
-        along["p_b_x_m"],
-        along["p_b_y_m"],
-        color=style.PAIR_COLOURS["lm-lEE"],
-        linewidth=1.6,
-        linestyle=(0, (3, 2)),
-        label="closest point of the end-effector",
-    )
+    line: dict[str, Any] = {"color": style.PAIR_COLOURS["lm-lEE"], "linestyle": (0, (3, 2))}
+    line |= {"linewidth": 1.6, "label": "closest point of the end-effector"}
+    ax.plot(along["p_b_x_m"], along["p_b_y_m"], **line)
     x, y = (np.concatenate([along[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
-    drawing.square_around(ax, np.column_stack([x, y]), _ZOOM)
+    drawing.square_around(ax, np.column_stack([x, y]), _MARGIN)

@@ -1,10 +1,10 @@
 """The departures from (26) to (29), measured for the printed form and for the project's form.
 
-Some rows solve both forms for q̈ at a state, other rows compare runs. Smaller numbers are better.
+Some rows compare the solutions q̈ of both forms at equal states, other rows compare runs. Smaller
+numbers are better.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -28,26 +28,20 @@ from app.studies.paper.experiments import (
     Sources,
 )
 
-_STATES = 40  # number of states of the lateral guiding in the buffer, equally spaced
+_STATES = 40  # [-] number of postures of the lateral guiding
 _ENTERS = 1e-9  # [-] β of a newly inserted row
+_SMALLEST = 1e-9  # smallest drawn number, because the axis is logarithmic
 _FAR = 1.0  # [m] distance of an unreachable target
 _LINE, _HALVINGS = 100, 20  # [-] number of postures on a line, and of halvings of a step
 
 
 Solver = Callable[[ControlStep, Array, TaskConfig], Array]
+"""A function that computes q̈ (n,) from a control step, the diagonal of B (k,) [-] and the gains."""
 
 
-class Departure(NamedTuple):
-    """A row of the table of departures."""
-
-    place: str
-    """The equation and the departure."""
-    key: str
-    """Key of the measured number, which ends in the unit."""
-    printed: float
-    """The number for the printed form."""
-    here: float
-    """The number for the project's form."""
+Departure = tuple[str, str, float, float]
+"""The equation and the departure; the key of the measured number, which ends in the unit; the
+number of the printed form; the number of the project's form."""
 
 
 @style.picture(
@@ -62,29 +56,27 @@ def figure_departures(sources: Sources) -> drawing.Drawing:
     figure = style.new_figure(4.2)
     ax = figure.subplots()
     places = np.arange(len(rows))[::-1]
-    for k, name in enumerate(("hqp", "dbb")):
-        values = np.maximum(table["here" if k else "printed"].astype(float), _ENTERS)
-        look: dict[str, Any] = {
-            "color": style.METHOD_COLOURS[name],
-            "label": style.METHOD_NAMES[name],
-        }
-        ax.barh(places + 0.2 - 0.4 * k, values, 0.36, **look)
+    for column, name, above in (("printed", "hqp", 0.2), ("here", "dbb", -0.2)):
+        values = np.maximum(table[column].astype(float), _SMALLEST)
+        colour, label = style.METHOD_COLOURS[name], style.METHOD_NAMES[name]
+        ax.barh(places + above, values, 0.36, color=colour, label=label)
     ax.set_xscale("log")
-    ax.set_yticks(places, [f"{row.place}\n{row.key}" for row in rows])
+    ax.set_yticks(places, [f"{place}\n{key}" for place, key, *_ in rows])
     ax.legend(loc="lower right")
-    measured = {row.key: {"printed": row.printed, "here": row.here} for row in rows}
+    measured = {key: {"printed": printed, "here": here} for _, key, printed, here in rows}
     return drawing.Drawing(
         figure,
         {"": table},
         measured,
-        ["Smaller numbers are better. `docs/departures.md` gives the reason of each departure."],
+        ["Smaller numbers are better. `docs/departures.md` has the reason for each departure."],
     )
 
 
-def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
-    """A control step at rest at a posture (n_m,) that tracks the present pose.
+def step_at_rest(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
+    """Compute a control step of the robot at rest at a posture (n_m,).
 
-    The reference is higher than the present pose by `error` [m].
+    The reference is at rest, `error` [m] above the end-effector's pose. The controller reuses the
+    returned memory in its next step.
     """
     model = controller.state.model
     measured = at_rest(model, q_m)
@@ -96,13 +88,19 @@ def held(controller: Controller, q_m: Array, error: float = 0.0) -> ControlStep:
 
 
 def printed(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of (29) as printed, with the diagonal B (k,); NaN without a solution."""
+    """q̈ (n,) of (29) as printed, with the diagonal of B (k,), which is stored in the step.
+
+    It is NaN if a level has no solution.
+    """
     w.B[:] = B
     return hqp.solved_by_hierarchy(w, gains)
 
 
 def here(w: ControlStep, B: Array, gains: TaskConfig) -> Array:
-    """q̈ (n,) of the project's law: the base's blended rows, then the arm's QP without limits."""
+    """q̈ (n,) of the project's form, with the diagonal of B (k,).
+
+    The base's rows determine the base. Then the arm's QP without limits determines the arm.
+    """
     n_b = w.n_b
     rows = slice(n_b, len(B))
     H, c = insert_rows(w.H, w.c, w.J_sca[rows], w.b_sca[rows], B[rows], gains.slack_weight, n_b)
@@ -115,19 +113,25 @@ SOLVERS: tuple[Solver, ...] = (printed, here)
 
 
 def activations(w: ControlStep, base: float, link: float, pair: int) -> Array:
-    """The diagonal of B with β = `base` for the base's rows and β = `link` for a pair of L_m^c."""
+    """The diagonal of B (k,) with activations of the base's rows and of one pair of L_m^c.
+
+    `pair` is the index of the pair in L_m^c, `link` its activation. All other entries are zero.
+    """
     B = np.zeros(len(w.B))
     B[: w.n_b], B[w.n_b + pair] = base, link
     return B
 
 
-def nearest_links(w: ControlStep) -> int:
-    """Index of the nearest pair of L_m^c."""
+def nearest_pair(w: ControlStep) -> int:
+    """Index in L_m^c of the pair with the smallest distance."""
     return int(np.argmin(w.d[w.n_mob : len(w.pairs)]))
 
 
 def left_as_printed(w: ControlStep, gains: TaskConfig) -> float:
-    """[rad/s²] deviation of (29) from (26) at B = 0, with the reference on the left side."""
+    """[rad/s²] norm of the difference between q̈ of (29) and of (26) at B = 0.
+
+    The reference of (29) is on the left side, as printed.
+    """
     below = hqp.tasks_below(w, gains)
     qdd_2, rows = hqp.cascade(below), slice(0, w.n_b)
     literal = hqp.cascade([hqp.Task(w.J_sca[rows], -w.J_sca[rows] @ qdd_2), *below])
@@ -139,42 +143,44 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
     controller = Controller(sources.model, sources.data, sources.config, name="hqp")
     enters, left = [], []
     for q_m in postures(sources):
-        w = held(controller, q_m)
-        pair = nearest_links(w)
+        w = step_at_rest(controller, q_m)
+        pair = nearest_pair(w)
         absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
         changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
         enters.append([_torque(w, change) for change in changes])
-        left.append(left_as_printed(held(controller, q_m, 0.001), gains))
-    w = held(controller, postures(sources)[0], _FAR)
-    demands = [np.linalg.norm(hqp.end_effector(w, gains).b), np.linalg.norm(w.b_ee)]
+        left.append(left_as_printed(step_at_rest(controller, q_m, 0.001), gains))
+    w = step_at_rest(controller, postures(sources)[0], _FAR)
+    demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
     jumps = [jump(sources, controller, solve) for solve in SOLVERS]
-    yield Departure("(26) strict levels", "jump_radps2", *jumps)
-    yield Departure("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", *map(float, demands))
-    yield Departure("(29) reference on the left", "off_at_zero_radps2", max(left), 0.0)
-    yield Departure("(29) a row enters", "torque_jump_nm", *np.nanmax(enters, axis=0).tolist())
+    for place, key, (theirs, ours) in (
+        ("(26) strict levels", "jump_radps2", jumps),
+        ("(26) k_p (x_d ⊖ x) at 1 m", "demand_mps2", demands),
+        ("(29) reference on the left", "off_at_zero_radps2", (max(left), 0.0)),
+        ("(29) a row enters", "torque_jump_nm", np.nanmax(enters, axis=0).tolist()),
+    ):
+        yield place, key, theirs, ours
 
 
 def postures(sources: Sources) -> list[Array]:
-    """Postures (n_m,) of the lateral guiding while a pair is in its buffer."""
-    log = sources.runs[LATERAL].trace
-    inside = np.flatnonzero(log[f"d_{sources.pair.name}_m"] < sources.config.border.d_b)
+    """Postures (n_m,) of the lateral guiding at equal intervals while L_m(1) is in its buffer."""
+    inside = np.flatnonzero(sources.distances(LATERAL) < sources.config.border.d_b)
     chosen = inside[np.linspace(0, len(inside) - 1, _STATES).astype(int)]
-    return list(log.of("q_m")[chosen])
+    return list(sources.runs[LATERAL].trace.of("q_m")[chosen])
 
 
 def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
-    """[rad/s²] jump of q̈ at the steepest point of a line of postures.
+    """[rad/s²] norm of the jump of q̈ at the steepest point on a line of postures.
 
-    The base's rows and a row between links are fully active, so that with T_2 there are as many
-    rows as axes. The steepest step of the line is halved repeatedly: the change of a continuous q̈
-    vanishes, a jump remains. If there is no solution, q̈ counts as 0.
+    The base's rows and a row of L_m^c are fully active, so that with T_2 there are as many rows as
+    axes. The step of the line with the largest change of q̈ is halved repeatedly. The change of a
+    continuous q̈ then vanishes, but a jump remains. If there is no solution, q̈ counts as 0.
     """
     gains, (first, *_, last) = sources.config.task, postures(sources)
     last = last + 0.5 * (sources.model.q_limits.mean(axis=0) - first)
-    pair = nearest_links(held(controller, first))
+    pair = nearest_pair(step_at_rest(controller, first))
 
     def at(share: float) -> Array:
-        w = held(controller, first + share * (last - first))
+        w = step_at_rest(controller, first + share * (last - first))
         return np.nan_to_num(solve(w, activations(w, 1.0, 1.0, pair), gains))
 
     shares = np.linspace(0.0, 1.0, _LINE)
@@ -192,7 +198,7 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
 
 
 def _torque(w: ControlStep, qdd: Array) -> float:
-    """[N m] largest change of a torque of the arm for a change `qdd` (n,) of q̈."""
+    """[N m] largest change of a joint's torque for a change `qdd` (n,) of q̈."""
     return float(np.abs(w.M[w.n_b :] @ qdd).max())
 
 
@@ -200,7 +206,8 @@ def _of_runs(sources: Sources) -> Iterator[Departure]:
     tracking, axis = AS_PRINTED[:2]
 
     def compare(place: str, key: str, theirs: Experiment, ours: Experiment) -> Departure:
-        return Departure(place, key, *(sources.runs[e].figures[key] for e in (theirs, ours)))
+        printed, here = (sources.runs[e].figures[key] for e in (theirs, ours))
+        return place, key, printed, here
 
     yield compare("(29) base as commanded", "ee_error_max_m", tracking, TRACKING)
-    yield compare("(29) base's rows fix its motion", "ee_error_final_m", axis, WHEEL_AXIS)
+    yield compare("(29) the base's rows fix its motion", "ee_error_final_m", axis, WHEEL_AXIS)

@@ -1,4 +1,4 @@
-"""Figures of the paper: files, curves over time, and rows of snapshots."""
+"""The figures of the paper: their files, and parts that several figures have in common."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
@@ -29,10 +29,10 @@ from app.system import write_whole
 Table = dict[str, Array]
 """The data of a figure: columns of equal length, whose names end in the unit."""
 
-COLUMNS = 4
-_PIXELS = 460, 420
-_TALL = 1.35  # [m] height above which the picture may cut off objects, so that the robot is large
-_GRID, _AROUND = 0.25, 2.0  # [m] spacing and extent of the lines on the floor
+_COLUMNS = 4  # [-] number of snapshots in a row
+_PIXELS = 460, 420  # width and height of a snapshot
+_TALL = 1.35  # [m] height of the visible part of objects; higher parts may be outside the picture
+_GRID, _AROUND = 0.25, 2.0  # [m] spacing of the lines on the floor, half of their length
 _CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
 
@@ -42,14 +42,14 @@ class Drawing:
 
     figure: Figure
     tables: dict[str, Table]
-    """The plotted data, by the suffix of the file's name; the first suffix is empty."""
+    """The plotted data, by the suffix of the CSV file's name; one suffix is empty."""
     measured: dict[str, Any] = field(default_factory=dict)
-    """Measured numbers; keys end in the unit."""
+    """Measured numbers, or such mappings by the name of a case; keys end in the unit."""
     remarks: Sequence[str] = ()
-    """Remarks on the measured numbers, one sentence each."""
+    """Remarks on the measured numbers."""
 
     def write(self, folder: Path, name: str, title: str) -> list[Path]:
-        """Write a PNG and CSV files into a folder; return the paths, the PNG first."""
+        """Write a PNG and one CSV file for each table; return the paths, the PNG first."""
         picture = folder / f"{name}.png"
         self.figure.suptitle(title, x=0.01, ha="left", fontsize=13)
         write_whole(picture, style.png_of(self.figure))
@@ -61,31 +61,34 @@ class Drawing:
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:
-    """One table from several tables with equal columns; the column `kind` has the tables' names."""
+    """One table from tables with the same columns, with the tables' names in the column `kind`."""
     names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
     columns = next(iter(parts.values()))
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
 
 
 def points_table(points: Array, prefix: str = "", **columns: Array) -> Table:
-    """A table of points (N, 3) [m] with further columns; the coordinates' names get a prefix."""
+    """A table of points (N, 3) [m] with further columns; `prefix` is before x, y and z."""
     return {f"{prefix}{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
 
 
 def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """A table from rows of cells, with the names of the columns."""
+    """A table from the names of its columns and at least one row of cells."""
     return dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
 
 
 def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) -> None:
-    """Plot a column over time for each method."""
+    """Plot a column over time for each method; `line` are options of `plot`."""
     for name, part in parts.items():
         look = {"color": style.METHOD_COLOURS[name], "label": style.METHOD_NAMES[name], **line}
         ax.plot(part["t_s"], part[column], **look)
 
 
 def base_corners(model: RobotModel) -> Array:
-    """(8, 3) [m] corners of a box around l_m, in the base's frame, the four on the floor first."""
+    """(8, 3) [m] corners of a box around l_m in the base's frame, from the floor to l_m's top.
+
+    The four corners on the floor are first.
+    """
     body = MobileBody(model)
     low, high = body.lower, body.upper
     plan = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
@@ -93,7 +96,7 @@ def base_corners(model: RobotModel) -> Array:
 
 
 def plan_axes(ax: Axes) -> None:
-    """Label and scale axes that show the base's frame from above."""
+    """Label axes that show the base's frame from above, with equal scales."""
     ax.set_aspect("equal")
     ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
 
@@ -105,17 +108,13 @@ def base_in_plan(ax: Axes, model: RobotModel) -> None:
     plan_axes(ax)
 
 
-def square_around(ax: Axes, points: Array, margin: float, least: float = 0.0) -> None:
-    """Limit the axes to a square around points (N, 3) [m] from above.
+def square_around(ax: Axes, points: Array, margin: float, smallest: float = 0.0) -> None:
+    """Limit axes that show points (N, 2) or (N, 3) [m] from above to a square around the points.
 
-    Args:
-        ax: The axes.
-        points: (N, 3) [m] the points.
-        margin: [m] distance of the points from the square's sides.
-        least: [m] smallest side of the square, without the margin.
+    The side of the square, without the margin [m], is at least `smallest` [m].
     """
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    half = max(least, float((high - low).max())) / 2 + margin
+    half = max(smallest, float((high - low).max())) / 2 + margin
     x, y = (low + high) / 2
     ax.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
 
@@ -123,7 +122,10 @@ def square_around(ax: Axes, points: Array, margin: float, least: float = 0.0) ->
 def placed_meshes(
     model: RobotModel, base_pose: Sequence[float] | Array, q_m: Array
 ) -> list[tuple[str, trimesh.Trimesh]]:
-    """The names and meshes of the convex bodies at a posture, in the world."""
+    """The meshes of all shapes of the convex bodies, in the world, each with its body's name.
+
+    `base_pose` (3,) has x, y [m] and heading [rad]; `q_m` (n_m,) are the arm's joint positions.
+    """
     data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
     q = model.configuration(base_pose, q_m)
     pin.updateGeometryPlacements(model.pin, data, model.geometry, placed, q)
@@ -140,7 +142,10 @@ def framed(
     points: Iterable[Array] = (),
     tallest: float = np.inf,
 ) -> Camera:
-    """The camera, moved so that it shows meshes and points (N, 3) [m] up to a height [m]."""
+    """A camera with the same direction that shows meshes and points (N, 3) [m].
+
+    Parts above the height `tallest` [m] may be outside the picture.
+    """
     seen = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
     seen[:, 2] = np.minimum(seen[:, 2], tallest)
     return camera._replace(target=seen.mean(axis=0)).framing(seen, 0.05)
@@ -148,46 +153,51 @@ def framed(
 
 @dataclass(frozen=True)
 class Strip:
-    """A row of snapshots with the paths of base and end-effector."""
+    """A row of snapshots of one run, with the paths of base and end-effector."""
 
     name: str
-    """Name in the CSV file and among the measured numbers."""
+    """Name of the run in the CSV file."""
     text: str
+    """Title of the row."""
     run: RunResult
     times: Sequence[float]
     """[s] times of the snapshots."""
     view: tuple[float, float]
-    """[rad] yaw and pitch of the viewing direction."""
+    """[rad] yaw and pitch of the camera."""
     aim: Array | None = None
-    """(2, 3) [m] start and end of the end-effector's path, in the world, or None."""
+    """(2, 3) [m] start and end of the end-effector's desired path, in the world, or None."""
     solids: Callable[[int], Sequence[Solid]] = lambda _: ()
-    """Function that returns additional objects for a row of the log."""
+    """Function that returns additional objects for a row of the run."""
     marks: Array | None = None
     """(N, 3) [m] a line on the floor, such as a door's arc, or None."""
 
     def paths(self, *columns: str, every: int = 10) -> Table:
         """A table of time, pose of the base, position of the end-effector, and further columns.
 
-        It has each `every`-th row of the log.
+        The table has each `every`-th row of the run.
         """
-        log = self.run.trace
-        table = {name: log[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
-        table |= points_table(log.of("p_ee"), "hand_") | {name: log[name] for name in columns}
+        run = self.run.trace
+        table = {name: run[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
+        table |= points_table(run.of("p_ee"), "hand_") | {name: run[name] for name in columns}
         return {name: column[::every] for name, column in table.items()}
 
 
 def snapshot_figure(
     model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
 ) -> Figure:
-    """Draw rows of snapshots (a), (b) and so on, with labels for arrows and lines on the floor."""
-    height = len(strips) * (style.WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
+    """Draw at most six rows of four snapshots, with the letters (a), (b) and so on.
+
+    `aim` and `marks` are the legend's texts for the arrows of `Strip.aim` and the lines of
+    `Strip.marks`; an empty text has no entry.
+    """
+    height = len(strips) * (style.WIDTH / _COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = style.new_figure(height)
     rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]
     cameras = {s.view: _camera(model, [x for x in strips if x.view == s.view]) for s in strips}
     with closing(Photographer(model)) as photographer:
         for letter, part, strip in zip("abcdef", rows, strips, strict=False):
             part.suptitle(f"({letter}) {strip.text}", x=0.01, ha="left", weight="bold")
-            for ax, t in zip(part.subplots(1, COLUMNS), strip.times, strict=True):
+            for ax, t in zip(part.subplots(1, _COLUMNS), strip.times, strict=True):
                 _panel(ax, model, strip, cameras[strip.view], photographer, t)
     keys = [
         Line2D([], [], color=style.SOFT, linestyle="--", label="start of the base"),
@@ -204,12 +214,12 @@ def snapshot_figure(
 
 
 def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
-    """The camera for rows with the same viewing direction, which shows their whole motion."""
+    """A camera that shows all snapshots of some rows, which have the same viewing direction."""
     meshes: list[trimesh.Trimesh] = []
     for strip in strips:
-        log = strip.run.trace
-        for k in map(log.row_at, strip.times):
-            bodies = placed_meshes(model, log.of("base_pose")[k], log.of("q_m")[k])
+        run = strip.run.trace
+        for k in map(run.row_at, strip.times):
+            bodies = placed_meshes(model, run.of("base_pose")[k], run.of("q_m")[k])
             meshes += [mesh for _, mesh in bodies] + [solid.mesh for solid in strip.solids(k)]
     aims = [strip.aim for strip in strips if strip.aim is not None]
     return framed(Camera(np.zeros(3), 6.0, *strips[0].view, *_PIXELS), meshes, aims, _TALL)
@@ -218,9 +228,9 @@ def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
 def _panel(
     ax: Axes, model: RobotModel, strip: Strip, camera: Camera, photographer: Photographer, t: float
 ) -> None:
-    log, poses = strip.run.trace, strip.run.trace.of("base_pose")
-    k, past = log.row_at(t), log.t <= t + 1e-6
-    picture = photographer.take(poses[k], log.of("q_m")[k], camera, strip.solids(k))
+    run, poses = strip.run.trace, strip.run.trace.of("base_pose")
+    k, past = run.row_at(t), run.t <= t + 1e-6
+    picture = photographer.take(poses[k], run.of("q_m")[k], camera, strip.solids(k))
     show_picture(ax, picture, camera)
     ax.set_title(f"t = {t:g} s", fontsize=11, weight="normal", loc="center", pad=3)
     corners, (x, y, yaw) = base_corners(model), poses[0]
@@ -229,7 +239,7 @@ def _panel(
     if strip.marks is not None:
         _on_floor(ax, picture, strip.marks, color=style.TARGET, linewidth=1.6, linestyle=":")
     centre = np.column_stack([poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
-    for points, colour in ((centre, style.PATH), (log.of("p_ee")[past], style.HAND)):
+    for points, colour in ((centre, style.PATH), (run.of("p_ee")[past], style.HAND)):
         line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
         ax.plot(*picture.pixels(points).T, **line)
     ax.plot(*picture.pixels(centre[-1:]).T, **style.marker_style(style.PATH, size=5))
@@ -240,7 +250,7 @@ def _panel(
 
 
 def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
-    """Draw a picture that fills the axes, with a grid on the floor around the centre."""
+    """Draw a picture that fills the axes, with a grid on the floor around the camera's target."""
     ax.imshow(picture.rgb, interpolation="antialiased")
     ax.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
     ax.set_axis_off()
@@ -252,7 +262,7 @@ def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
 
 
 def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> None:
-    """Draw an arrow between the first two coordinates of two points; the layout ignores it."""
+    """Draw an arrow, which the layout ignores, from x and y of one point to x and y of another."""
     look = {"linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, **look}
     head: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, **look}
     head_at, tail_at = (end[0], end[1]), (start[0], start[1])
@@ -260,7 +270,7 @@ def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> Non
 
 
 def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:
-    """Draw a line on the floor; objects in front of the line hide it."""
+    """Draw a line through `corners` (N, 3) [m] on the floor, without the parts behind objects."""
     share = np.linspace(0.0, len(corners) - 1.0, 60 * len(corners))
     at = np.arange(len(corners))
     points = np.column_stack([np.interp(share, at, column) for column in corners.T])

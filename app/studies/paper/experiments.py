@@ -1,4 +1,4 @@
-"""The runs of the paper's robot, each of which serves several figures and claims."""
+"""The runs of the paper's robot; several figures and claims can use one run."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -36,13 +36,10 @@ class Experiment(RunSpec):
 
     @classmethod
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
-        """The run of a scenario.
+        """The run of a scenario, by the names of scenario and controller.
 
-        Args:
-            scenario: Name of the scenario.
-            controller: Name of the controller.
-            points: Whether the border consists of points, as in the paper.
-            line: (3,) [m] `start` and `move` that replace the scenario's path.
+        With `points` the border consists of points, as in the paper. `line` may have the options
+        `start` and `move` (3,) [m] of the scenario.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
@@ -57,7 +54,7 @@ class Experiment(RunSpec):
         return f"{scenario.name}{start}, {self.controller}{border}"
 
     def aim(self) -> Array:
-        """(2, 3) [m] start and end of the end-effector's path, in the world."""
+        """(2, 3) [m] start and end of the end-effector's straight path, in the world."""
         scenario = self.scenario
         assert isinstance(scenario, LineScenario), f"{scenario.name} has no line"
         return np.array([scenario.start, np.add(scenario.start, scenario.move)])
@@ -67,7 +64,7 @@ TRACKING = Experiment.of("tracking", "dbb")
 TRACKING_REPULSIVE = Experiment.of("tracking", "repulsive")
 TRACKING_NONE = Experiment.of("tracking", "none")
 WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
-"""An approach along the wheel axis; the base cannot move immediately in this direction."""
+"""An approach along the wheel axis. In this direction the base cannot move immediately."""
 WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
 LATERAL = Experiment.of("guiding-lateral", "dbb")
 FRONT = Experiment.of("guiding-front", "dbb")
@@ -82,7 +79,7 @@ GUIDING = {
         "front": FRONT._replace(controller="repulsive"),
     },
 }
-"""The guiding runs, by the name of the method and the direction of the approach."""
+"""The guiding runs, by the method and the direction; `points` is `dbb` on a border of points."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """The runs of Figure 15."""
 AS_PRINTED = tuple(
@@ -102,7 +99,7 @@ class Sources:
     model: RobotModel
     data: BorderData
     config: Config
-    """Default parameters of the runs."""
+    """The default parameters, which all runs have except those on a border of points."""
     runs: Runs
     """The finished runs."""
 
@@ -123,7 +120,7 @@ class Sources:
 
     @cached_property
     def offset(self) -> OffsetContours:
-        """The contours at the buffer distance from the base."""
+        """The horizontal contours of the surface at the buffer distance from the base."""
         return offset_contours(self.model, self.config.border.d_b)
 
     def border_of(self, pair: Pair) -> Border:
@@ -143,12 +140,9 @@ class Sources:
     def force(
         self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
-        """Compute acting point and force (3,) [N] with the controller's functions.
+        """Compute acting point and force (3,) [N] for closest points in the base's frame.
 
-        Args:
-            finder: Algorithm 3 on a border.
-            closest: The closest points, in the base's frame.
-            force: Parameters of the force; default: those of the runs.
+        `finder` is Algorithm 3 on a border; `force` are parameters, by default those of `config`.
         """
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
@@ -165,15 +159,25 @@ class Sources:
             found.append(distances.closest(0))
         return found
 
-    def figures(
+    def distances(self, experiment: Experiment) -> Array:
+        """(N,) [m] distance of L_m(1) in each row of an experiment."""
+        return self.runs[experiment].trace[f"d_{self.pair.name}_m"]
+
+    def results(
         self, experiments: dict[str, Experiment], keys: Iterable[str]
     ) -> dict[str, dict[str, Any]]:
-        """The figures with some keys of each experiment, by the names of the experiments."""
+        """Some results of each experiment, by the names of the experiments."""
         return {n: {k: self.runs[e].figures[k] for k in keys} for n, e in experiments.items()}
+
+    def columns(
+        self, experiments: dict[str, Experiment], *names: str
+    ) -> dict[str, dict[str, Array]]:
+        """Some columns of each experiment's trace, by the names of the experiments."""
+        return {n: {c: self.runs[e].trace[c] for c in names} for n, e in experiments.items()}
 
 
 def load_sources() -> Sources:
-    """Load the paper's robot with the default parameters, without runs."""
+    """Load the paper's robot and its border, with the default parameters and without runs."""
     model = RobotModel(load_robot(ROBOT))
     return Sources(model, load_border_data(model), Config(), {})
 
@@ -185,10 +189,9 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Run each experiment once, in parallel processes.
+    """Run each experiment once with the same seed, in parallel processes.
 
-    The results arrive from the longest run to the shortest one. After each, `on_progress` gets the
-    sum of the simulated times [s] of all results so far.
+    After each run `on_progress` gets the simulated time [s] of all finished runs.
 
     Raises:
         UnreachableError: The arm cannot reach the start of an experiment.
@@ -204,7 +207,7 @@ def run_experiments(
 
 
 def duration(experiments: Iterable[Experiment]) -> float:
-    """[s] total simulated time of some experiments."""
+    """[s] total simulated time of some experiments, without repetition."""
     return sum(e.scenario.duration for e in set(experiments))
 
 

@@ -25,13 +25,14 @@ from app.studies.paper.experiments import Sources
 _SHOWN = 12_000  # [-] largest number of points in a picture; more points would hide each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 _MIN_SHARE = 0.02  # [-] share of the peak above which a position counts as reached
-_SMOOTH = 1.0  # [-] width of the average in lattice steps, because a position has few samples
+_SMOOTH = 1.0  # [-] standard deviation of the Gaussian filter, in steps of the lattice
 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
 def figure_3(sources: Sources) -> drawing.Drawing:
-    """(a) The sampled points of the arm's links are around the mobile robot. (b) The points at the
-    buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.
+    """(a) The sampled points of the arm's links are around the mobile robot. (b) The points whose
+    distance from the mobile robot is 0.15 m, the buffer distance, within a tolerance of 0.01 m are
+    the distance buffer borders.
     """
     rng = np.random.default_rng(0)
     parts: dict[str, drawing.Table] = {}
@@ -64,9 +65,10 @@ def figure_3(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig5", "Figure 5: score of the end-effector's border")
 def figure_5(sources: Sources) -> drawing.Drawing:
-    """(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. (b) The
-    reachability depends only on the distance from the arm's mount. (c) The product of both, with
-    the sign of x, has one global maximum, in front.
+    """(a) The determinant is symmetric about the X-axis and is zero on the wheel axis. (b) The
+    reachability depends only on the distance from the arm's mount. (c) The score is the product of
+    determinant and reachability, with the sign of x. It has one global maximum, in front of the
+    base.
     """
     border, field = sources.border, sources.field
     points = border.points[_some(len(border), np.random.default_rng(0))]
@@ -100,8 +102,9 @@ def figure_5(sources: Sources) -> drawing.Drawing:
 
 @style.picture("fig6", "Figure 6: reachability of the end-effector")
 def figure_6(sources: Sources) -> drawing.Drawing:
-    """The density of inverse kinematics solutions rises and then falls with the distance from the
-    arm's mount. A parabola with A = 525.9 /m², B = 0.575 m, C = 100 describes it.
+    """The density of inverse kinematics solutions first increases and then decreases with the
+    distance from the arm's mount. A parabola with A = 525.9 /m², B = 0.575 m and C = 100
+    approximates this density.
     """
     reach_map = sample_reach_map(
         sources.model, sources.pair.b, samples=FINE_SAMPLES, spacing=FINE_SPACING
@@ -149,14 +152,14 @@ def figure_6(sources: Sources) -> drawing.Drawing:
         },
         [
             "The controller uses the paper's coefficients.",
-            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, because few "
-            "random joint positions lead to each position.",
+            "In (a) and (b) a Gaussian filter with a standard deviation of "
+            f"{_SMOOTH * reach_map.spacing_m:g} m reduces the noise of the random sampling.",
         ],
     )
 
 
 def _smoothed(reach_map: ReachMap) -> Array:
-    """(N,) the reachability at the map's positions, averaged with neighbouring positions."""
+    """(N,) the reachability at the map's positions, after a Gaussian filter over the map."""
     steps = np.rint((reach_map.points - reach_map.p_base) / reach_map.spacing_m).astype(int)
     at = tuple((steps - steps.min(axis=0)).T)
     values = np.zeros(np.ptp(steps, axis=0) + 1)
@@ -170,12 +173,9 @@ def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
     mean, rho = table["reachability_mean"], table["rho_m"]
     ax.plot(rho, mean, "o", color="#52606D", markersize=4, label="mean over shells")
     inside = (rho >= low) & (rho <= high)
-    ax.plot(
-        rho[inside], table["fit"][inside], color=style.METHOD_COLOURS["dbb"], label="fit of (9)"
-    )
-    ax.plot(
-        rho, table["paper"], "--", color=style.METHOD_COLOURS["repulsive"], label="the paper's (9)"
-    )
+    fitted, printed = style.METHOD_COLOURS["dbb"], style.METHOD_COLOURS["repulsive"]
+    ax.plot(rho[inside], table["fit"][inside], color=fitted, label="fit of (9)")
+    ax.plot(rho, table["paper"], "--", color=printed, label="(9) with the paper's A, B, C")
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
     ax.set_ylim(0.0, 1.25 * float(np.nanmax(mean)))
     ax.set_xlim(0.0, None)
@@ -194,7 +194,10 @@ def _scatter(ax: Any, points: dict[str, Array], **look: Any) -> PathCollection:
 
 
 def _view(ax: Any, model: RobotModel, points: drawing.Table, zoom: float) -> None:
-    """Draw the box around l_m, and scale all axes equally around the points and the origin."""
+    """Draw the box around l_m; scale all axes equally, and limit them to the points and the origin.
+
+    `zoom` enlarges the drawing within its place; 1 is matplotlib's default.
+    """
     faces = drawing.base_corners(model)[list(_FACES)]
     look: dict[str, Any] = {"facecolor": "#CBD2D9", "edgecolor": "#616E7C", "linewidth": 0.6}
     ax.add_collection3d(Poly3DCollection(list(faces), **look, alpha=0.5))

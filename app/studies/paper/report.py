@@ -1,4 +1,4 @@
-"""The reproduction of the paper: it makes runs, figures, claims and a page in a folder."""
+"""The reproduction of the paper: runs, figures, claims, and a page that shows them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -28,11 +28,11 @@ FIGURES = {
     for name, figure in pictures_in(vars(module)).items()
 }
 """The figures in the order of the paper, by their names."""
-_DRAWING = 5.0  # [s] simulated time that costs about as much as drawing a figure
+_DRAWING = 5.0  # [s] simulated time whose computation takes about as long as drawing a figure
 
 
 def chosen(names: Iterable[str]) -> list[str]:
-    """The named figures without repetition, in the order of the paper; all if there are no names.
+    """The names without repetition, in the order of the paper; all figures if there are no names.
 
     Raises:
         UnknownNameError: A name does not exist; the message lists the names.
@@ -44,14 +44,14 @@ def chosen(names: Iterable[str]) -> list[str]:
 
 
 def experiments_for(names: Sequence[str]) -> list[Experiment]:
-    """The runs that some figures and their claims need, without repetition."""
+    """The runs that the named figures and their claims need, without repetition."""
     needs = [e for name in names for e in FIGURES[name].needs]
     needs += [e for claim in claims_of(names) for e in claim.needs]
     return list(dict.fromkeys(needs))
 
 
 def work(names: Sequence[str]) -> float:
-    """[s] simulated time that costs about as much as making some figures."""
+    """[s] simulated time whose computation takes about as long as making the named figures."""
     return duration(experiments_for(names)) + _DRAWING * len(names)
 
 
@@ -63,14 +63,9 @@ def reproduce(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Make figures with their data, judge the claims, and write all files.
+    """Make figures with their data, judge their claims, and write all files into a folder.
 
-    Args:
-        names: Names of the figures.
-        out: The folder.
-        seed: Seed of all runs.
-        processes: Number of processes.
-        on_progress: Called with the part of `work` [s] that is done.
+    `on_progress` gets the part of `work` [s] that is done.
 
     Returns:
         The content of `metrics.json`.
@@ -78,8 +73,8 @@ def reproduce(
     Raises:
         DbbError: A run is not possible.
     """
-    begin = perf_counter()
-    experiments, sources = experiments_for(names), load_sources()
+    begin, experiments = perf_counter(), experiments_for(names)
+    sources = load_sources()  # samples a missing border before the processes start
     runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
     sources = replace(sources, runs=runs)
     figures: dict[str, dict[str, Any]] = {}
@@ -101,13 +96,14 @@ def reproduce(
     claims = [claim.judge(sources) for claim in claims_of(names)]
     about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
     write_whole(out / "index.html", paper_page(parts, claims, about))
+    hold = _number_that_hold(claims)
     result = {
         "robot": ROBOT,
         "seed": seed,
         "figures": figures,
         "claims": claims,
-        "claims_that_hold": sum(bool(claim["holds"]) for claim in claims),
-        "claims_that_do_not": sum(not claim["holds"] for claim in claims),
+        "claims_that_hold": hold,
+        "claims_that_do_not": len(claims) - hold,
         "runs": {e.name: runs[e].figures for e in experiments},
         "page": "index.html",
         "elapsed_s": perf_counter() - begin,
@@ -117,9 +113,8 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """The HTML of `index.html`: figures, then claims from `Claim.judge`; `about` is in the lead."""
-    hold = sum(bool(claim["holds"]) for claim in claims)
-    tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
+    """The HTML of `index.html`, with a sentence `about` the runs and results of `Claim.judge`."""
+    tally = f"{_number_that_hold(claims)} of {len(claims)} claims hold here. " if claims else ""
     lead = (
         "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
         f"simulation. {tally}{about}"
@@ -128,10 +123,14 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
     return page_html("The paper's experiments, reproduced", lead, [*figures, *last])
 
 
+def _number_that_hold(claims: Sequence[Mapping[str, Any]]) -> int:
+    return sum(bool(claim["holds"]) for claim in claims)
+
+
 def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
     """The part of a page with a figure, the paper's statement and the measurement.
 
-    The first of `files` is the picture.
+    `files` are the paths from `Drawing.write`.
     """
     measured = Part(
         "Measured here",
@@ -139,7 +138,7 @@ def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Par
         points=drawing.remarks,
         note=", ".join(path.name for path in files),
     )
-    paper = Part("The paper says", text=[figure.words])
+    paper = Part("The paper states", text=[figure.caption])
     return Part(figure.title, figure.name, png=files[0].read_bytes(), sides=(paper, measured))
 
 
@@ -150,5 +149,5 @@ def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
         holds = Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no")
         measured = Cell(claim["measured"], [f"{limit}: {limit.source}" for limit in limits])
         rows.append((f"§{claim['section']}", claim["paper"], measured, holds))
-    head = ("", "The paper says", "Measured here", "Holds")
+    head = ("", "The paper states", "Measured here", "Holds")
     return Part("Claims of the paper", "claims", tables=[Grid(head, rows)])

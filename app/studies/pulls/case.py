@@ -1,28 +1,24 @@
-"""A case of a study as a row of a table: the random quantities, then the results.
+"""A case of a study as a row of a table: the random quantities, then the results of the run.
 
-The random quantities determine the case: equal quantities give equal runs.
+Robot, controller, plant and the random quantities determine the run.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from app.config import Config
+from app.border.cache import BorderData
 from app.errors import AssetError, DbbError
 from app.robot.description import load_robot
+from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
+from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
 from app.studies.runs import Row, flattened, rounded
 
-if TYPE_CHECKING:
-    from app.border.cache import BorderData
-    from app.robot.model import RobotModel
-
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
-"""Figures of a run that depend on the machine, which a study does not store."""
+"""Results of a run that depend on the machine, which a study does not store."""
 COLUMNS = {
     "speed": "speed_mps",
     "duration": "duration_s",
@@ -45,17 +41,21 @@ COLUMNS = {
     "stated_period": "stated_period_s",
     "fault_at": "fault_at_s",
 }
-"""The column of each random quantity, by its name in `StudyRange`: the person's largest speed, the
-times of the pull (None for events that do not happen), and parameters."""
+"""The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
+`LineScenario`. The columns of release and new grasp are None if the event does not happen.
+`fault_at_s` is a time, not a share of the pull."""
 _OF_LINE = ("duration", "moving", "release_at", "regrasp_at")
-_OF_TRACKING = {"stuck", "left_way"}
-_KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *TIMES, *_OF_TRACKING}
+_NOT_STORED = {
+    *("scenario", "controller", "robot", "seed", "duration_s", "physics"),  # equal to the inputs
+    *("stuck", "left_way"),  # no numbers
+    *TIMES,
+}
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     """The run of a case, from the random quantities in its row.
 
-    The run raises a `CaseError` if the arm has another number of joints.
+    Executing this run raises a `CaseError` if the robot's arm has another number of joints.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
@@ -72,26 +72,25 @@ def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
 
 
 def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: BorderData) -> Row:
-    """Run a case, and return its row with the random quantities and the results.
+    """Run a case with the random quantities `drawn`, and return its row with the results.
 
-    If the run stops with an error, `error` has the reason, and the row has no figures.
+    If the run stops with an error, `error` in the row is the reason, and the row has no results.
+    Otherwise `error` is None, and `nan` is true if a torque, a pose of the base or a result is not
+    finite.
 
     Raises:
         AssetError: The robot's files are missing.
     """
-    # Imported here, because drawing cases does not need it.
-    from app.simulation.run import run_from_spec
-
     try:
         result = run_from_spec(spec_of(drawn, parameters), model, data)
     except AssetError:
         raise
     except (DbbError, ValueError, ArithmeticError) as error:
         return stopped(drawn, f"{type(error).__name__}: {error}")
-    figures = flat(result.figures)
-    nan = not (result.trace.finite and all(map(_finite, figures.values())))
-    kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
-    return {**drawn, **kept, "nan": nan, "error": None}
+    results = flat(result.figures)
+    nan = not (result.trace.finite and all(map(_finite, results.values())))
+    stored = {key: rounded(value) if _finite(value) else None for key, value in results.items()}
+    return {**drawn, **stored, "nan": nan, "error": None}
 
 
 def stopped(drawn: Row, reason: str) -> Row:
@@ -100,30 +99,37 @@ def stopped(drawn: Row, reason: str) -> Row:
 
 
 def met_base(row: Row) -> bool:
-    """Whether arm and base met, in the plant or as convex bodies, which are larger."""
+    """Whether the arm touched the base in the plant, or their convex bodies met.
+
+    The convex bodies enclose the links, so they can meet without a contact.
+    """
     return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
 
 
 def met_itself(row: Row) -> bool:
-    """Whether two bodies of the arm met, in the plant or as convex bodies."""
+    """Whether the arm touched itself in the plant, or convex bodies of a pair of L_m^c met."""
     return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
 
 
-def entered_buffer(row: Row) -> bool:
-    """Whether the arm entered the buffer of the base."""
+def entered_buffer(row: Row, d_b: float) -> bool:
+    """Whether the arm came nearer to the base than d_b [m]; false for a run without results."""
     distance = row.get("min_clearance_m")
-    return distance is not None and distance < Config().border.d_b
+    return distance is not None and distance < d_b
 
 
 def failed(row: Row) -> bool:
-    """Whether a case failed, by a contact, a QP without solution, a NaN or an error."""
+    """Whether a case failed.
+
+    The reasons are a contact of the arm with the base or itself, an overlap of their convex bodies,
+    a control step with the fallback command, a NaN, and an error. A contact with the floor is none.
+    """
     broken = row["nan"] or row["error"] or row.get("solver_failures")
     return bool(broken) or met_base(row) or met_itself(row)
 
 
-def flat(figures: Mapping[str, Any]) -> Row:
-    """The figures of a run by column, without machine-dependent figures and the case's data."""
-    return flattened({key: value for key, value in figures.items() if key not in _KNOWN})
+def flat(results: Mapping[str, Any]) -> Row:
+    """The results of a run by the columns of a study's table."""
+    return flattened({key: value for key, value in results.items() if key not in _NOT_STORED})
 
 
 def _at_most_zero(distance: float | None) -> bool:

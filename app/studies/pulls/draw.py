@@ -1,6 +1,6 @@
-"""Random draw of a case, which depends only on the study and the number of the case.
+"""Random draw of a case, which depends only on the study's parameters and the number of the case.
 
-The end-effector starts on a ray from the base, in any direction of the sphere.
+The end-effector starts on a ray from a target point in the base, in any direction of the sphere.
 """
 
 import math
@@ -28,33 +28,34 @@ from app.studies.pulls.parameters import (
     StudyRange,
 )
 from app.studies.runs import Row
-from app.studies.sweep.plan import point_of, way_out
+from app.studies.sweep.plan import exit_distance, point_of
 
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
-steeper than 45°, "below" is more than 10° downwards, the other sectors divide the rest."""
+more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
+of the angle from the base's heading, on both sides."""
 
-_TRIES = 600  # largest number of positions that are drawn for a case
-_PATIENCE = 60  # largest number of consecutive positions in the same sector
-_SEARCHES = 2  # searches for a posture, for each pitch; another position is cheaper than a third
+_TRIES = 600  # [-] largest number of positions that are drawn for a case
+_IN_SECTOR = 60  # [-] number of positions after which another sector is drawn
+_SEARCHES = 2  # [-] starting points of the search for a posture, for each pitch of the end-effector
 _GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
 _INNER = 0.9  # [-] part of the base's length and width that contains the targets
-_STEEP, _FALLING = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
+_ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
 _FRONT, _CORNER, _SIDE = math.radians(30.0), math.radians(60.0), math.radians(120.0)
-_SAMPLES = 4000  # number of postures from which the reach is measured
+_SAMPLES = 4000  # [-] number of postures from which the reach is measured
 _SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
 _UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
-_SHELL = 0.02, 0.98  # quantiles of the end-effector's distance from the shoulder
-_ALONG = 0.15  # [-] share of the pulls along the base
+_QUANTILES = 0.02, 0.98  # [-] of the end-effector's distance from the shoulder
+_ALONG = 0.15  # [-] probability of a pull along the base
 _ALONG_ANGLE = math.radians(45.0)  # [rad] largest angle of a pull along the base towards it
-_LOWEST = 0.05  # [m] smallest height of the end of a pull
-_TRAVEL = 0.15, 0.60  # [m] range of the length of a pull along the base; longest pull towards it
-_HOLD = 1.0  # [s] time of the run after the pull, when a collision is still possible
+_LOWEST = 0.05  # [m] smallest height of a target in the base, and of the end of a pull along it
+_LENGTH = 0.15, 0.60  # [m] range of the length of a pull along the base; longest pull towards it
+_REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
 _PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
-_RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's time
-_MAX_FAULTS = 3  # largest number of faults in a case
+_RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
+_MAX_FAULTS = 3  # [-] largest number of faults in a case
 _LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
-_APART = 0.1, 0.9  # [-] range of the time without a grip, as a share of the time after the pull
+_FREE = 0.1, 0.9  # [-] range of the time from release to new grasp, as a share of the time of rest
 
 
 class StudySources(NamedTuple):
@@ -69,31 +70,31 @@ class StudySources(NamedTuple):
     shoulder: Array
     """(3,) [m] the arm's second joint (the shoulder) in the base's frame."""
     near: float
-    """[m] radius around the shoulder within which no start is possible."""
+    """[m] smallest distance of a start from the shoulder."""
     far: float
-    """[m] radius around the shoulder beyond which no start is possible."""
+    """[m] largest distance of a start from the shoulder."""
 
 
 class Start(NamedTuple):
-    """The start of a case relative to the base."""
+    """The start of a case, in the base's frame."""
 
     sector: str
     """One of `SECTORS`."""
     p: Array
-    """(3,) [m] position of the end-effector, in the base's frame."""
+    """(3,) [m] position of the end-effector."""
     aim: Array
-    """(3,) [m] target point inside the base, in the base's frame."""
+    """(3,) [m] target point inside the base."""
 
     @property
     def outwards(self) -> Array:
         """(3,) unit vector from the target to the end-effector."""
-        way = self.p - self.aim
-        return way / np.linalg.norm(way)
+        ray = self.p - self.aim
+        return ray / np.linalg.norm(ray)
 
 
 @cache
 def load_sources(robot: str) -> StudySources:
-    """Load the shared data, once for each process.
+    """Load the data of a robot, once in each process.
 
     Raises:
         UnknownNameError: The robot does not exist.
@@ -108,7 +109,7 @@ def load_sources(robot: str) -> StudySources:
 def draw_start(
     sources: StudySources, heights: Interval, rng: np.random.Generator
 ) -> tuple[Start, Array, int]:
-    """Draw a start.
+    """Draw a start that the arm can reach, with every pair outside its buffer.
 
     Args:
         sources: The shared data.
@@ -120,17 +121,19 @@ def draw_start(
         drawn before and rejected.
 
     Raises:
-        StudyError: The arm reaches no start at these heights.
+        StudyError: The arm reaches none of the drawn starts.
     """
     d_b = sources.model.description.config.border.d_b
     solver = StartSolver(sources.model, sources.data.pairs, d_b)
     sector = ""
     for redraws in range(_TRIES):
-        if redraws % _PATIENCE == 0:
+        if redraws % _IN_SECTOR == 0:
             sector = SECTORS[rng.integers(len(SECTORS))]
         start, seed = place(sector, sources, rng), int(rng.integers(2**32))
-        away = float(np.linalg.norm(start.p - sources.shoulder))
-        if not (heights[0] <= start.p[2] <= heights[1] and sources.near <= away <= sources.far):
+        distance = float(np.linalg.norm(start.p - sources.shoulder))
+        if not heights[0] <= start.p[2] <= heights[1]:
+            continue
+        if not sources.near <= distance <= sources.far:
             continue
         try:
             return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
@@ -149,16 +152,16 @@ def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start
     plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
     aim = np.array([*plan, rng.uniform(_LOWEST, float(upper[2]))])
     outwards = _direction(sector, rng)
-    way = way_out(aim, outwards, lower, upper) + rng.uniform(*_GAP)
-    return Start(sector, aim + way * outwards, aim)
+    distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(*_GAP)
+    return Start(sector, aim + distance * outwards, aim)
 
 
 def sector_of(direction: Array) -> str:
     """The sector of a unit vector (3,) in the base's frame."""
     x, y, z = direction.tolist()
-    if z > _STEEP:
+    if z > _ABOVE:
         return "above"
-    if z < _FALLING:
+    if z < _BELOW:
         return "below"
     azimuth = abs(math.atan2(y, x))
     edges = (("front", _FRONT), ("front corner", _CORNER), ("side", _SIDE))
@@ -166,7 +169,7 @@ def sector_of(direction: Array) -> str:
 
 
 def _direction(sector: str, rng: np.random.Generator) -> Array:
-    """Draw a unit vector (3,), uniformly distributed in a sector of the sphere."""
+    """Draw a unit vector (3,) with a uniform distribution in a sector of the sphere."""
     while True:
         v = rng.standard_normal(3)
         v /= np.linalg.norm(v)
@@ -175,9 +178,11 @@ def _direction(sector: str, rng: np.random.Generator) -> Array:
 
 
 def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
-    """Position of the shoulder (3,) [m], and the radii `near` and `far` [m] of `StudySources`.
+    """The fields `shoulder`, `near` and `far` of `StudySources`.
 
-    The radii come from random postures whose end-effector points outwards, as in the start solver.
+    The distances come from random postures in which the end-effector points outwards and not far
+    upwards, as at the starts that the start solver finds. Without such a posture, they are 0 and
+    infinite.
     """
     state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
@@ -193,21 +198,23 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
         sideways = abs(z[1] * out[0] - z[0] * out[1])
         if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
             distances.append(np.linalg.norm(p - shoulder))
-    near, far = np.quantile(distances, _SHELL) if distances else (0.0, np.inf)
+    near, far = np.quantile(distances, _QUANTILES) if distances else (0.0, np.inf)
     return shoulder, float(near), float(far)
 
 
 def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
     """Draw the random quantities of a case, by the columns of the study's table.
 
-    Each case has its own stream of random numbers, so it depends only on the study and the number
-    of the case, and not on the process or the order. If the arm cannot reach a start with all pairs
-    outside their buffers, another start is drawn from the same stream.
+    Each case has its own streams of random numbers. Therefore it depends only on the parameters and
+    the number of the case, and not on other cases.
 
     Raises:
-        StudyError: The arm reaches no start at these heights.
+        StudyError: The arm reaches no start in the range of heights.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
+    rng, others = (
+        np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
+        for key in ((number,), (number, 1))
+    )
     ranges = parameters.ranges
     speed = draw_value("speed", ranges, rng)
     drawn: dict[str, float | None] = {
@@ -219,8 +226,7 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     drawn |= {"speed": speed, "duration": duration, "moving": moving}
     drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
-    others = np.random.SeedSequence(parameters.seed, spawn_key=(number, 1))
-    drawn |= _draw_faults(ranges, duration * moving, np.random.default_rng(others))
+    drawn |= _draw_faults(ranges, duration * moving, others)
     return {
         "case": number,
         "kind": f"{start.sector}, along" if along else start.sector,
@@ -242,15 +248,19 @@ def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float
 
 
 def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
-    """Draw the displacement (3,) [m] of a pull, and whether it is along the base, not into it."""
-    travel, along = rng.uniform(*_TRAVEL), rng.random() < _ALONG
-    way, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
+    """Draw the displacement (3,) [m] of a pull, and whether it is along the base.
+
+    The other pulls lead towards the target, and end there or after 0.6 m. A pull along the base is
+    perpendicular to the line to the target, or up to 45° towards the target.
+    """
+    length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
+    across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
     o = start.outwards
     if not along:
         move = start.aim - start.p
-        return move * min(1.0, _TRAVEL[1] / float(np.linalg.norm(move))), False
-    way -= (way @ o) * o
-    move = travel * (math.cos(turn) * way / np.linalg.norm(way) - math.sin(turn) * o)
+        return move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move))), False
+    across -= (across @ o) * o
+    move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
     move[2] = max(move[2], _LOWEST - start.p[2])
     return move, True
 
@@ -261,22 +271,26 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
     Args:
         move: (3,) [m] displacement of the pull.
         speed: [m/s] largest speed of the hand.
-        longest: [s] longest run.
+        longest: [s] largest duration of the run, which includes a rest of 1 s after the pull, or of
+            a quarter of this duration if that is shorter.
 
     Returns:
-        The displacement (3,) [m], shortened if the pull takes too long; the duration [s] of the
-        run; and the ratio [-] of the pull's time to the duration.
+        The displacement (3,) [m], shortened if the pull would take too long; the duration [s] of
+        the run; and the ratio [-] of the pull's duration to the run's duration.
     """
-    hold = min(_HOLD, longest / 4)
+    rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed
-    if pulling > longest - hold:
-        move = move * ((longest - hold) / pulling)
-        pulling = longest - hold
-    return move, pulling + hold, pulling / (pulling + hold)
+    if pulling > longest - rest:
+        move = move * ((longest - rest) / pulling)
+        pulling = longest - rest
+    return move, pulling + rest, pulling / (pulling + rest)
 
 
 def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
-    """Draw the payload and the faults, at most three; `pulling` [s] is the time of the pull."""
+    """Draw the payload, the faults (at most three), and the time `fault_at` [s] of their beginning.
+
+    `pulling` [s] is the duration of the pull. Absent faults have the parameters' defaults.
+    """
     drawn = {name: draw_value(name, ranges, rng) for name in _LATER}
     count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
     for name in rng.permutation(list(FAULTS))[count:]:
@@ -287,8 +301,8 @@ def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -
 def _draw_release(
     ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
 ) -> tuple[float | None, float | None]:
-    """Draw the times [s] of release and new grasp, each of which may be None."""
+    """Draw the times [s] of release and new grasp, which are None if the event does not happen."""
     released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
     release = duration * moving * rng.uniform(*_RELEASE)
-    regrasp = release + duration * (1.0 - moving) * rng.uniform(*_APART)
+    regrasp = release + duration * (1.0 - moving) * rng.uniform(*_FREE)
     return (release if released else None), (regrasp if released and regrasped else None)

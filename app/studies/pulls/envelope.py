@@ -1,4 +1,4 @@
-"""The envelope of safety: the largest force of a person, for intervals of all other quantities."""
+"""The envelope of safety: the largest safe force of a person, for intervals of other quantities."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,41 +12,39 @@ from typing_extensions import Self
 from app.errors import StudyError
 from app.simulation.trace.metrics import NEAR
 from app.strict import NonNegative, Strict, explain, from_toml
-from app.studies.pulls.case import COLUMNS, failed
+from app.studies.pulls.case import COLUMNS, entered_buffer, failed
 from app.studies.pulls.parameters import PARAMETERS, Interval, StudyRange
 from app.studies.runs import Row
 
 STATED = Path(__file__).with_name("envelope.toml")
-"""The envelope that the project states, with its source."""
+"""The file with the envelope that the project states, and the source of this envelope."""
 
-RESERVE = NEAR  # [m] distance below which a case counts as failed for the envelope
-MARGIN = 0.9  # [-] ratio of the envelope's force to the force of the weakest failure
+MARGIN = 0.9  # [-] ratio of the envelope's force to the smallest force of a failure
 FORCE = "hand_force_clear_max_n"
-"""Column of a row with the force that the person exerted before two bodies were near."""
+"""Column with the person's largest force until two bodies were first nearer than `NEAR`."""
 _CONFIDENCE = 0.95  # [-] confidence of the bound of a failure rate
 
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
 class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
-    """A case is inside if its force is at most `force` and each other quantity in its interval.
+    """The set of cases with a limited force of the person, and other quantities in intervals.
 
-    The intervals have the names of the quantities in `StudyRange`. The force of a case is the
-    largest force on the end-effector until two bodies come nearer than `RESERVE`; it is smaller
-    than the limit of the person's spring.
+    The intervals have the names of the quantities in `StudyRange`; quantities without an interval
+    do not matter. The force of a case is that of `exerted`.
     """
 
     force: NonNegative
-    """[N] largest force F* of a case; 0 means that no case is inside."""
+    """[N] largest force F* of a case in the envelope; 0 means that no case is inside."""
     speed: Interval
     """[m/s] largest speed of the person's hand."""
 
     @classmethod
     def stated(cls) -> Self:
-        """The envelope that the project states.
+        """The envelope that the project states, from `STATED`.
 
         Raises:
-            StudyError: The file is damaged.
+            StudyError: The file is missing or damaged.
         """
         try:
             content = from_toml(STATED.read_text(encoding="utf-8"))
@@ -59,12 +57,14 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
     def narrowed(self, ranges: StudyRange) -> StudyRange:
         """The parts of a study's ranges that are inside the envelope.
 
+        The range of the spring's limit, `hand_f_max`, then ends at most at F*.
+
         Raises:
             StudyError: A range has no part inside the envelope.
         """
         found = {}
-        stated = {name: getattr(self, name) for name in _INTERVALS}
-        for name, (lower, upper) in {**stated, "hand_f_max": (0.0, self.force)}.items():
+        limits = {**self._intervals(), "hand_f_max": (0.0, self.force)}
+        for name, (lower, upper) in limits.items():
             low, high = getattr(ranges, name)
             found[name] = max(low, lower), min(high, upper)
             if low > upper or high < lower:
@@ -76,64 +76,61 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
 
     def holds(self, row: Row) -> bool:
         """Whether a case is inside the envelope."""
-        intervals = ((row[COLUMNS[name]], *getattr(self, name)) for name in _INTERVALS)
-        within = all(low <= value <= high for value, low, high in intervals)
+        intervals = self._intervals().items()
+        within = all(low <= row[COLUMNS[name]] <= high for name, (low, high) in intervals)
         return within and exerted(row) <= self.force and self.force > 0.0
 
-
-_INTERVALS = tuple(name for name in Envelope.model_fields if name != "force")
+    def _intervals(self) -> dict[str, Interval]:
+        return {name: interval for name, interval in self if name != "force"}
 
 
 def exerted(row: Row) -> float:
-    """[N] the person's largest force in a case before two bodies were near.
+    """[N] the person's largest force in a case until two bodies were first nearer than 10 mm.
 
-    For a run that stopped with an error, it is the spring's limit.
+    For a run that stopped with an error, it is the limit of the person's spring.
     """
     force = row.get(FORCE)
     return row["hand_f_max_n"] if force is None else force
 
 
 def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
-    """Fit an envelope to cases.
+    """Fit an envelope to cases, with the intervals of the study's ranges.
 
-    Cases that failed, or came nearer than 10 mm, count as failures. F* is 0.9 times the force of
-    the weakest failure, or the force of the strongest successful case if this is lower; it is
-    rounded down to 1 N. F* is 0 without a successful case.
+    A case counts as a failure if it failed, or if the arm came nearer to the base than 10 mm. F* is
+    0.9 times the smallest force of a failure, or the largest force of the other cases if this is
+    smaller. F* is rounded down to 1 N, and is 0 if all cases are failures.
     """
     good: list[float] = []
     bad: list[float] = []
     for row in rows:
-        distance = row.get("min_clearance_m")
-        near = distance is not None and distance < RESERVE
-        (bad if near or failed(row) else good).append(exerted(row))
+        (bad if failed(row) or entered_buffer(row, NEAR) else good).append(exerted(row))
     safe = min(MARGIN * min(bad, default=math.inf), max(good, default=0.0))
-    intervals = {name: getattr(ranges, name) for name in _INTERVALS}
+    intervals = {name: getattr(ranges, name) for name in Envelope.model_fields if name != "force"}
     return Envelope(force=math.floor(safe + 1e-9), **intervals)
 
 
 def tally(rows: Sequence[Row]) -> dict[str, Any]:
-    """Number of cases, number of failures, and the 95 % bound of the failure rate."""
+    """Number of cases, number of failed cases, and the upper 95 % bound of the failure rate."""
     failures = sum(map(failed, rows))
     bound = rate_bound(failures, len(rows))
     return {"cases": len(rows), "failed": failures, "rate_bound_95": bound}
 
 
 def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
-    """Results of the cases inside an envelope that was fitted to other cases.
+    """The tally of those cases that are inside an envelope that was fitted to other cases.
 
-    The even cases are compared with the envelope of the odd cases, and vice versa. A bound from
-    the same cases as the fit would be meaningless.
+    The envelope of the odd cases selects even cases, and the envelope of the even cases selects odd
+    ones. In an envelope that is fitted to the same cases no case would have failed.
     """
     halves = [[row for row in rows if row["case"] % 2 == k] for k in (0, 1)]
     inside: list[Row] = []
-    for fitted, held in (halves, halves[::-1]):
-        envelope = fit_envelope(fitted, ranges)
-        inside += filter(envelope.holds, held)
+    for fitted, others in (halves, halves[::-1]):
+        inside += filter(fit_envelope(fitted, ranges).holds, others)
     return tally(inside)
 
 
 def rate_bound(failures: int, cases: int) -> float:
-    """[-] upper 95 % bound of a failure rate (Clopper and Pearson).
+    """[-] upper 95 % bound of a failure rate (Clopper and Pearson); 1 without cases.
 
     Without a failure it is about 3 divided by the number of cases.
     """
@@ -145,5 +142,5 @@ def rate_bound(failures: int, cases: int) -> float:
 
 
 def as_toml(envelope: Envelope, source: Mapping[str, Any]) -> str:
-    """The text of a file in the format of `envelope.toml`."""
+    """The text of `envelope.toml`, with the table `source` and the table `envelope`."""
     return tomlkit.dumps({"source": source, "envelope": envelope.model_dump(mode="json")})

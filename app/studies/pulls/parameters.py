@@ -12,7 +12,7 @@ from app.errors import ConfigError
 from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
-Interval = tuple[float, float]  # smallest and largest value; equal ends fix the value
+Interval = tuple[float, float]  # smallest and largest value, which may be equal
 
 FAULTS = {
     "sensor_delay": "lag",
@@ -21,9 +21,8 @@ FAULTS = {
     "unknown_load": "load",
     "stated_period": "period",
 }
-"""Disturbances that the controller must report, and the fault (one of
-`app.control.readings.FAULTS`) that it reports for each. A case has none of them, or one to
-three."""
+"""The faults of a case: disturbances that the controller must report. The value is the name under
+which the controller reports the fault, one of `app.control.readings.FAULTS`."""
 
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
@@ -37,12 +36,12 @@ PARAMETERS = {
     "payload": "payload.mass",
     **{name: f"disturbance.{name}" for name in FAULTS},
 }
-"""The configuration's parameter for each random quantity that is one, by its path."""
+"""Paths of the parameters in the configuration that have random values, by the quantity's name."""
 
 LOGARITHMIC = ("hand_stiffness",)
 """Names of the quantities whose logarithm is uniformly distributed."""
 
-_OWN = {
+_BOUNDS = {
     "speed": (0.01, 1.5, "m/s"),
     "height": (0.05, 2.0, "m"),
     "duration": (0.05, 60.0, "s"),
@@ -51,23 +50,27 @@ _OWN = {
     "released": (0.0, 1.0, ""),
     "regrasped": (0.0, 1.0, ""),
 }
-_ROOMS = ("robot", "border", "avoidance", "control", "simulation")
-_MODULES = ("case", "draw", "parameters")
+"""Smallest valid value, largest valid value and unit of the quantities that are no parameters of
+the configuration."""
 
 
 class StudyRange(Strict):
-    """The intervals of the random quantities, with uniform distributions except `LOGARITHMIC`."""
+    """The distributions of the random quantities.
+
+    An interval has a uniform distribution, on a logarithmic scale for `LOGARITHMIC`.
+    """
 
     speed: Interval = (0.1, 1.2)
     """[m/s] largest speed of the person's hand."""
     base_delay: Interval = (0.0, 0.4)
     """[s] delay from a velocity command to the base's drive."""
     encoder_noise: Interval = (0.0, 0.003)
-    """[rad] standard deviation of the noise of each joint's measured position."""
+    """[rad] standard deviation of the noise of each joint's measured position; m for a prismatic
+    joint."""
     mass_error: Interval = (-0.2, 0.2)
-    """[-] relative error of the arm's masses in the controller's model."""
+    """[-] relative error of the arm's masses and inertias in the controller's model."""
     slip: Interval = (0.0, 0.3)
-    """[-] share of the base's motion that is lost to slip."""
+    """[-] share of the base's commanded motion that is lost to slip."""
     v_max: Interval = (0.25, 1.0)
     """[m/s] largest speed that the admittance law may command."""
     hand_f_max: Interval = (30.0, 100.0)
@@ -79,42 +82,44 @@ class StudyRange(Strict):
     height: Interval = (0.12, 0.90)
     """[m] height of the end-effector above the floor at the start."""
     payload: Interval = (0.0, 1.0)
-    """[kg] load at the end-effector that the controller includes."""
+    """[kg] mass of the load at the end-effector that the controller's model includes."""
     sensor_delay: Interval = (0.0, 0.02)
-    """[s] age of all readings."""
+    """[s] age of all readings in a case with this fault."""
     sensor_period: Interval = (0.0, 0.033)
-    """[s] time between new readings."""
+    """[s] time between new readings in a case with this fault."""
     dropped: Interval = (0.0, 0.5)
-    """[-] share of the readings that are lost."""
+    """[-] share of the readings that are lost in a case with this fault."""
     unknown_load: Interval = (0.0, 3.0)
-    """[kg] load at the end-effector that the controller does not include."""
+    """[kg] mass of an additional load, which the controller's model does not include, in a case
+    with this fault."""
     stated_period: Interval = (0.0005, 0.005)
-    """[s] control period that the controller assumes; the true period is 0.001 s."""
+    """[s] control period that the controller assumes in a case with this fault; the true period is
+    0.001 s."""
     faulty: float = 0.5
-    """[-] share of the cases with one to three faults: sensor_delay, sensor_period, dropped,
-    unknown_load, stated_period; the other cases have no fault."""
+    """[-] probability that a case has one to three of the faults sensor_delay, sensor_period,
+    dropped, unknown_load, stated_period; the other cases have no fault."""
     fault_at: Interval = (0.0, 0.5)
-    """[-] time at which the faults begin, as a share of the pull's time; a wrong stated_period acts
-    from the start."""
+    """[-] time at which the faults begin, as a share of the pull's duration; a wrong stated_period
+    acts from the start."""
     duration: float = 8.0
-    """[s] longest run of a case; a slow pull is shortened."""
+    """[s] largest duration of a run; a pull that would take longer is shortened."""
     released: float = 0.3
-    """[-] share of the pulls in which the person releases the end-effector early."""
+    """[-] probability that the person releases the end-effector before the end of the pull."""
     regrasped: float = 0.5
-    """[-] share of the released pulls in which the person grasps the end-effector again."""
+    """[-] probability that the person grasps the end-effector again after a release."""
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        """Check all ranges.
+        """Check all values.
 
         Raises:
-            ConfigError: A range is invalid; the message names the option of `dbb study` and the
-                valid range.
+            ConfigError: A value is invalid; the message names the option of `dbb study` and the
+                valid values.
         """
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
-            if name in _OWN:
-                bounds = _OWN[name]
+            if name in _BOUNDS:
+                bounds = _BOUNDS[name]
             else:
                 known = parameter(PARAMETERS[name])
                 bounds = known.low, known.high, known.unit
@@ -127,10 +132,10 @@ class StudyRange(Strict):
 
 
 class StudyParameters(Strict):
-    """All parameters that determine the cases; the number of cases is not one of them."""
+    """The parameters that determine each case of a study; the number of cases is not one."""
 
     seed: int = 0
-    """Seed of the study, which together with the number k determines case k."""
+    """Seed of the random quantities; those of case k depend only on the seed, k and the ranges."""
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
@@ -139,22 +144,19 @@ class StudyParameters(Strict):
     physics: str = Field(default_factory=default_plant)
     """planar, mujoco, mujoco-contact or kinematic."""
     ranges: StudyRange = StudyRange()
-    """Intervals of the random quantities."""
+    """Distributions of the random quantities."""
     inside: bool = False
-    """Whether to draw only cases inside the envelope that the project states."""
+    """Whether to narrow the ranges to the envelope that the project states."""
 
 
 @cache
 def code_digest() -> str:
-    """A digest, 16 hexadecimal digits, of all code on which a case's figures depend.
+    """A digest, 16 hexadecimal digits, of the program's Python files.
 
-    Remote workers must have the same code, and so must a study that is continued.
+    Remote workers must have the same digest, and so must a study that is continued. The files of
+    the robot and the versions of libraries are not included.
     """
-    here = Path(__file__).parent
-    root = here.parent.parent
-    files = [root / "config.py", *(here / f"{name}.py" for name in _MODULES)]
-    files += [path for room in _ROOMS for path in sorted((root / room).rglob("*.py"))]
-    digest = hashlib.blake2b(digest_size=8)
-    for path in files:
+    root, digest = Path(__file__).parents[2], hashlib.blake2b(digest_size=8)
+    for path in sorted(root.rglob("*.py")):
         digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()

@@ -1,13 +1,15 @@
-"""The results of a study: figures in `study.json`, and the self-contained `report.html`."""
+"""The results of a study: the summary for `study.json`, and the self-contained `report.html`."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from app.config import parameter
+from app.simulation.trace.words import number_text
 from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls.case import COLUMNS, entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
@@ -15,8 +17,9 @@ from app.studies.pulls.figures import PICTURES
 from app.studies.pulls.parameters import FAULTS, PARAMETERS, StudyParameters
 from app.studies.runs import Row
 
-_FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
-_SPREAD = (
+_FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)
+"""[N] limits of the intervals of force in a table."""
+_DISTRIBUTED = (
     "hand_force_max_n",
     "hand_force_clear_max_n",
     "hand_speed_max_mps",
@@ -26,8 +29,11 @@ _SPREAD = (
     "arm_min_clearance_m",
     "ee_error_final_m",
 )
+"""Results whose quantiles are in the summary."""
 _QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
-_FAILURES: dict[str, Callable[[Row], object]] = {
+Events = Mapping[str, Callable[[Row], object]]
+"""Functions that decide whether a case has an event, by the name of the event."""
+_INCIDENTS: Events = {
     "contact": lambda row: row.get("contacts"),
     "bodies_overlap": met_base,
     "arm_contact": lambda row: row.get("arm_contacts"),
@@ -37,21 +43,19 @@ _FAILURES: dict[str, Callable[[Row], object]] = {
     "nan": lambda row: row["nan"],
     "error": lambda row: row["error"],
 }
-_EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
 _BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
-_MAX_FAILURES = 200  # rows of the table of failures
-_SOON = 0.2  # [s] longest time from the beginning of a fault to a report in time
-
+_MAX_FAILURES = 200  # [-] largest number of rows in the table of failures
+_SOON = 0.2  # [s] largest delay of a timely report after the beginning of a fault
 _COLUMNS = {
     "case": "case",
     "kind": "from",
-    "hand_force_clear_max_n": "force before near [N]",
+    "hand_force_clear_max_n": "force before 10 mm [N]",
     "hand_force_max_n": "largest force [N]",
     "speed_mps": "speed [m/s]",
     "hand_stiffness_npm": "spring [N/m]",
     "hand_mass_kg": "hand [kg]",
-    "hand_f_max_n": "spring's limit [N]",
+    "hand_f_max_n": "limit of the spring [N]",
     "release_at_s": "release [s]",
     "base_delay_s": "delay [s]",
     "v_max_mps": "v_max [m/s]",
@@ -64,26 +68,34 @@ _COLUMNS = {
     "arm_contacts": "arm contact [ms]",
     "solver_failures": "steps with the fallback command",
 }
+"""Titles of the columns in the table of failures."""
 
 
-def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[str, Any], Envelope]:
-    """The summary of one or more cases, whose keys end in the unit, and the fitted envelope."""
+def summary_of(
+    rows: Sequence[Row], parameters: StudyParameters, d_b: float
+) -> tuple[dict[str, Any], Envelope]:
+    """The summary of at least one case, whose keys end in the unit, and the fitted envelope.
+
+    `d_b` [m] is the buffer distance of the robot.
+    """
     stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
     within = [row for row in rows if stated.holds(row)]
-    whole = tally(rows)
+    whole, entered = tally(rows), partial(entered_buffer, d_b=d_b)
+    events = {**_INCIDENTS, "failed": failed, "entered_buffer": entered}
+    by_force, by_kind = ({n: events[n] for n in names} for names in (_BY_FORCE, _BY_KIND))
     summary = {
         "cases": len(rows),
         "failed": whole["failed"],
         "failed_rate_bound_95": whole["rate_bound_95"],
-        **_counts(rows, *_FAILURES),
+        **_counts(rows, _INCIDENTS),
         "redraws": sum(row["redraws"] for row in rows),
-        "entered_buffer_share": sum(map(entered_buffer, rows)) / len(rows),
+        "entered_buffer_share": sum(map(entered, rows)) / len(rows),
         "released": sum(row["release_at_s"] is not None for row in rows),
         "regrasped": sum(row["regrasp_at_s"] is not None for row in rows),
-        **{column: _quantiles(rows, column) for column in _SPREAD},
-        "by_force": [_of_force(rows, low, high) for low, high in pairwise(_FORCES)],
+        **{column: _quantiles(rows, column) for column in _DISTRIBUTED},
+        "by_force": [_of_force(rows, low, high, by_force) for low, high in pairwise(_FORCES)],
         "by_kind": {
-            kind: _fared([row for row in rows if row["kind"] == kind], *_BY_KIND)
+            kind: _counts_and_distance([row for row in rows if row["kind"] == kind], by_kind)
             for kind in sorted({row["kind"] for row in rows})
         },
         "faults": {name: _reported(rows, name) for name in FAULTS},
@@ -94,7 +106,7 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
         },
         "stated_envelope": {
             "inside": tally(within),
-            **{f"inside_{key}": value for key, value in _counts(within, *_FAILURES).items()},
+            **{f"inside_{key}": value for key, value in _counts(within, _INCIDENTS).items()},
             "outside": tally([row for row in rows if not stated.holds(row)]),
         },
         "failures": [row["case"] for row in rows if failed(row)],
@@ -103,38 +115,41 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
 
 
 def _reported(rows: Sequence[Row], name: str) -> dict[str, int]:
-    """Number of cases with a fault, of cases with a report, and of cases with a report in time."""
-    none, column = parameter(PARAMETERS[name]).default, COLUMNS[name]
-    having = [row for row in rows if row.get(column, none) != none]
-    waits = [
-        row[f"fault_{FAULTS[name]}_s"] - (0.0 if name == "stated_period" else row["fault_at_s"])
-        for row in having
-        if row.get(f"fault_{FAULTS[name]}_s") is not None
+    """Count the cases with a fault, those with a report of it, and those with a timely report.
+
+    A wrong `stated_period` acts from the start of the run, the other faults act from `fault_at_s`.
+    """
+    none, column, report = parameter(PARAMETERS[name]).default, COLUMNS[name], FAULTS[name]
+    faulty = [row for row in rows if row.get(column, none) != none]
+    delays = [
+        row[f"fault_{report}_s"] - (0.0 if name == "stated_period" else row["fault_at_s"])
+        for row in faulty
+        if row.get(f"fault_{report}_s") is not None
     ]
-    soon = sum(wait <= _SOON for wait in waits)
-    return {"cases": len(having), "reported": len(waits), "within_200_ms": soon}
+    timely = sum(delay <= _SOON for delay in delays)
+    return {"cases": len(faulty), "reported": len(delays), "within_200_ms": timely}
 
 
-def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
-    """Results of the cases with a force from `low` to `high` [N] before two bodies were near."""
+def _of_force(rows: Sequence[Row], low: float, high: float, events: Events) -> dict[str, Any]:
+    """Results of the cases whose force (`exerted`) is at least `low` and below `high` [N]."""
     here = [row for row in rows if low <= exerted(row) < high]
     return {
         "from_n": low,
         "to_n": high if math.isfinite(high) else None,
-        **_fared(here, *_BY_FORCE),
+        **_counts_and_distance(here, events),
         "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None),
     }
 
 
-def _fared(rows: Sequence[Row], *events: str) -> dict[str, Any]:
+def _counts_and_distance(rows: Sequence[Row], events: Events) -> dict[str, Any]:
     """Number of cases, number of cases with each event, and the smallest distance."""
-    least = min(_known(rows, "min_clearance_m"), default=None)
-    return {"cases": len(rows), **_counts(rows, *events), "least_clearance_m": least}
+    smallest = min(_known(rows, "min_clearance_m"), default=None)
+    return {"cases": len(rows), **_counts(rows, events), "least_clearance_m": smallest}
 
 
-def _counts(rows: Sequence[Row], *events: str) -> dict[str, int]:
-    """Number of cases with each event; a case may have several."""
-    return {event: sum(bool(_EVENTS[event](row)) for row in rows) for event in events}
+def _counts(rows: Sequence[Row], events: Events) -> dict[str, int]:
+    """Number of cases with each event; a case may have several events."""
+    return {name: sum(bool(happened(row)) for row in rows) for name, happened in events.items()}
 
 
 def _known(rows: Sequence[Row], column: str) -> list[float]:
@@ -155,15 +170,18 @@ def report_html(
     envelope: Envelope,
     pictures: Mapping[str, bytes],
 ) -> str:
-    """The report's page, from the results of `summary_of` and PNG pictures by name."""
+    """The HTML of the report, with the results of `summary_of` and a PNG for each of `PICTURES`."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
-    said, forces = outcome(summary)
+    verdict, forces = outcome(summary)
     parts = [
-        said,
-        *(Part(each.title, name, [each.words], pictures[name]) for name, each in PICTURES.items()),
+        verdict,
+        *(
+            Part(each.title, name, [each.caption], pictures[name])
+            for name, each in PICTURES.items()
+        ),
         _envelope(envelope),
         forces,
-        _counted("By the direction of the pull", "from", summary["by_kind"]),
+        _counted("By the direction of the start", "from", summary["by_kind"]),
         _counted("Faults and their reports", "fault", summary["faults"]),
         _failures(rows),
     ]
@@ -171,64 +189,67 @@ def report_html(
 
 
 def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
-    """The results of the cases as a text, and as a table by the exerted force."""
+    """The results of the cases as a text, and as a table by the exerted force, for a report."""
     return Part(text=_verdict(summary)), _forces(summary)
 
 
 def _lead(parameters: StudyParameters) -> str:
     ranges = parameters.ranges.model_dump()
     intervals = ", ".join(
-        f"{name.replace('_', ' ')} {_number(v[0])} to {_number(v[1])}"
+        f"{name.replace('_', ' ')} {number_text(v[0])} to {number_text(v[1])}"
         for name, v in ranges.items()
         if isinstance(v, tuple)
     )
-    inside = " Only cases inside the stated envelope were drawn." if parameters.inside else ""
+    inside = " Only pulls inside the stated envelope were drawn." if parameters.inside else ""
     return (
-        f"A person pulls the end-effector towards the base from random starts around and "
-        f"above it. Robot {parameters.robot}, plant {parameters.physics}, seed "
-        f"{parameters.seed}. Ranges in SI units: {intervals}. The stiffness has a logarithmic "
-        f"distribution, all other quantities a uniform one. {_percent(parameters.ranges.faulty)} "
-        f"of the cases have one to three of the faults {', '.join(FAULTS)}. In "
-        f"{_percent(parameters.ranges.released)} of the cases the person releases the end-effector "
-        f"early, and in {_percent(parameters.ranges.regrasped)} of these grasps it again.{inside}"
+        "A person pulls the end-effector towards the base or along it, from random starts on all "
+        f"sides of the base. Robot {parameters.robot}, plant {parameters.physics}, seed "
+        f"{parameters.seed}. Ranges in SI units: {intervals}. The distributions are uniform, for "
+        "the stiffness on a logarithmic scale. The probability of one to three of the faults "
+        f"{', '.join(FAULTS)} is {_percent(parameters.ranges.faulty)}. The probability that the "
+        f"person releases the end-effector early is {_percent(parameters.ranges.released)}, and "
+        "the probability of a new grasp after a release is "
+        f"{_percent(parameters.ranges.regrasped)}.{inside}"
     )
 
 
-def _verdict(summary: Mapping[str, Any]) -> list[str]:
-    s, least = summary, summary["min_clearance_m"]
-    halves = s["envelope"]["inside_by_halves"]
+def _verdict(s: Mapping[str, Any]) -> list[str]:
+    distance, halves = s["min_clearance_m"], s["envelope"]["inside_by_halves"]
     lines = [
-        f"{s['failed']} of {s['cases']} cases failed. "
-        f"{s['contact']} of {s['cases']} runs had a contact between arm and base in the plant; in "
-        f"{s['bodies_overlap']} the convex bodies met, which are larger than the links; this "
-        f"counts as a failure. The same numbers within the arm are {s['arm_contact']} and "
-        f"{s['arm_bodies_overlap']}. In {s['solver_failure']} runs a QP had no solution, "
+        f"{s['failed']} of {s['cases']} cases failed. In {s['contact']} runs the arm touched the "
+        f"base in the plant. In {s['bodies_overlap']} runs it touched the base, or the convex "
+        f"bodies of arm and base, which enclose the links, met. In {s['arm_contact']} runs the arm "
+        f"touched itself; in {s['arm_bodies_overlap']} runs it touched itself, or two of its "
+        f"convex bodies met. {s['solver_failure']} runs had steps with the fallback command, "
         f"{s['nan']} runs had NaN, and {s['error']} runs stopped with an error.",
-        _exerted(s),
-        f"Smallest distance between arm and base: {_number(least['0_%'])} m; at least "
-        f"{_number(least['50_%'])} m in half of the runs, {_number(least['5_%'])} m in 95 of 100."
-        if least
-        else "",
-        f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
-        f"{halves['failed']} failed: the rate is below {_percent(halves['rate_bound_95'])} with "
-        "95 % confidence."
-        if halves["cases"]
-        else "No case is inside an envelope that was fitted to other cases.",
-        _stated(s["stated_envelope"]),
     ]
-    return [line for line in lines if line]
-
-
-def _exerted(s: Mapping[str, Any]) -> str:
-    force, speed = s["hand_force_max_n"], s["hand_speed_max_mps"]
-    if force is None or speed is None:
-        return ""
-    return (
-        f"The person exerted {_number(force['0_%'])} to {_number(force['100_%'])} N (median "
-        f"{_number(force['50_%'])} N), and the end-effector's largest speed was "
-        f"{_number(speed['100_%'])} m/s. In {_percent(s['entered_buffer_share'])} of the runs the "
-        f"arm entered the buffer of the base."
+    if s["hand_force_max_n"]:
+        weakest, median, strongest = _texts(s["hand_force_max_n"], "0_%", "50_%", "100_%")
+        (speed,) = _texts(s["hand_speed_max_mps"], "100_%")
+        lines.append(
+            f"The largest force of the person in a run was {weakest} to {strongest} N (median "
+            f"{median} N). The largest speed of the end-effector was {speed} m/s. In "
+            f"{_percent(s['entered_buffer_share'])} of the runs the arm entered the buffer of the "
+            "base."
+        )
+    if distance:
+        smallest, few, half = _texts(distance, "0_%", "5_%", "50_%")
+        lines.append(
+            f"The smallest distance between arm and base was {smallest} m. It was at least "
+            f"{half} m in half of the runs, and at least {few} m in 95 of 100 runs."
+        )
+    lines.append(
+        f"Of {halves['cases']} cases inside an envelope that was fitted to other cases, "
+        f"{halves['failed']} failed: the failure rate is below "
+        f"{_percent(halves['rate_bound_95'])} with 95 % confidence."
+        if halves["cases"]
+        else "No case is inside an envelope that was fitted to other cases."
     )
+    return [*lines, _stated(s["stated_envelope"])]
+
+
+def _texts(quantiles: Mapping[str, float], *names: str) -> list[str]:
+    return [number_text(quantiles[name]) for name in names]
 
 
 def _stated(stated: Mapping[str, Any]) -> str:
@@ -237,30 +258,32 @@ def _stated(stated: Mapping[str, Any]) -> str:
         return "No case is inside the envelope that the project states."
     return (
         f"Inside the envelope that the project states, {inside['failed']} of {inside['cases']} "
-        f"cases failed (95 % bound {_percent(inside['rate_bound_95'])}); outside, "
-        f"{outside['failed']} of {outside['cases']} cases failed."
+        f"cases failed: the failure rate is below {_percent(inside['rate_bound_95'])} with 95 % "
+        f"confidence. Outside, {outside['failed']} of {outside['cases']} cases failed."
     )
 
 
 def _envelope(fitted: Envelope) -> Part:
     both = [fitted.model_dump(), Envelope.stated().model_dump()]
     body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
-    grid = Grid(["inside up to [SI units]", "these cases", "the project states"], body, True)
+    head = ["largest force, intervals [SI units]", "fitted to these cases", "the project states"]
+    grid = Grid(head, body, numbers=True)
     return Part("The envelope", tables=[grid])
 
 
 def _forces(summary: Mapping[str, Any]) -> Part:
     found = {}
     for counts in summary["by_force"]:
-        low, high, *_ = counts.values()
-        name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
+        low, high = counts["from_n"], counts["to_n"]
+        name = f"from {low:g}" if high is None else f"{low:g} to {high:g}"
         found[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
-    return _counted("By the exerted force", "force before near [N]", found)
+    return _counted("By the exerted force", "force before 10 mm [N]", found)
 
 
 def _counted(title: str, group: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
+    """A table of numbers by group, with the title `group` of the first column."""
     head = [group, *map(label, next(iter(found.values())))]
-    body = [[name, *map(_number, counts.values())] for name, counts in found.items()]
+    body = [[name, *map(number_text, counts.values())] for name, counts in found.items()]
     return Part(title, tables=[Grid(head, body, numbers=True)])
 
 
@@ -269,25 +292,22 @@ def _failures(rows: Sequence[Row]) -> Part:
     if not bad:
         return Part("Failures", text=["No case failed."])
     bad.sort(key=exerted)
-    body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
+    body = [[number_text(row.get(name)) for name in _COLUMNS] for row in bad[:_MAX_FAILURES]]
     cut = len(bad) > _MAX_FAILURES
     more = f" The table has {_MAX_FAILURES} of {len(bad)} failures." if cut else ""
     text = (
         f"The failures with the smallest forces are first.{more} "
-        "`dbb run --case failures/case-NNNNN.json` repeats a case, `dbb serve --case` shows it."
+        "`dbb run --case failures/case-NNNNN.json` repeats a case; `dbb serve --case` with the "
+        "same file shows it in the dashboard."
     )
     grid = Grid(list(_COLUMNS.values()), body, numbers=True)
     return Part("Failures", text=[text], tables=[grid])
 
 
-def _number(value: Any) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.3g}".replace("-", "−") if isinstance(value, float) else str(value)
-
-
 def _interval(value: Any) -> str:
-    return " to ".join(map(_number, value)) if isinstance(value, tuple) else _number(value)
+    if isinstance(value, tuple):
+        return " to ".join(map(number_text, value))
+    return number_text(value)
 
 
 def _percent(rate: float) -> str:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 from app.errors import StudyError
 from app.jobs.bounded import SMALL
 from app.jobs.pool import Workers
+from app.robot.description import load_robot
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
 from app.studies.pulls.case import failed, play_case, spec_of, stopped
@@ -52,7 +53,8 @@ def study(
 
     Args:
         parameters: All parameters that determine the cases.
-        cases: Number of cases; a folder with fewer cases is continued.
+        cases: Number of cases. If the folder has fewer cases, the others run; if it has more, the
+            results are those of the first cases.
         out: An existing folder.
         scheduler: Address of a dask scheduler, or None for processes on this machine.
         processes: Number of processes on this machine.
@@ -62,9 +64,9 @@ def study(
         The content of `study.json`.
 
     Raises:
-        StudyError: The folder has another study, the scheduler does not answer, or a range has no
-            part inside the stated envelope.
-        DbbError: The robot cannot be loaded, or no case is possible.
+        StudyError: The folder has another study or is in use, the scheduler does not answer or has
+            no suitable workers, or a range has no part inside the stated envelope.
+        DbbError: The robot cannot be loaded, or the arm reaches no start.
     """
     if parameters.inside:
         inside = Envelope.stated().narrowed(parameters.ranges)
@@ -122,9 +124,10 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     from app.studies.pulls.report import report_html, summary_of
     from app.studies.style import png_of, styled
 
-    summary, envelope = summary_of(rows, parameters)
+    d_b = load_robot(parameters.robot).config.border.d_b
+    summary, envelope = summary_of(rows, parameters, d_b)
     with styled():
-        pictures = {name: png_of(each.draw(rows, envelope)) for name, each in PICTURES.items()}
+        pictures = {n: png_of(each.draw(rows, envelope, d_b)) for n, each in PICTURES.items()}
     write_rows(out / "results.parquet", rows)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
@@ -148,7 +151,7 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """Write a file for each failed case, for `--case`, and remove the files of other cases."""
+    """Write a file for each failed case, which `dbb run --case` reads; remove other such files."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
@@ -165,8 +168,8 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
 class Journal(AbstractContextManager["Journal"]):
     """The stored rows of a study, by the number of the case.
 
-    Each row is one line of JSON, which is on the disk before `add` returns. An incomplete line of a
-    killed process is removed, and the case runs again.
+    Each row is one line of JSON, which is on the disk before `add` returns. If the last line is
+    incomplete, because its process was killed, it is removed, and the case runs again.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
@@ -177,8 +180,8 @@ class Journal(AbstractContextManager["Journal"]):
             identity: The data that identify the study, as JSON.
 
         Raises:
-            StudyError: The folder has another study, another process uses the folder, or a row
-                cannot be read.
+            StudyError: The folder has another study, another process uses the folder, or the data
+                in the folder are damaged.
         """
         self.rows: dict[int, Row] = {}
         """Rows by the number of the case."""

@@ -1,4 +1,6 @@
-"""The maps of a sweep: results of the paths by direction around the base, or by point on it."""
+"""The maps of a sweep: results of horizontal paths by their direction, of paths from above by their
+place.
+"""
 
 import math
 from collections.abc import Sequence
@@ -25,13 +27,14 @@ _PALE, _DEEP = 0.45, 0.95  # [-] used range of a colour map
 _WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # colours in the legend
 _NEVER: dict[str, Any] = {"facecolor": "white", "edgecolor": "#B10026", "hatch": "////"}
 _UNREACHABLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DAE0", "hatch": "////"}
-_INNER, _OUTER = 0.80, 1.60  # [-] inner and outer radius of the bars; the footprint is inside
-_MIN_BAR = 0.06  # [-] length of a bar at the start of the scale
-_AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] radius, [deg] step of the dots for the wheel axis
+_DOT: dict[str, Any] = {"marker": "o", "linestyle": "none"}
+_INNER, _OUTER = 0.80, 1.60  # [m] radii in plan of the bars' scale, which surrounds the base
+_MIN_BAR = 0.06  # [-] smallest length of a bar, relative to the scale
+_AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [m] radius, [deg] angle between dots for the wheel axis
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # order of the dots by |x| of p_b [m]
-_EDGE = 1.98  # [-] radius of a panel
+_EDGE = 1.98  # [m] radius in plan of a panel
 _PANEL = 3.35  # [in] side of a panel
-_MARKS_AT = 132.0  # [deg] direction of the texts of the scale: behind the base
+_MARKS_AT = 132.0  # [deg] direction of the texts of the scale, diagonally behind the base
 _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
@@ -45,21 +48,23 @@ class Quantity(NamedTuple):
     scale: Normalize
     """Scale of the values [m or s]."""
     limit: float | None
-    """[m or s] boundary between good and bad, or None."""
+    """[m or s] boundary between good and bad values; None if all values are good."""
     marks: tuple[tuple[float, str], ...]
     """Values that are drawn as circles, with their texts."""
     more_is_better: bool = False
     """Whether values above the limit are good."""
 
     def share(self, value: float) -> float:
-        """[-] position of a value on the scale, within 0 and 1."""
+        """[-] position of a value on the scale, clipped to 0 to 1."""
         return float(self.scale(value))
 
     def radius(self, value: float) -> float:
-        """[-] radius at which a value's bar ends; the limit for bad values if more is better."""
-        lacks = self.limit is not None and self.more_is_better and value < self.limit
-        share = self.share(self.limit if lacks and self.limit is not None else value)
-        return _INNER + (_OUTER - _INNER) * max(share, _MIN_BAR)
+        """[m] radius in plan at which a value's bar ends; for a value below a lower limit, that of
+        the limit.
+        """
+        if self.more_is_better and self.limit is not None:
+            value = max(value, self.limit)
+        return _INNER + (_OUTER - _INNER) * max(self.share(value), _MIN_BAR)
 
     def good(self, value: float) -> bool:
         """Whether a value is on the good side of the limit."""
@@ -71,13 +76,16 @@ class Quantity(NamedTuple):
         """Colour of a value: blue if good, yellow to red if bad, darker farther from the limit."""
         at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
         good = self.good(value)
-        room = limit if good is not self.more_is_better else 1.0 - limit
-        depth = abs(at - limit) / room if room > 0.0 else 0.0
+        width = limit if good is not self.more_is_better else 1.0 - limit
+        depth = abs(at - limit) / width if width > 0.0 else 0.0
         return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * min(depth, 1.0))
 
 
 def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
-    """Final error, smallest distance and time, with scales that include the rows of paths."""
+    """Final error, smallest distance, and time.
+
+    The scales of distance and time include all rows of paths; that of the error is fixed.
+    """
     times = [row["time_s"] for row in rows if row["time_s"] is not None]
     longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
@@ -103,7 +111,7 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
         ),
         Quantity(
             "time_s",
-            "time until within 1 mm",
+            "time until the error is within 1 mm",
             Normalize(0.0, longest, clip=True),
             None,
             ((longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")),
@@ -112,22 +120,16 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
 
 
 def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
-    """Draw the horizontal paths of a sweep, with a column of panels for each controller.
+    """Draw the horizontal paths of a sweep at one height [m] and speed [m/s].
 
-    The rows of panels are final error, smallest distance and time. For a single controller these
-    panels are side by side.
-
-    Args:
-        result: The result of `sweep`.
-        height: [m] height of the drawn paths.
-        speed: [m/s] speed of the drawn paths.
-        model: The robot.
+    There is a column of panels for each controller, with a row for final error, smallest distance
+    and time. For a single controller the three panels are side by side.
     """
     paths, axis = (
         [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
         for key in ("paths", "wheel_axis")
     )
-    closed = [row for row in result["unreachable"] if row.get("height_m") == height]
+    no_start = [row for row in result["unreachable"] if row.get("height_m") == height]
     title = (
         f"sweep, {result['mode']}: end-effector at {height:g} m, {1000 * speed:.3g} mm/s, "
         f"{result['length_m']:g} m towards the base"
@@ -153,24 +155,24 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
                 value = row[quantity.key]
                 face = _NEVER["edgecolor"] if value is None else quantity.colour(value)
                 _dot(ax, row, face, INK)
-        for row in closed:
+        for row in no_start:
             if row["kind"] == "side":
                 _bar(ax, row, result["step_deg"], _OUTER, zorder=1, linewidth=0, **_UNREACHABLE)
             else:
                 _dot(ax, row, "white", SOFT)
         _scale(ax, quantity)
-    _legend(figure, axis=bool(axis) or any(row["kind"] == "wheel_axis" for row in closed))
+    _legend(figure, axis=bool(axis) or any(row["kind"] == "wheel_axis" for row in no_start))
     return figure
 
 
 def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
-    """Draw the paths from above, as squares on the base seen from above.
+    """Draw the paths from above at one speed [m/s], as squares on the base seen from above.
 
-    The panels and arguments are those of `polar_map`.
+    The panels are those of `polar_map`.
     """
     rows = [row for row in result["above"] if row["speed_mps"] == speed]
-    closed = [row for row in result["unreachable"] if row["kind"] == "above"]
-    sides = [_smallest_step([*rows, *closed], key) for key in ("place_x_m", "place_y_m")]
+    no_start = [row for row in result["unreachable"] if row["kind"] == "above"]
+    sides = [_smallest_step([*rows, *no_start], key) for key in ("place_x_m", "place_y_m")]
     body = MobileBody(model)
     lower, upper = body.lower, body.upper
     title = (
@@ -188,7 +190,7 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
         _base(ax, model, 0.05, (lower[1] - 0.1, upper[1] + 0.1), fill=False)
         ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
         ax.set(xlim=(lower[0] - 0.15, upper[0] + 0.15), ylim=(lower[1] - 0.15, upper[1] + 0.15))
-        for row in closed:
+        for row in no_start:
             square(ax, row, **_UNREACHABLE)
         for row in rows:
             if row["controller"] == name:
@@ -204,14 +206,9 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 def _panels(
     title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
-    """Make a figure, and its panels with their controllers and quantities.
+    """Make a figure, and its panels, each with the controller and the quantity that it shows.
 
-    Args:
-        title: Title of the figure.
-        names: Names of the controllers.
-        rows: The rows that the scales must include.
-        panel: [in] height of a panel.
-        projection: Projection of the panels.
+    The scales of the quantities include all `rows`; `panel` is the height [in] of a panel.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -224,27 +221,22 @@ def _panels(
     for i, quantity in enumerate(shown):
         for j, (name, label) in enumerate(zip(names, labels, strict=True)):
             ax, text = (grid[0, i] if single else grid[i, j]), quantity.title
-            if single:
-                text = f"{text}\n{label}"
-            elif i == 0:
-                text = f"{label}\n{text}"
-            ax.set_title(text, fontsize=11)
+            ax.set_title(f"{label}\n{text}" if i == 0 and not single else text, fontsize=11)
             panels.append((ax, name, quantity))
     return figure, panels
 
 
 def _legend(figure: Figure, *, axis: bool) -> None:
     handles: list[Patch | Line2D] = [
-        Patch(facecolor=_WITHIN, label="within the limit"),
+        Patch(facecolor=_WITHIN, label="within the limit, or without limit"),
         Patch(facecolor=_BEYOND, label="beyond the limit"),
-        Patch(**_NEVER, label="never within 1 mm"),
-        Patch(**_UNREACHABLE, label="no clear start"),
+        Patch(**_NEVER, label="error never within 1 mm"),
+        Patch(**_UNREACHABLE, label="no start found"),
         Line2D([], [], color=INK, marker="x", linestyle="none", label="contact"),
     ]
     if axis:
-        label = "along the wheel axis, $p_b$ at 0, ±1, ±10, ±50 mm"
-        dot = Line2D([], [], color=_WITHIN, marker="o", markeredgecolor=INK, linestyle="none")
-        dot.set_label(label)
+        text = "along the wheel axis, x of $p_b$ = 0, ±1, ±10, ±50 mm"
+        dot = Line2D([], [], label=text, color=_WITHIN, markeredgecolor=INK, **_DOT)
         handles.append(dot)
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5)
 
@@ -252,14 +244,10 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline, the wheel axis and the arm's mount.
+    """Draw the base's outline in a style, the wheel axis, and the arm's mount.
 
-    Args:
-        ax: The axes.
-        model: The robot.
-        mount: [m] radius of the mount's circle.
-        axis: [m] y of both ends of the wheel axis.
-        style: Options of the outline.
+    The mount is a circle with the radius `mount` [m]; `axis` has y [m] of both ends of the wheel
+    axis.
     """
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
@@ -271,7 +259,7 @@ def _base(
 
 
 def _scale(ax: Any, quantity: Quantity) -> None:
-    """Draw circles at a quantity's marks, dashed at the limit, and label the directions."""
+    """Draw circles at a quantity's marks, a dashed one at the limit, and label the directions."""
     marks = {_INNER + (_OUTER - _INNER) * quantity.share(v): text for v, text in quantity.marks}
     marks.setdefault(_OUTER, "")
     ax.set_rgrids(list(marks), list(marks.values()), angle=_MARKS_AT, fontsize=7.5, color="#52606D")
@@ -292,32 +280,26 @@ def _scale(ax: Any, quantity: Quantity) -> None:
 
 
 def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
-    """Draw a bar in a path's direction, from the inner circle to a radius, with a width [deg]."""
+    """Draw a bar in a path's direction, up to a radius [m] in plan, with a width [deg]."""
     middle, style = math.radians(row["direction_deg"]), {"zorder": 2, **style}
     ax.bar(middle, radius - _INNER, math.radians(width), _INNER, **style)
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """Draw a path along the wheel axis as a dot; the dots are in the order of p_b, not to scale."""
+    """Draw a path along the wheel axis as a dot.
+
+    The dots of one side are in the order of x of p_b, at equal angles.
+    """
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
-    ax.plot(
-        angle,
-        _AXIS_RADIUS,
-        marker="o",
-        markersize=6.5,
-        markerfacecolor=face,
-        markeredgecolor=edge,
-        markeredgewidth=0.8,
-        linestyle="none",
-        zorder=6,
-    )
+    look = {"markerfacecolor": face, "markeredgecolor": edge, "markeredgewidth": 0.8, "zorder": 6}
+    ax.plot(angle, _AXIS_RADIUS, markersize=6.5, **look, **_DOT)
     _cross(ax, row, (angle, 1.9), 4)
 
 
 def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
-    """Draw a cross at a place in the coordinates of the axes if a path had a contact."""
+    """If a path had a contact, draw a cross at a place in the coordinates of the axes."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
 

@@ -25,12 +25,12 @@ Kind = Literal["side", "wheel_axis", "above"]
 
 KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
-"""[m] x of p_b on the paths along the wheel axis."""
+"""[m] x of p_b at the starts of the paths along the wheel axis."""
 
-ERROR_LIMIT = 0.001  # [m] largest final error of a completed path
-CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a safe path
-CLEAR = 0.02  # [m] distance of a start outside the buffer, by default
-MORE_THAN_BUFFER = 0.005  # [m] smallest distance of a start outside the buffer
+ERROR_LIMIT = 0.001  # [m] largest final error of a successful path
+CLEARANCE_LIMIT = 0.03  # [m] smallest distance between arm and base of a successful path
+CLEAR = 0.02  # [m] difference between the distance at the start and d_b, by default
+_MIN_CLEAR = 0.005  # [m] smallest valid difference
 _RANGES = {
     "heights": (0.02, 2.0, "m"),
     "speeds": (0.001, 1.0, "m/s"),
@@ -39,9 +39,10 @@ _RANGES = {
     "length": (0.01, 0.5, "m"),
     "hold": (0.0, 60.0, "s"),
 }
-_FARTHEST = 0.5  # [m] largest distance of a start from the base
+"""Smallest valid value, largest valid value, and unit of fields of `SweepPlan`."""
+_FARTHEST = 0.5  # [m] largest valid distance between arm and base at the start
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
-"""Options of `dbb sweep` whose names differ from the field's name."""
+"""Options of `dbb sweep` whose names differ from the field of `SweepPlan`."""
 
 
 @dataclass(frozen=True)
@@ -49,16 +50,17 @@ class Approach:
     """A straight path of the end-effector towards the base, which is at the origin and faces +x."""
 
     kind: Kind
-    """"side": horizontally towards the base's centre; "wheel_axis": parallel to the wheel axis;
-    "above": down."""
+    """"side": horizontal, towards the centre of the base; "wheel_axis": parallel to the wheel axis;
+    "above": vertical, downwards."""
     height: float = 0.0
     """[m] height of the end-effector's origin, for horizontal paths."""
     direction_deg: float = 0.0
-    """[deg] direction of the start, counter-clockwise from the front."""
+    """[deg] direction from the base to the start of a horizontal path, counter-clockwise from the
+    front; 90 or 270 for `wheel_axis`."""
     offset: float = 0.0
-    """[m] x of the closest point p_b at the start, for paths along the wheel axis."""
+    """[m] x of the closest point p_b at the start, for `wheel_axis`."""
     place: tuple[float, float] = (0.0, 0.0)
-    """[m] x and y of the end-effector's origin, for paths from above."""
+    """[m] x and y of the end-effector's origin, for `above`."""
 
     @property
     def inwards(self) -> Array:
@@ -81,7 +83,7 @@ class Approach:
         return text
 
     def where(self) -> dict[str, object]:
-        """The values that distinguish this path from others of its kind; keys end in the unit."""
+        """The fields that distinguish this path from others of its kind; keys end in the unit."""
         if self.kind == "above":
             return {"place_x_m": self.place[0], "place_y_m": self.place[1]}
         found: dict[str, object] = {"height_m": self.height, "direction_deg": self.direction_deg}
@@ -95,14 +97,14 @@ def point_of(p: Array) -> Point:
 
 
 def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
-    """Paths from all directions, every `step` [deg], at each height [m]."""
+    """Paths of the kind `side` from all directions, every `step` [deg], at each height [m]."""
     for height in heights:
         for k in range(round(360.0 / step)):
             yield Approach("side", height, k * step)
 
 
 def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
-    """Paths along the wheel axis and next to it, from the left and from the right."""
+    """Paths of the kind `wheel_axis` from the left and from the right, at each height [m]."""
     for height in heights:
         for direction in (90.0, 270.0):
             for offset in AXIS_OFFSETS:
@@ -110,33 +112,30 @@ def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
 
 
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
-    """Paths down onto the base, at the points of a grid on the base's footprint.
+    """Paths of the kind `above`, at the points of a grid with a largest spacing [m].
 
-    Args:
-        lower: (2,) [m] lower corner of the footprint, which is a point of the grid.
-        upper: (2,) [m] upper corner of the footprint, which is a point of the grid.
-        spacing: [m] largest spacing of the grid.
+    The grid reaches from corner to corner, `lower` and `upper` (2,) [m], of the base's footprint.
     """
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
-    xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower[:2], upper[:2], counts, strict=True))
+    xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True))
     for x in xs:
         for y in ys:
             yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
 
 
-def way_out(p: Array, direction: Array, lower: Array, upper: Array) -> float:
-    """[m] distance from a point inside a box to the box's surface, along a direction.
+def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
+    """[m] distance from a point p inside a box to the box's surface, along a unit vector.
 
     All arguments are (2,) or all are (3,); `lower` and `upper` [m] are corners of the box.
     """
     with np.errstate(divide="ignore", over="ignore"):
-        ways = np.where(direction > 0.0, upper - p, lower - p) / direction
-    return float(np.min(np.where(direction == 0.0, np.inf, ways)))
+        distances = np.where(direction > 0.0, upper - p, lower - p) / direction
+    return float(np.min(np.where(direction == 0.0, np.inf, distances)))
 
 
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep and their execution."""
+    """The paths of a sweep, and the conditions of the runs along them."""
 
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
@@ -145,9 +144,9 @@ class SweepPlan:
     heights: tuple[float, ...] = (0.3,)
     """[m] heights of the end-effector on horizontal paths, one or several."""
     speeds: tuple[float, ...] = (0.025,)
-    """[m/s] mean speeds of the end-effector, one or several."""
+    """[m/s] mean speeds of the end-effector on a path, one or several."""
     step: float = 5.0
-    """[deg] angle between two directions."""
+    """[deg] angle between two neighbouring directions; 360 must be a multiple of this angle."""
     mode: Mode = "tracking"
     """tracking with constant orientation, or guiding by a person who pulls the end-effector."""
     wheel_axis: bool = True
@@ -155,7 +154,7 @@ class SweepPlan:
     above: bool = False
     """Include paths down onto the base, at the points of a grid."""
     above_spacing: float = 0.15
-    """[m] largest spacing of the grid."""
+    """[m] largest spacing of this grid, for --above."""
     length: float = 0.2
     """[m] length of each path."""
     hold: float = 3.0
@@ -170,38 +169,39 @@ class SweepPlan:
     """Parameters."""
 
     def __post_init__(self) -> None:
-        """Check all values; messages name the options.
+        """Check all values.
 
         Raises:
-            ConfigError: A number is out of its range.
+            ConfigError: A number is out of its range, or an option has no value; the message names
+                the option.
             UnknownNameError: A controller or the plant does not exist.
         """
         for name in self.controllers:
             check_name("controller", name, CONTROLLERS)
         chosen_plant(self.physics)
         for name, bounds in _RANGES.items():
-            given = getattr(self, name)
+            values = getattr(self, name)
             option = f"--{OPTIONS.get(name, name).replace('_', '-')}"
-            for value in given if isinstance(given, tuple) else (given,):
+            for value in values if isinstance(values, tuple) else (values,):
                 check_range(option, value, *bounds)
-        for name in OPTIONS:
+        for name, option in OPTIONS.items():
             if not getattr(self, name):
-                raise ConfigError(f"--{OPTIONS[name]}: needs one or several values")
+                raise ConfigError(f"--{option}: needs one or several values")
         if self.start_distance is not None:
-            smallest = self.config.border.d_b + MORE_THAN_BUFFER
+            smallest = self.config.border.d_b + _MIN_CLEAR
             check_range("--start-distance", self.start_distance, smallest, _FARTHEST, "m")
         if abs(360.0 / self.step - round(360.0 / self.step)) > 1e-9:
             raise ConfigError(f"--step: 360° is not a multiple of {self.step:g}°")
 
     @property
     def distance(self) -> float:
-        """[m] distance between arm and base at the start."""
-        return (
-            self.config.border.d_b + CLEAR if self.start_distance is None else self.start_distance
-        )
+        """[m] desired distance between arm and base at the start."""
+        if self.start_distance is not None:
+            return self.start_distance
+        return self.config.border.d_b + CLEAR
 
     def approaches(self, model: RobotModel) -> list[Approach]:
-        """All paths, without repetition for speeds and controllers."""
+        """All paths; each is for all speeds and controllers."""
         # Imported here, so that a plan is checked before slow imports.
         from app.border.mobile import MobileBody
 
@@ -214,7 +214,7 @@ class SweepPlan:
         return found
 
     def trials(self, starts: list[Start]) -> Iterator[Trial]:
-        """All runs for some starts."""
+        """One run for each controller, speed, and start that exists."""
         for controller in self.controllers:
             for speed in self.speeds:
                 yield from (Trial(start, controller, speed) for start in starts if not start.reason)
@@ -236,11 +236,11 @@ class SweepPlan:
 
 
 class Start(NamedTuple):
-    """The start of a path, or the reason why there is none."""
+    """The start of a path; without a start only `approach` and `reason` have a meaning."""
 
     approach: Approach
     q_m: tuple[float, ...] = ()
-    """(n_m,) [rad or m] joint positions of the arm; empty without a start."""
+    """(n_m,) [rad or m] joint positions of the arm."""
     p_ee: Point = (0.0, 0.0, 0.0)
     """(3,) [m] position of the end-effector's origin."""
     p_b: Point = (0.0, 0.0, 0.0)
@@ -248,15 +248,13 @@ class Start(NamedTuple):
     clearance: float = 0.0
     """[m] distance of the closest point from the base."""
     reason: str = ""
-    """The reason why there is no start, or empty."""
+    """The reason why there is no start; empty if there is one."""
 
 
 class Trial(NamedTuple):
     """A run of a sweep: a start with a speed and a controller."""
 
     start: Start
-    """The start of the path."""
     controller: str
-    """Name of the controller."""
     speed: float
     """[m/s] mean speed of the end-effector."""

@@ -15,25 +15,26 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
 from app.strict import Array
-from app.studies.sweep.plan import Approach, Start, point_of, way_out
+from app.studies.sweep.plan import Approach, Start, exit_distance, point_of
 
 _Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joint positions
 
-_GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)  # [m] distances from the base's outline, best first
+_GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
+"""[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
 _SEARCHES = tuple(
     (float(np.radians(turn)), k)
     for turn, k in ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
 )
-"""[rad] horizontal angle of the end-effector from the outward direction, and offset of the seed;
-best first."""
-_TRIES = 4  # starting points of a search for each pitch of the end-effector
-_MAX_POSTURES = 6  # largest number of postures that are tried for a path
+"""[rad] horizontal angle of the end-effector from the outward direction, and a number that is added
+to the seed; preferred first."""
+_TRIES = 4  # [-] starting points of a search for each pitch of the end-effector
+_MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
 _SLIDE = 0.02  # [m] first step of the end-effector towards the desired distance
-_FARTHEST_SLIDE = 0.25  # [m] largest sum of these steps
+_FARTHEST_SLIDE = 0.25  # [m] sum of these steps after which no further step is made
 _DISTANCE_TOLERANCE = 1e-4  # [m] tolerance of the distance at the start
-_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of p_b along the base, similar to that of distances
-_OFFSET_TRIES = 40  # largest number of corrections of p_b
-_NEARLY = 1e-4  # [m] error of p_b below which joint steps replace the search of postures
+_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of the x coordinate of p_b, similar to that of distances
+_OFFSET_TRIES = 40  # [-] largest number of corrections of p_b
+_SMALL_OFFSET = 1e-4  # [m] error of p_b below which joint steps replace the search for postures
 
 
 class StartFinder:
@@ -51,12 +52,12 @@ class StartFinder:
         self._flaws: Counter[str] = Counter()
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
-        """Find the start of a path.
+        """Find the start of a path, or the reasons why there is none.
 
         Args:
             approach: The path.
-            distance: [m] desired distance between arm and base; the start has this distance, or the
-                nearest one that the arm can reach.
+            distance: [m] desired distance between arm and base. If the arm cannot reach it on the
+                path's line, the start has the distance at which the search ended.
             seed: Seed of the search.
         """
         refused: Counter[str] = Counter()
@@ -74,16 +75,16 @@ class StartFinder:
         return Start(approach, reason=_summary(refused or self._flaws))
 
     def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
-        """Postures for a path; paths along the wheel axis that differ only in p_b share them."""
+        """Postures for a path; paths that differ only in `offset` share them."""
         key = replace(approach, offset=0.0), seed
         if key != self._searched:
             self._searched, self._flaws = key, Counter()
             self._found = self._search(approach, seed, self._flaws)
-        self._found, postures = tee(self._found)  # keeps the results of the search for later paths
+        self._found, postures = tee(self._found)  # stores the found postures for the next path
         return postures
 
     def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
-        """Search postures outside all buffers; `flaws` counts the reasons of failures."""
+        """Search for postures outside all buffers; `flaws` counts the failed tries by reason."""
         places = [self._place(approach, gap) for gap in _GAPS]
         reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
         if len(reached) < len(places):
@@ -102,72 +103,71 @@ class StartFinder:
         if approach.kind == "above":
             return np.array([*approach.place, upper[2] + gap])
         centre, outwards = (lower + upper)[:2] / 2, -approach.inwards[:2]
-        reach = way_out(centre, outwards, lower[:2], upper[:2]) + gap
-        x, y = centre + reach * outwards
+        x, y = centre + (exit_distance(centre, outwards, lower[:2], upper[:2]) + gap) * outwards
         return np.array([x, y, approach.height])
 
     def _slide_to_distance(
         self, approach: Approach, p_ee: Array, q_m: Array, distance: float
     ) -> tuple[Array, Array]:
-        """Move the end-effector along the path's line to the desired distance [m].
+        """Move the end-effector along the path's line towards the desired distance [m].
 
         Returns:
-            Position (3,) [m] of the end-effector and joint positions (n_m,) of the arm.
+            Position (3,) [m] of the end-effector, and joint positions (n_m,) of the arm.
         """
-        gap = self._closest(q_m).d - distance
-        step, gone = np.sign(gap) * _SLIDE, 0.0
-        while abs(gap) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
-            if gone > _FARTHEST_SLIDE:
+        excess = self._closest(q_m).d - distance
+        step, moved = np.sign(excess) * _SLIDE, 0.0
+        while abs(excess) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
+            if moved > _FARTHEST_SLIDE:
                 break
+            p_new = p_ee + step * approach.inwards
             try:
-                moved = p_ee + step * approach.inwards
-                q_new = self._solver.slide(point_of(moved), q_m)
-                new_gap = self._closest(q_new).d - distance
+                q_new = self._solver.slide(point_of(p_new), q_m)
             except UnreachableError:
                 step /= 2
                 continue
-            if new_gap * gap < 0:  # too far: halve the step
+            new_excess = self._closest(q_new).d - distance
+            if new_excess * excess < 0:  # the step was too long
                 step /= 2
                 continue
-            p_ee, q_m, gap, gone = moved, q_new, new_gap, gone + abs(step)
+            p_ee, q_m, excess, moved = p_new, q_new, new_excess, moved + abs(step)
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,) for which the arm's closest point p_b is at a given x.
-
-        The end-effector moves along the base's x axis.
+        """Find joint positions (n_m,) for which the arm's closest point p_b has the coordinate x.
 
         Args:
-            p_ee: (3,) [m] present position of the end-effector.
-            q_m: (n_m,) present joint positions.
+            p_ee: (3,) [m] present position of the end-effector, which moves along the x axis.
+            q_m: (n_m,) [rad or m] present joint positions.
             x: [m] desired x coordinate of p_b in the base's frame.
 
         Raises:
-            UnreachableError: The arm cannot reach such a posture.
+            UnreachableError: The search has found no such posture.
         """
-        nearest = np.inf
+        smallest = np.inf
         for _ in range(_OFFSET_TRIES):
             closest = self._closest(q_m)
-            off = float(closest.p_b[0]) - x
-            if abs(off) < _OFFSET_TOLERANCE:
+            error = float(closest.p_b[0]) - x
+            if abs(error) < _OFFSET_TOLERANCE:
                 return q_m
-            nearest = min(nearest, abs(off))
-            if abs(off) > _NEARLY:
-                p_ee = p_ee - [off, 0.0, 0.0]
+            smallest = min(smallest, abs(error))
+            if abs(error) > _SMALL_OFFSET:
+                p_ee = p_ee - [error, 0.0, 0.0]
                 q_m = self._solver.slide(point_of(p_ee), q_m)
-            else:  # finer than the search of postures: the shortest joint step
+            else:  # the smallest joint step, which is finer than the search for postures
                 joint = self._state.model.body_joints[closest.pair.b]
-                along = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
-                q_m = q_m - along * off / (along @ along)
-        raise UnreachableError(f"p_b remains at least {nearest:.1e} m away from its position")
+                row = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
+                q_m = q_m - row * error / (row @ row)
+        raise UnreachableError(
+            f"x of the arm's closest point p_b differs by at least {smallest:.1e} m"
+        )
 
     def _closest(self, q_m: Array) -> ClosestPoints:
-        """The closest points of the nearest pair of L_m at a posture, which the state then has."""
+        """The closest points of the nearest pair of L_m at a posture; sets the state to it."""
         self._state.update(at_rest(self._state.model, q_m))
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
 
 
 def _summary(flaws: Counter[str]) -> str:
-    """The most frequent reasons of failures, as a text."""
+    """The three most frequent reasons of failed tries, as a text."""
     ordered = sorted(flaws.items(), key=lambda item: (-item[1], item[0]))
     return "; ".join(f"{flaw} ({count} tries)" for flaw, count in ordered[:3])

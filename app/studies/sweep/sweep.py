@@ -1,6 +1,7 @@
 """A sweep: paths of the end-effector towards the base from all directions, with each controller.
 
-The results are `sweep.json`, `sweep.csv`, and a map for each height and speed.
+The files are `sweep.json`, `sweep.csv`, a map for each height and speed, and, with paths from
+above, a map of these for each speed.
 """
 
 from functools import lru_cache, partial
@@ -33,10 +34,10 @@ from app.studies.sweep.plan import (
 from app.studies.sweep.starts import StartFinder
 from app.system import write_whole
 
-START_SHARE = 0.25  # [-] share of the work that the search for starts takes
+_START_SHARE = 0.25  # [-] estimated share of the search for starts in the whole work
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
-"""The JSON key of the paths of each kind."""
-_KEPT = (
+"""The key in `sweep.json` for the paths of each kind."""
+_RESULTS = (
     "ee_error_final_m",
     "ee_error_max_m",
     "min_clearance_m",
@@ -49,7 +50,7 @@ _KEPT = (
     "activation_max",
     "solver_failures",
 )
-
+"""Results of a run that are in `sweep.json`."""
 _FIRST = (
     "kind",
     "controller",
@@ -66,7 +67,7 @@ _FIRST = (
 
 @lru_cache(maxsize=1)
 def load(robot: str, d_b: float) -> StartFinder:
-    """The search for starts of a robot with a buffer distance `d_b` [m], cached in each process."""
+    """The `StartFinder` of a robot for a buffer distance `d_b` [m], cached in each process."""
     model = RobotModel(load_robot(robot))
     data = load_border_data(model, progress=False)
     return StartFinder(model, data, d_b)
@@ -75,8 +76,8 @@ def load(robot: str, d_b: float) -> StartFinder:
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
     """Run all paths of a plan.
 
-    Each start is searched once for all controllers and speeds. The result, except for times, does
-    not depend on the number of processes.
+    Each start is searched once for all controllers and speeds. The result, except for `elapsed_s`,
+    does not depend on the number of processes.
 
     Args:
         plan: The paths.
@@ -95,11 +96,11 @@ def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lamb
     starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in KINDS}
     with Workers(make_context, processes) as workers:
-        tell = part_of(on_progress, 0.0, START_SHARE)
-        for found in workers.map(partial(_find_starts, plan), groups, tell):
+        on_share = part_of(on_progress, 0.0, _START_SHARE)
+        for found in workers.map(partial(_find_starts, plan), groups, on_share):
             starts += found
-        trials, tell = list(plan.trials(starts)), part_of(on_progress, START_SHARE, 1.0)
-        results = workers.map(partial(_row, plan), trials, tell)
+        trials, on_share = list(plan.trials(starts)), part_of(on_progress, _START_SHARE, 1.0)
+        results = workers.map(partial(_row, plan), trials, on_share)
         for trial, row in zip(trials, results, strict=True):
             rows[trial.start.approach.kind].append(row)
     on_progress(1.0)
@@ -135,57 +136,63 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
     spec, start = plan.spec(trial), trial.start
     run, scenario = thinned(run_from_spec(spec, finder.model, finder.data)), spec.scenario
-    off = np.linalg.norm(run.trace.of("p_ee") - scenario.place(scenario.duration), axis=1)
-    found: Row = {"controller": trial.controller, **start.approach.where()}
-    found |= {"speed_mps": trial.speed}
-    found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True))
-    found |= {"start_clearance_m": start.clearance, "start_p_b_x_m": start.p_b[0]}
-    found |= {key: run.figures[key] for key in _KEPT}
-    found["time_s"] = arrival(run.trace["t_s"], off)
-    found["passed"] = passes(found)
-    return {key: rounded(value) for key, value in found.items()}
+    end = scenario.place(scenario.duration)
+    errors = np.linalg.norm(run.trace.of("p_ee") - end, axis=1)
+    row: Row = {
+        "controller": trial.controller,
+        **start.approach.where(),
+        "speed_mps": trial.speed,
+        **dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True)),
+        "start_clearance_m": start.clearance,
+        "start_p_b_x_m": start.p_b[0],
+        **{key: run.figures[key] for key in _RESULTS},
+        "time_s": arrival(run.trace.t, errors),
+    }
+    row["passed"] = passes(row)
+    return {key: rounded(value) for key, value in row.items()}
 
 
-def arrival(t: Array, off: Array) -> float | None:
-    """[s] time from which the end-effector stays within 1 mm of its target; None if never.
+def arrival(t: Array, errors: Array) -> float | None:
+    """[s] time from which the end-effector stays within 1 mm of the path's end; None if never.
 
     Args:
         t: (N,) [s] times.
-        off: (N,) [m] distances of the end-effector from its target at these times.
+        errors: (N,) [m] distances of the end-effector from the path's end at these times.
     """
-    arrived = np.append(0, np.flatnonzero(off > ERROR_LIMIT) + 1)[-1]
+    arrived = np.append(0, np.flatnonzero(errors > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
 
 
-def passes(figures: Row, error_limit: float = ERROR_LIMIT) -> bool:
-    """Whether the end-effector reached its target without contact and with sufficient distance.
+def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
+    """Whether a path was successful.
 
-    Args:
-        figures: Figures of the run.
-        error_limit: [m] largest final error of the end-effector.
+    This means: a final error of at most `error_limit` [m], a smallest distance between arm and base
+    of at least 0.03 m, no contact of the arm with the base or itself, and no step with the fallback
+    command.
     """
-    clearance = figures["min_clearance_m"]
-    flaws = (figures[key] for key in ("contacts", "arm_contacts", "solver_failures"))
-    arrived = figures["ee_error_final_m"] <= error_limit
+    clearance = results["min_clearance_m"]
+    flaws = (results[key] for key in ("contacts", "arm_contacts", "solver_failures"))
+    arrived = results["ee_error_final_m"] <= error_limit
     return arrived and clearance is not None and clearance >= CLEARANCE_LIMIT and not any(flaws)
 
 
 def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
-    """Worst values and number of unreachable starts, for each controller and kind of path."""
-    begun = {kind: [start for start in starts if start.approach.kind == kind] for kind in KINDS}
+    """Summaries by controller and by the key of `LISTS`, for the kinds of paths in the plan."""
+    by_kind = {kind: [start for start in starts if start.approach.kind == kind] for kind in KINDS}
     return {
         controller: {
             LISTS[kind]: _summary(
-                begun[kind], [row for row in rows[kind] if row["controller"] == controller]
+                by_kind[kind], [row for row in rows[kind] if row["controller"] == controller]
             )
             for kind in KINDS
-            if begun[kind]
+            if by_kind[kind]
         }
         for controller in plan.controllers
     }
 
 
 def _summary(starts: list[Start], rows: list[Row]) -> Row:
+    """Numbers of runs by their result, and the worst values; None without a value."""
     unreachable = sum(bool(start.reason) for start in starts)
 
     def extreme(choose: Any, key: str) -> float | None:
@@ -215,7 +222,7 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
 
 def write_sweep(result: Row, out: Path) -> list[str]:
     """Write the result of a sweep into an existing folder, and return the names of the files."""
-    # Imported here: matplotlib would delay the start of the dashboard.
+    # Imported here: matplotlib is needed only when all runs are done.
     from app.studies.style import png_of, styled
     from app.studies.sweep.maps import above_map, polar_map
 
