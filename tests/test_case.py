@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.cli.main import main
-from app.config import FORMER_NAMES, Config
+from app.config import Config
 from app.errors import CaseError, DbbError
 from app.simulation.case import RunCase, RunSpec
 from app.simulation.loop.commands import Pull
@@ -127,23 +127,14 @@ def test_a_case_of_another_version_says_what_differs():
     assert "3000" in new
 
 
-def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
-    config = Config().replace("task.slack_weight", 0.01)
-    case = RunCase.of(RunSpec("husky_panda", CHALLENGE, config, "dbb", "planar"))
-    content = json.loads(case.text())
-    for former, path in FORMER_NAMES.items():
-        content["parameters"][former] = content["parameters"].pop(path)
-    read = RunCase.read(json.dumps(content), "case.json")
-    assert read.config() == config
-    assert read.differences() == []
-
-
 @pytest.mark.parametrize(
     ("change", "named"),
     [
         ({"dbb_case": 2}, "dbb_case"),
         ({"played": "guiding-fornt"}, "guiding-front"),
         ({"controller": "dbbb"}, "dbb"),
+        ({"robot": "husky_pando"}, "did you mean 'husky_panda'"),
+        ({"physics": "planer"}, "did you mean 'planar'"),
         ({"options": {"pulls": [[1, 0, [0, 0, -1]]]}}, "below the floor"),
         ({"options": {"pulls": [[-1, 0, [0, 0, 1]]]}}, "control step"),
         (
@@ -190,7 +181,7 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     assert figures["scenario"] == CHALLENGE.name
     held = {"base_path_m": figures["base_path_m"]}
     file.write_text(case.model_copy(update={"figures": held}).text())
-    main(["run", "--replay-case", str(file)])
+    main(["run", "--case", str(file)])
     assert "changed since" not in capsys.readouterr().err
     other = {"figures": {"base_path_m": 7.5}, "version": "0.1"}
     file.write_text(case.model_copy(update=other).text())

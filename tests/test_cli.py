@@ -461,12 +461,9 @@ def test_an_option_that_is_given_twice_is_refused_with_the_right_spelling(dbb):
     refused(dbb("sweep", "--height", "0.3", "0.4", "--height=0.5"), "--height 0.3 0.4 0.5")
 
 
-def test_options_before_the_scenario_and_former_spellings_go_on_working(dbb):
-    """--noise and --delay were those of `dbb study`; a disturbance has one name now."""
+def test_options_can_precede_the_scenario(dbb):
     before = json.loads(dbb("run", *QUICK[2:], "--json", "--seed", "3", QUICK[1]).out)
     assert (before["scenario"], before["seed"]) == ("guiding-lateral", 3)
-    refused(dbb(*QUICK, "--noise", "0.1"), "--encoder-noise: 0.1 rad")
-    refused(dbb("study", "--delay", "0", "9"), "--base-delay: 9 s")
 
 
 def test_a_run_says_first_how_it_went_and_last_what_it_wrote(dbb, tmp_path):

@@ -6,11 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from app.config import (
-    FORMER_NAMES,
     Config,
     make_config,
     parameter,
-    present_name,
     sections,
     slowed,
     tunable,
@@ -174,25 +172,3 @@ def test_of_thousands_of_problems_a_few_are_told() -> None:
         with pytest.raises(ConfigError, match=counted) as caught:
             make_config({f"{'x' * 100}{i}": i for i in range(count)})
         assert len(str(caught.value)) < 2000
-
-
-def test_every_former_name_sets_the_parameter_of_the_present_name(caplog):
-    for former, path in FORMER_NAMES.items():
-        present_name.cache_clear()
-        value = 0.9 * Config().value(path)
-        (old_section, old), (section, name) = former.split("."), path.split(".")
-        expected = Config().replace(path, value)
-        assert make_config({old_section: {old: value}}) == expected
-        assert make_config({old_section: {old: value}}, Config()) == expected
-        assert Config().replace(former, value) == expected
-        with pytest.raises(ConfigError, match=f"{former} is the former name of {path}"):
-            make_config({**{section: {name: value}}, **{old_section: {old: value, name: value}}})
-        lines = [each.message for each in caplog.records if former in each.message]
-        assert lines == [f"parameter {former} is now {path}"]
-        caplog.clear()
-
-
-def test_a_former_name_beside_another_parameter_of_its_section():
-    given = {"task": {"softness": 0.01, "ee_weight": 1e4}, "barrier": {"leaving": 0.5}}
-    task = make_config(given).task
-    assert (task.slack_weight, task.ee_weight) == (0.01, 1e4)

@@ -15,7 +15,7 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation import plants
-from app.simulation.plants import PLANTS, chosen_plant, default_plant, make_physics
+from app.simulation.plants import chosen_plant, default_plant, make_physics
 from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 from app.simulation.plants.planar import planar_plant
 from tests.robots import husky_panda
@@ -84,10 +84,6 @@ def test_pybullet_is_the_default_where_it_is_installed_else_mujoco(monkeypatch):
     assert default_plant() == chosen_plant(None) == "mujoco"
     with pytest.raises(ConfigError, match=r"planar needs pybullet.*--physics mujoco"):
         make_physics("planar", husky_panda())
-
-
-def test_the_former_name_of_the_base_in_contact_still_works():
-    assert chosen_plant("contact") == "mujoco-contact" in PLANTS
 
 
 def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch, caplog):

@@ -3,10 +3,15 @@
 import ast
 import atexit
 import errno
+import inspect
 import logging
 import os
+import re
+import shutil
 import sys
+import textwrap
 from contextlib import suppress
+from functools import partial
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import NoReturn
@@ -16,7 +21,7 @@ from app.jobs.progress import ending_signals_raised
 from app.system import find_folders, open_standard_files
 
 COMMANDS = {
-    "A robot that moves": {
+    "Runs and pictures": {
         "serve": "serve",
         "run": "run",
         "screenshot": "pictures",
@@ -116,20 +121,39 @@ def _run(words: list[str]) -> None:
 
 def _run_command(name: str, *words: str) -> None:
     """Import and run a command; no other command is imported."""
-    check_name("command (dbb --help lists them)", name, _MODULES)
+    check_name("command", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once, in_present_words, together
+    from app.cli.options import check_once
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = together(in_present_words(words))
+    rest = list(words)
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()
     else:
         function = getattr(module, known)
     check_once(rest)
-    tyro.cli(function, prog=f"dbb {name}", args=rest, config=(tyro.conf.DisallowNone,))
+    function.__doc__, description = _help_texts(function.__doc__ or "")
+    marks = (tyro.conf.DisallowNone,)
+    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, config=marks)
+
+
+def _help_texts(doc: str) -> tuple[str, str]:
+    """A docstring in which the text of each argument is one line, and its filled description.
+
+    tyro fills a joined text of an argument to the terminal's width, but not the description. It
+    joins lines that begin with a letter; therefore all paragraphs after the first are indented.
+    """
+    doc = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(doc))
+    first, *others = doc.partition("\n\nArgs:")[0].split("\n\n")
+    fill = partial(
+        textwrap.fill,
+        width=shutil.get_terminal_size().columns,
+        initial_indent="  ",
+        subsequent_indent="  ",
+    )
+    return doc, "\n\n".join([first, *(each if "\n  " in each else fill(each) for each in others)])
 
 
 def overview() -> str:

@@ -1,6 +1,6 @@
 """Options that several commands share, and checks whose messages name the option."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.cli.records import Field, Given, from_fields, from_record
+from app.cli.records import REPEATED, Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import read_config
 from app.control import CONTROLLERS
@@ -18,17 +18,16 @@ from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range
 from app.system import begun_folder, is_no_file, own_path, usable_cores
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # an option without a value
-Json = Annotated[
-    Flag,
-    tyro.conf.arg(name="json", help="Print only one JSON object.", help_behavior_hint=""),
-]
+NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
+"""Mark of an option whose default is not displayed."""
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, NO_DEFAULT]  # an option without a value
+Json = Annotated[Flag, tyro.conf.arg(help="Print only one JSON object.")]
 ConfigOption = Annotated[
     Path | None,
+    NO_DEFAULT,
     tyro.conf.arg(
         help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults. Other options override the file.",
-        help_behavior_hint="",
+        "are not in the file have the robot's defaults. Options for parameters override the file.",
     ),
 ]
 Processes = Annotated[
@@ -39,18 +38,6 @@ Processes = Annotated[
     ),
 ]
 
-NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
-"""Mark of an option with the default None, whose help text states the effective default."""
-
-FORMERLY = {
-    "--delay": "--base-delay",
-    "--noise": "--encoder-noise",
-    "--base-speed": "--v-max",
-    "--strength": "--hand-f-max",
-    "--replay-case": "--case",
-}
-"""Former names of options, which are still valid, and the present names."""
-_REPEATED = {"--allow-host"}
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Options that set a parameter, and the parameter's path."""
@@ -84,7 +71,7 @@ class Setup:
 def parameter_options(paths: Mapping[str, str]) -> Any:
     """The annotation in `Annotated[Given, …]` for options that set one parameter each.
 
-    `paths` has the parameter's path for each option.
+    `paths` has the path of each option's parameter, such as `border.d_b`.
     """
     found = {}
     for name, path in paths.items():
@@ -186,7 +173,7 @@ def check_processes(processes: int | None) -> int:
 
 
 def check_once(words: list[str]) -> None:
-    """Check that no option appears twice, because only the last one would count.
+    """Check that no option appears twice, except `--allow-host`: only the last one would count.
 
     Raises:
         ConfigError: An option appears twice; the message shows the correct form.
@@ -201,28 +188,12 @@ def check_once(words: list[str]) -> None:
         else:
             values.append(word)
     for name, each in given.items():
-        if len(each) > 1:
+        if len(each) > 1 and name != f"--{REPEATED.replace('_', '-')}":
             together = " ".join([name, *(value for values in each for value in values)])
             raise ConfigError(
                 f"{name} appears {len(each)} times; write it once, with several values if it "
                 f"accepts them: {together}"
             )
-
-
-def together(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with repeated options of `_REPEATED` merged into one option."""
-    rest: list[str] = []
-    found: dict[str, list[str]] = {}
-    into = rest
-    for word in words:
-        name, sign, value = word.partition("=")
-        if name in _REPEATED:
-            into = found.setdefault(name, [])
-            into += [value] if sign else []
-        else:
-            into = rest if word.startswith("--") else into
-            into.append(word)
-    return [*rest, *(word for name, values in found.items() for word in (name, *values))]
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
@@ -263,9 +234,3 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
         raise OutputError(f"{option}: {error}") from None
     except OSError as error:
         raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None
-
-
-def in_present_words(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with former names of options replaced by the present names."""
-    parted = (word.partition("=") for word in words)
-    return ["".join((FORMERLY.get(name, name), sign, value)) for name, sign, value in parted]

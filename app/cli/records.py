@@ -1,4 +1,4 @@
-"""Options made from records: each field becomes an option, and its docstring the help text."""
+"""Options made from records: a field becomes an option, and the field's docstring its help text."""
 
 import ast
 import inspect
@@ -13,10 +13,12 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-Given = dict[str, Any]  # values of the options that the user set, by the name of the field
+Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 
+REPEATED = "allow_host"
+"""The field whose option takes one value, and appears once for each of several values."""
 _METAVARS = {
-    "allow_host": "NAME",
+    REPEATED: "NAME",
     "base": "X Y YAW",
     "hinge_position": "X Y",
     "span": "BEGIN END",
@@ -51,8 +53,11 @@ def from_record(
 ) -> Any:
     """The annotation in `Annotated[Given, …]` by which a command gets an option for each field.
 
+    The command gets a dictionary that has only the options that the user set.
+
     Args:
-        record: A dataclass or pydantic record, or an instance whose values are the defaults.
+        record: A dataclass or pydantic record; or a dataclass instance, whose values are the
+            defaults.
         only: Names of the included fields; None means all fields.
         leave: Names of the excluded fields.
         names: Name of the option, for each field whose option has a different name.
@@ -69,10 +74,7 @@ def from_record(
 def from_fields(
     found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
 ) -> Any:
-    """The annotation of `from_record` for some fields.
-
-    The command gets a dictionary that has only the options that the user set.
-    """
+    """The annotation of `from_record`, for fields that are described one by one."""
     kinds = {
         name: _option(name, each, (names or {}).get(name, name), positional == name)
         for name, each in found.items()
@@ -82,17 +84,21 @@ def from_fields(
 
 
 def _option(name: str, about: Field, option: str, positional: bool) -> Any:
-    needed = about.default is MISSING
+    needed, flag = about.default is MISSING, about.default is False
     hint = "(required)" if needed else f"(default: {_text(about.default)})"
     marks = tyro.conf.arg(
         name=option,
         metavar=_metavar(name, about.kind, positional),
         help=about.help,
-        help_behavior_hint="" if about.default in (None, ()) else hint,
+        help_behavior_hint="" if flag or about.default in (None, (), "") else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
     if positional:
         kind = tyro.conf.Positional[kind]
+    if flag:
+        kind = tyro.conf.FlagCreatePairsOff[kind]
+    if name == REPEATED:
+        kind = tyro.conf.UseAppendAction[kind]
     return Required[kind] if needed else kind
 
 

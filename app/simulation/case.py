@@ -6,12 +6,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_type_hints
 
-from pydantic import Field, ValidationError, create_model, field_validator
+from pydantic import Field, ValidationError, create_model
 from typing_extensions import Self
 
-from app.config import Config, present_name, tunables
+from app.config import Config, tunables
 from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, check_name
+from app.robot.assets import check_robot_name
 from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
@@ -56,11 +57,6 @@ class RunCase(Strict):
     """All parameters, by their paths."""
     figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MAX_ENTRIES)
     """The results, by the keys that `dbb run` prints."""
-
-    @field_validator("parameters")
-    @classmethod
-    def _accept_former_names(cls, values: dict[str, float | str]) -> dict[str, float | str]:
-        return {present_name(path): value for path, value in values.items()}
 
     @classmethod
     def of(cls, run: RunSpec) -> Self:
@@ -144,9 +140,8 @@ class RunCase(Strict):
             where: Name of the file, for messages.
 
         Raises:
-            CaseError: The text is not a case, or its scenario, controller, an option or a
-                parameter is invalid; the message names the fault. The names of robot and plant
-                are not checked.
+            CaseError: The text is not a case, or its robot, scenario, controller, plant, an option
+                or a parameter is invalid; the message names the fault.
         """
         try:
             content = parsed(json.loads, text)
@@ -156,7 +151,9 @@ class RunCase(Strict):
             raise CaseError(f"{where} is not a case: it has no {FORMAT!r}")
         try:
             case = cls.model_validate_json(json.dumps(content))
+            check_robot_name(case.robot)
             check_name("controller", case.controller, CONTROLLERS)
+            chosen_plant(case.physics)
             case.scenario()
             case.config()
         except ValidationError as error:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
 
-_FORMERLY = {"contact": "mujoco-contact"}
 _DOORS = "planar, mujoco or mujoco-contact"
 
 
@@ -24,12 +23,12 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former name; the default plant for None.
+    """The name of a plant, checked; None means the default plant.
 
     Raises:
         UnknownNameError: The plant does not exist.
     """
-    name = _FORMERLY.get(name, name) if name else default_plant()
+    name = name or default_plant()
     check_name("physics", name, PLANTS)
     return name
 
