@@ -22,6 +22,7 @@ from pathlib import Path
 from unittest import mock
 
 from app.cli.main import main as dbb
+from app.cli.records import fields_of
 from app.config import sections
 from app.control.quantities import DIMENSIONS, QUANTITIES
 from app.parameters import Parameter
@@ -100,8 +101,8 @@ def quantities() -> str:
 def study_range() -> str:
     """The random intervals of `dbb study`, from the record of app/studies/pulls/parameters.py."""
     rows = []
-    for name, field in StudyRange.model_fields.items():
-        unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+    for name, field in fields_of(StudyRange):
+        unit, _, text = field.help.removeprefix("[").partition("]")
         value = field.default
         drawn = " to ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:g}"
         if name in LOGARITHMIC:

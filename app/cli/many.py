@@ -195,7 +195,7 @@ def study(
 
 @contextmanager
 def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar; after Ctrl-C, print the number of stored cases and the way to continue."""
+    """Show a progress bar; after Ctrl-C, print how many cases are stored, and how to continue."""
     kept = 0.0
 
     def count(done: float) -> None:

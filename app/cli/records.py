@@ -26,6 +26,8 @@ _METAVARS = {
     "ready": "Q1 Q2 …",
     "controllers": "NAME …",
     "heights": "Z …",
+    "mount_rpy": "ROLL PITCH YAW",
+    "tip_rpy": "ROLL PITCH YAW",
     "package": "NAME=FOLDER …",
     "speeds": "V …",
     "xacro": "NAME=VALUE …",
@@ -84,19 +86,17 @@ def from_fields(
 
 
 def _option(name: str, about: Field, option: str, positional: bool) -> Any:
-    needed, flag = about.default is MISSING, about.default is False
+    needed = about.default is MISSING
     hint = "(required)" if needed else f"(default: {_text(about.default)})"
     marks = tyro.conf.arg(
         name=option,
         metavar=_metavar(name, about.kind, positional),
         help=about.help,
-        help_behavior_hint="" if flag or about.default in (None, (), "") else hint,
+        help_behavior_hint="" if about.default in (None, (), "") else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
     if positional:
         kind = tyro.conf.Positional[kind]
-    if flag:
-        kind = tyro.conf.FlagCreatePairsOff[kind]
     if name == REPEATED:
         kind = tyro.conf.UseAppendAction[kind]
     return Required[kind] if needed else kind
@@ -124,7 +124,7 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
     if issubclass(cls, BaseModel):
         for name, each in cls.model_fields.items():
             default = each.get_default(call_default_factory=True)  # type: ignore[call-arg]
-            yield name, Field(kinds[name], default, each.description or "")
+            yield name, Field(kinds[name], default, " ".join((each.description or "").split()))
         return
     docs = {name: text for each in reversed(cls.__mro__) for name, text in _docs(each)}
     for each in fields(cls):  # type: ignore[arg-type]

@@ -36,7 +36,7 @@ class Files:
     """File that ends in .csv or .parquet, for `dbb report` and `dbb replay`, or in .mcap, for
     Foxglove, Rerun and other viewers. The first two have one row per control step, and all
     displayed quantities in every 20th row."""
-    ros: options.Flag = False
+    ros: bool = False
     """Write ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
 
     def __post_init__(self) -> None:
@@ -102,12 +102,12 @@ def run(
 
 _LIST = "\n".join(
     [
-        "Scenarios, each with its own options (dbb run SCENARIO --help):",
+        "Scenarios; each has own options (dbb run SCENARIO --help), and the options below:",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
         f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
     ]
 )
-run.__doc__ = f"{run.__doc__}\n\n{_LIST}\n\nThe options of all scenarios:"
+run.__doc__ = f"{run.__doc__}\n\n{_LIST}"
 
 
 def command_of(scenario: Scenario) -> Callable[..., None]:
