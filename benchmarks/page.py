@@ -152,7 +152,7 @@ class _Measurement:
         return tab
 
     def _over(self, tab: DashboardTab, act: Callable[[], None]) -> dict[str, float]:
-        """Rates of pictures, bytes and pulls, and the longest stall, while an action is repeated."""
+        """Rates of pictures, bytes and pulls, and longest stall, while an action is repeated."""
         tab.page.evaluate("() => (dbbWatch.stall = 0)")
         begin, sent, heard, frame = time.monotonic(), self._sent, self._heard, _frame(tab)
         work = _work()
