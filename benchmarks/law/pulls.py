@@ -17,18 +17,18 @@ from benchmarks.law.robot import load
 from benchmarks.law.work import played
 
 _AUDIT = (0.369, 0.639, 0.30), (-0.245, -0.424, 0.0)
-"""[m] start and move of the audit's pull."""
-_AUDIT_LEAD = 0.54  # [s]
-_AUDIT_HELD = 0.36  # [s]
+"""[m] start and displacement of the fixed pulls."""
+_AUDIT_LEAD = 0.54  # [s] duration of the displacement
+_AUDIT_HELD = 0.36  # [s] time at its end
 _AUDIT_STIFFNESS = 2000.0  # [N/m]
 _AUDIT_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
-_ABOVE = 0.2  # [-] share of the random pulls that come from above
+_ABOVE = 0.2  # [-] share of the random pulls that start over the base
 _THROWN = 1.1  # [-] ratio to the person's speed above which the arm is out of control
-_CLAIMED = 80.0  # [N] up to which nothing may overlap
+_CLAIMED = 80.0  # [N] largest force for which the summary has separate counts
 
 
 class Held(NamedTuple):
-    """A pull, and the time [s] for which the hand is held at its end."""
+    """A pull, and the time [s] for which the person holds the end-effector at its end."""
 
     pull: Pull
     held_s: float
@@ -53,7 +53,7 @@ def pulls(
 def cases(
     options: Options, count: int, held: float, first: int = 0, column: float = 0.0
 ) -> list[Held]:
-    """The fixed pulls, then random pulls."""
+    """The fixed pulls if `first` is 0, then random pulls."""
     found = [
         Held(
             named_pull(
