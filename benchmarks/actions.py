@@ -210,8 +210,8 @@ class _Run:
         mouse.up()
 
     def _scroll(self, tab: DashboardTab) -> None:
-        size = tab.page.viewport_size
-        x, y = self._random.uniform(0, size["width"]), self._random.uniform(0, size["height"])
+        width, height = _SIZES[self._tabs.index(tab)]
+        x, y = self._random.uniform(0, width), self._random.uniform(0, height)
         tab.page.mouse.move(x, y)
         tab.page.mouse.wheel(0, self._random.choice((-300, -60, 60, 300)))
 

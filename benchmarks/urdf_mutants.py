@@ -18,7 +18,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from unicodedata import normalize
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -188,7 +188,7 @@ def _tree(change: Callable[[Element, random.Random], dict[str, str] | None]) -> 
     return changed
 
 
-def _mesh(change: Callable[[Path, Element], None]) -> Change:
+def _mesh(change: Callable[[Path, Element], object]) -> Change:
     """A change of one mesh file, and of the element that names it."""
 
     def changed(original: Original, folder: Path, rng: random.Random) -> None:
@@ -286,7 +286,7 @@ def _shape(text: str, tag: str = "collision") -> str:
     return f"<{tag}><geometry>{text}</geometry></{tag}>"
 
 
-def _as(end: str, **options: object) -> Change:
+def _as(end: str, **options: Any) -> Change:
     """A mesh in another format."""
 
     def change(path: Path, element: Element) -> None:
@@ -330,7 +330,7 @@ def _collada(metre: float, up: str = "Z_UP") -> Change:
 
 def _replaced(content: bytes) -> Change:
     """Other content in place of a mesh."""
-    return _mesh(lambda path, _: path.write_bytes(content) and None)
+    return _mesh(lambda path, _: path.write_bytes(content))
 
 
 def _address(change: Callable[[Path, str], str]) -> Change:
@@ -456,7 +456,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "page": _replaced(b"<html><body>Sign in</body></html>"),
         "empty": _replaced(b""),
         "archive": _replaced(b"\x1f\x8b\x08\x00"),
-        "cut": _mesh(lambda path, _: path.write_bytes(path.read_bytes()[:500]) and None),
+        "cut": _mesh(lambda path, _: path.write_bytes(path.read_bytes()[:500])),
         "usd": _beside("fixed", _shape('<mesh filename="a.usd"/>', "visual")),
     },
     "namespaces": {

@@ -1,8 +1,8 @@
 """Measure the tables of the documentation: `python -m tools.results [NAME ...]`.
 
-Each row of a table is measured by one command with `--json`. The displayed numbers of its output are
-stored in docs/results/NAME.json with the commit and the machine, immediately after the command.
-After an interruption the same call continues; it also repeats rows of older commits.
+Each row of a table is measured by one command with `--json`. The displayed numbers of its output
+are stored in docs/results/NAME.json with the commit and the machine, immediately after the
+command. After an interruption the same call continues; it also repeats rows of older commits.
 `python -m tools.pages` puts the tables into the pages.
 """
 

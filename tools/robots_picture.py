@@ -35,7 +35,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     """Draw the ready pose along an axis: the bodies over the grey hulls of the links."""
     placed = _placements(model, np.array(model.description.arm.ready_position))
     path = urdf_path(model.description)
-    geometry = read_geometry(make_tree(read_robot(path)))
+    geometry = read_geometry(make_tree(read_robot(path)[0]))
     for units in units_of_links(model, geometry).values():
         for unit in units:
             for part in unit.parts:

@@ -86,6 +86,8 @@ def play(case: Held) -> dict[str, Any]:
     force = person = back = torque = 0.0
     nearest = links = math.inf
     contacts, shares, bounds, moment = 0, [], [], None
+    bound = QUANTITIES["force_bound"].take
+    assert bound is not None
     steps = moments(pull)
     for moment in steps:
         step = moment.step
@@ -101,7 +103,7 @@ def play(case: Held) -> dict[str, Any]:
         torque = max(torque, float(np.max(np.abs(step.control.u_cmd) / tau_max)))
         contacts += step.contacts.arm_base or step.contacts.arm_arm
         if len(shares) % EVERY == 0:
-            bounds.append(QUANTITIES["force_bound"].take(moment.session, step))
+            bounds.append(bound(moment.session, step))
         shares.append(joint_share(step, robot.model))
     steps.close()
     assert moment is not None
