@@ -123,8 +123,8 @@ EXTRAS = {
         *("scipy", "trimesh"),
     ),
 }
-"""The extras of the package, and the modules that each of them installs. Each extra includes `sim`.
-The first three extras belong to the packages in `app` of the same names."""
+"""The modules that each extra of the package installs. Each other extra includes `sim`, and belongs
+to the package in `app` with the extra's name."""
 
 
 @contextmanager
@@ -150,13 +150,8 @@ def extras_named() -> Iterator[None]:
         raise
 
 
-def closest(name: str, choices: Iterable[str]) -> str:
-    """The closest choice, ignoring case, or an empty string."""
+def did_you_mean(name: str, choices: Iterable[str]) -> str:
+    """` (did you mean 'x'?)` for the closest choice, ignoring case; empty if no choice is close."""
     known = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(name.casefold(), known, n=1)
-    return known[close[0]] if close else ""
-
-
-def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the closest choice, or an empty string."""
-    return f" (did you mean {close!r}?)" if (close := closest(name, choices)) else ""
+    return f" (did you mean {known[close[0]]!r}?)" if close else ""

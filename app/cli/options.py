@@ -10,7 +10,7 @@ import tyro
 
 from app.cli.records import REPEATED, Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
-from app.config_file import read_config
+from app.config_file import NamedConfig, read_config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
@@ -116,11 +116,7 @@ def configured(
 
 
 def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual: Config) -> Config:
-    try:
-        config = usual if file is None else read_config(file, usual).config
-    except ConfigError as error:
-        raise ConfigError(f"--config: {error}") from None
-    return changed(config, given, paths)
+    return changed(usual if file is None else _read(file, usual).config, given, paths)
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:
@@ -129,8 +125,12 @@ def hosts_of(file: Path | None) -> tuple[str, ...]:
     Raises:
         ConfigError: The file cannot be read.
     """
+    return () if file is None else _read(file).hosts
+
+
+def _read(file: Path, usual: Config | None = None) -> NamedConfig:
     try:
-        return () if file is None else read_config(file).hosts
+        return read_config(file, usual)
     except ConfigError as error:
         raise ConfigError(f"--config: {error}") from None
 

@@ -55,7 +55,7 @@ def progress_bar(
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
     """A function that takes the share of a part of some work, and reports the share of the whole.
 
-    The part is the interval from `begin` to `end` [-] of the whole work.
+    The part is the interval from `begin` to `end` [-] of the whole work, 0 to 1.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
