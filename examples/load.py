@@ -27,6 +27,4 @@ def main() -> tuple[float, float]:
 
 if __name__ == "__main__":
     mass, speed = main()
-    print(
-        f"{mass:.2f} kg at the end-effector, which moves at {speed:.3f} m/s after the compensation"
-    )
+    print(f"load of {mass:.2f} kg; the compensated end-effector moves at {speed:.3f} m/s")

@@ -1,7 +1,6 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-The methods of `ros` stand for rclpy's create_subscription, create_publisher(…).publish and
-create_timer.
+The methods of `ros` are create_subscription, create_publisher(…).publish and create_timer of rclpy.
 Run it: python examples/ros2_shape.py
 """
 
