@@ -150,8 +150,13 @@ def extras_named() -> Iterator[None]:
         raise
 
 
-def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the closest choice, ignoring case; empty if no choice is close."""
+def closest(name: str, choices: Iterable[str]) -> str:
+    """The closest choice, ignoring case; empty if no choice is close."""
     known = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(name.casefold(), known, n=1)
-    return f" (did you mean {known[close[0]]!r}?)" if close else ""
+    return known[close[0]] if close else ""
+
+
+def did_you_mean(name: str, choices: Iterable[str]) -> str:
+    """` (did you mean 'x'?)` for the `closest` choice, or empty."""
+    return f" (did you mean {close!r}?)" if (close := closest(name, choices)) else ""

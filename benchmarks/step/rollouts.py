@@ -9,29 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.cache import BorderData, load_border_data
+from app.border.cache import BorderData
+from app.cli.common import load_robot_and_border
 from app.config import Config
 from app.jobs.pool import Workers
-from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
 
 _RUNS = ("guiding-lateral", "guiding-front")
 _ROUNDS = 3
-
-
-class Robot(NamedTuple):
-    """The data that a process loads once."""
-
-    model: RobotModel
-    data: BorderData
-
-
-def load(robot: str) -> Robot:
-    """A robot and its border, which must be in the cache."""
-    model = RobotModel(load_robot(robot))
-    return Robot(model, load_border_data(model, progress=False))
 
 
 class Rollouts(NamedTuple):
@@ -62,7 +49,7 @@ def time_rollouts(
     jobs = [(name, seconds or LINES[name].duration) for name in _RUNS]
     simulated = sum(duration for _, duration in jobs)
     # At least two, because a single worker would be this process with its many other objects.
-    with Workers(partial(load, robot), max(2, *processes)) as workers:
+    with Workers(partial(load_robot_and_border, robot), max(2, *processes)) as workers:
         list(workers.map(_run, [[("guiding-front", 0.5)]] * (4 * max(processes))))
         found = []
         for _ in range(rounds):
@@ -79,6 +66,6 @@ def _time(workers: Workers, jobs: Sequence[Sequence[tuple[str, float]]]) -> floa
     return perf_counter() - begin
 
 
-def _run(robot: Robot, jobs: Sequence[tuple[str, float]]) -> None:
+def _run(robot: tuple[RobotModel, BorderData], jobs: Sequence[tuple[str, float]]) -> None:
     for name, duration in jobs:
-        run_scenario(robot.model, robot.data, LINES[name].changed(duration=duration), Config())
+        run_scenario(*robot, LINES[name].changed(duration=duration), Config())
