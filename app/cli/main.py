@@ -11,7 +11,6 @@ import shutil
 import sys
 import textwrap
 from contextlib import suppress
-from functools import partial
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import NoReturn
@@ -124,10 +123,10 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once
+    from app.cli.options import check_once, together
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = list(words)
+    rest = together(words)
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()
@@ -142,18 +141,18 @@ def _run_command(name: str, *words: str) -> None:
 def _help_texts(doc: str) -> tuple[str, str]:
     """A docstring in which the text of each argument is one line, and its filled description.
 
-    tyro fills a joined text of an argument to the terminal's width, but not the description. It
-    joins lines that begin with a letter; therefore all paragraphs after the first are indented.
+    tyro fills the text of an argument to the terminal's width, but not the description. It also
+    joins lines that begin with a letter; therefore all lines after the first are indented.
     """
     doc = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(doc))
-    first, *others = doc.partition("\n\nArgs:")[0].split("\n\n")
-    fill = partial(
-        textwrap.fill,
-        width=shutil.get_terminal_size().columns,
-        initial_indent="  ",
-        subsequent_indent="  ",
-    )
-    return doc, "\n\n".join([first, *(each if "\n  " in each else fill(each) for each in others)])
+    text = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:")[0])
+    width, filled = shutil.get_terminal_size().columns, []
+    for k, line in enumerate(text.split("\n")):
+        item = re.match(r"  \S+ {2,}", line)  # a name and its description
+        indent = "  " if k and line and not item else ""
+        hanging = " " * (item.end() if item else 2)
+        filled.append(textwrap.fill(line, width, initial_indent=indent, subsequent_indent=hanging))
+    return doc, "\n".join(filled)
 
 
 def overview() -> str:

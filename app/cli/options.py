@@ -1,6 +1,6 @@
 """Options that several commands share, and checks whose messages name the option."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.cli.records import REPEATED, Field, Given, from_fields, from_record
+from app.cli.records import Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import NamedConfig, read_config
 from app.control import CONTROLLERS
@@ -173,7 +173,7 @@ def check_processes(processes: int | None) -> int:
 
 
 def check_once(words: list[str]) -> None:
-    """Check that no option appears twice, except `--allow-host`: only the last one would count.
+    """Check that no option appears twice, because only the last one would count.
 
     Raises:
         ConfigError: An option appears twice; the message shows the correct form.
@@ -188,12 +188,28 @@ def check_once(words: list[str]) -> None:
         else:
             values.append(word)
     for name, each in given.items():
-        if len(each) > 1 and name != f"--{REPEATED.replace('_', '-')}":
+        if len(each) > 1:
             together = " ".join([name, *(value for values in each for value in values)])
             raise ConfigError(
                 f"{name} appears {len(each)} times; write it once, with several values if it "
                 f"accepts them: {together}"
             )
+
+
+def together(words: Iterable[str]) -> list[str]:
+    """The words of a command line, with the values of each repeated `--allow-host` in one option."""
+    rest: list[str] = []
+    hosts: list[str] = []
+    into = rest
+    for word in words:
+        name, sign, value = word.partition("=")
+        if name == "--allow-host":
+            into = hosts = hosts or [name]
+            into += [value] if sign else []
+        else:
+            into = rest if word.startswith("--") else into
+            into.append(word)
+    return rest + hosts
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:

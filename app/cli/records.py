@@ -15,10 +15,8 @@ from typing_extensions import Required, TypedDict
 
 Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 
-REPEATED = "allow_host"
-"""The field whose option takes one value, and appears once for each of several values."""
 _METAVARS = {
-    REPEATED: "NAME",
+    "allow_host": "NAME",
     "base": "X Y YAW",
     "hinge_position": "X Y",
     "span": "BEGIN END",
@@ -97,8 +95,6 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
     if positional:
         kind = tyro.conf.Positional[kind]
-    if name == REPEATED:
-        kind = tyro.conf.UseAppendAction[kind]
     return Required[kind] if needed else kind
 
 
