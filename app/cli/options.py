@@ -197,7 +197,7 @@ def check_once(words: list[str]) -> None:
 
 
 def together(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with the values of each repeated `--allow-host` in one option."""
+    """The words of a command line, with the values of all `--allow-host` in one option."""
     rest: list[str] = []
     hosts: list[str] = []
     into = rest
