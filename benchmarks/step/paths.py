@@ -34,8 +34,7 @@ PATHS: tuple[LineScenario, ...] = (
     _FOLD.changed(start=(0.30, 0.45, 0.90), move=(0.0, -0.50, -0.10)),  # all pairs of the arm
     replace(_LATERAL, name="tracking-lateral", mode="tracking"),  # the same, tracked
 )
-"""Paths of the end-effector, 48 s in total, in which each pair of the paper's robot is active at
-times."""
+"""Paths of the end-effector, 48 s in total. Each pair of the paper's robot is active at times."""
 
 
 def record(model: RobotModel, data: BorderData, seed: int) -> list[Path]:
