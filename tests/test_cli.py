@@ -414,11 +414,20 @@ def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
     assert "--door-width" in dbb("run", "refrigerator", "--help").out
 
 
-@pytest.mark.parametrize("command", ["run", "run guiding-front", "sweep", "study", "new-robot"])
-def test_no_help_gives_a_default_twice_or_none_as_one(dbb, command):
+@pytest.mark.parametrize(
+    "command", [*(name for group in COMMANDS.values() for name in group), "run guiding-front"]
+)
+def test_no_help_has_a_default_twice_or_in_the_words_of_python(dbb, command):
     text = " ".join(dbb(*command.split(), "--help").out.replace("│", " ").split())
-    assert "(default: None)" not in text
+    assert not re.search(r"\(default: (None|True|False)?\)", text)
     assert not re.search(r"\(default: [^()]*\)\W*\(default", text)
+
+
+def test_descriptions_are_filled_to_the_width_of_the_terminal(dbb, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "70")
+    lines = dbb("reach", "--help").out.partition("options")[0].splitlines()
+    described = [line for line in lines if not line.startswith("usage")]
+    assert 60 < max(map(len, described)) <= 70
 
 
 @pytest.mark.parametrize(
