@@ -102,7 +102,7 @@ def run(
 
 _LIST = "\n".join(
     [
-        "Scenarios; each has own options (dbb run SCENARIO --help), and the options below:",
+        "Scenarios; each has its own options (dbb run SCENARIO --help), and the options below:",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
         f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
     ]
