@@ -27,9 +27,9 @@ from benchmarks.law.work import played
 
 Array = np.ndarray
 
-_AUDIT = 1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618
+_FIXED = 1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618
 """(7,) [rad] joint positions of the paper's robot in the fixed state."""
-_AUDIT_SPEED = 0.2  # [rad/s] speed of the moving joint in this state
+_FIXED_SPEED = 0.2  # [rad/s] speed of the moving joint in this state
 _STEP = 0.001  # [s] time between two evaluations
 _FINER = 0.5, 0.25, 0.125  # [-] refined steps, as shares of `_STEP`
 _WINDOW = 2  # [-] refined steps before and after the worst step
@@ -95,8 +95,8 @@ def continuity(
         first: Number of the first motion; with 0 the fixed state is included.
         kinds: Modes of the law: see `KINDS`.
     """
-    audits = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
-    own = range(first - audits, first + count)
+    fixed = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
+    own = range(first - fixed, first + count)
     rows = []
     for kind in kinds:
         paths = [Path(options, k, *KINDS[kind], duration, speed) for k in own]
@@ -229,7 +229,7 @@ def _motion(path: Path) -> Motion:
     if path.number < 0:
         joint = path.number + robot.model.n_m
         return one_joint_motion(
-            robot.model, np.array(_AUDIT), joint, _AUDIT_SPEED, 0.5 * path.duration
+            robot.model, np.array(_FIXED), joint, _FIXED_SPEED, 0.5 * path.duration
         )
     rng = np.random.default_rng([path.options.seed, path.number])
     return random_motion(robot.model, pose_in_buffer(robot, rng), path.speed, rng, path.duration)

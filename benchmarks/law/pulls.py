@@ -16,12 +16,12 @@ from benchmarks.law.report import Report, largest, least
 from benchmarks.law.robot import load
 from benchmarks.law.work import played
 
-_AUDIT = (0.369, 0.639, 0.30), (-0.245, -0.424, 0.0)
+_FIXED = (0.369, 0.639, 0.30), (-0.245, -0.424, 0.0)
 """[m] start and displacement of the fixed pulls."""
-_AUDIT_LEAD = 0.54  # [s] duration of the displacement
-_AUDIT_HELD = 0.36  # [s] time at its end
-_AUDIT_STIFFNESS = 2000.0  # [N/m]
-_AUDIT_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
+_FIXED_LEAD = 0.54  # [s] duration of the displacement
+_FIXED_HELD = 0.36  # [s] time at its end
+_FIXED_STIFFNESS = 2000.0  # [N/m]
+_FIXED_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
 _ABOVE = 0.2  # [-] share of the random pulls that start over the base
 _THROWN = 1.1  # [-] ratio to the person's speed above which the arm is out of control
 _CLAIMED = 80.0  # [N] largest force for which the summary has separate counts
@@ -57,11 +57,11 @@ def cases(
     found = [
         Held(
             named_pull(
-                options, f"audit, {f_max:g} N", *_AUDIT, _AUDIT_LEAD, _AUDIT_STIFFNESS, f_max
+                options, f"fixed, {f_max:g} N", *_FIXED, _FIXED_LEAD, _FIXED_STIFFNESS, f_max
             ),
-            _AUDIT_HELD,
+            _FIXED_HELD,
         )
-        for f_max in (_AUDIT_FORCES if first == 0 else ())
+        for f_max in (_FIXED_FORCES if first == 0 else ())
     ]
     for k in range(first, first + count):
         rng = np.random.default_rng([options.seed, k])
