@@ -120,7 +120,7 @@ def _run(words: list[str]) -> None:
 
 def _run_command(name: str, *words: str) -> None:
     """Import and run a command; no other command is imported."""
-    check_name("command", name, _MODULES)
+    check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
     from app.cli.options import check_once, together
@@ -147,9 +147,9 @@ def _help_texts(doc: str) -> tuple[str, str]:
     doc = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(doc))
     text = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:")[0])
     width, filled = shutil.get_terminal_size().columns, []
-    for k, line in enumerate(text.split("\n")):
+    for k, line in enumerate(filter(None, text.split("\n"))):
         item = re.match(r"  \S+ {2,}", line)  # a name and its description
-        indent = "  " if k and line and not item else ""
+        indent = "  " if k and not item else ""
         hanging = " " * (item.end() if item else 2)
         filled.append(textwrap.fill(line, width, initial_indent=indent, subsequent_indent=hanging))
     return doc, "\n".join(filled)

@@ -219,7 +219,9 @@ def replay(
     looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
-    """Make a web page that replays the run of a log in any browser, without a network.
+    """Make a web page that replays the run of a log in any browser.
+
+    The page needs no network.
 
     Args:
         log: A .csv or .parquet log of `dbb run`, or the JSON file of a case, whose run is then

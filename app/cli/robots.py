@@ -77,7 +77,7 @@ def check_robot(
     quick: Flag = False,
     json: Json = False,
 ) -> None:
-    """Check that a robot's description agrees with its URDF, its meshes and the engines.
+    """Check a robot's description against URDF, meshes and engines.
 
     The command compares pinocchio with the engines, and the bodies with the meshes. It checks
     limits, pairs, border and guiding runs, and prints warnings. The exit status is 0 only if no
