@@ -1,8 +1,8 @@
-# Two commands do all the set-up on a fresh machine: `make run` and `make test`.
+# `make run` and `make test` do the whole installation on a new machine.
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
-# Compiles what is compiled, so that nobody waits for it later.
+# Compile the kernels during the installation, so that the first run does not wait.
 KERNELS := $(BIN)/python -c 'import app.control.controller'
 
 .PHONY: run test test-without-browser pictures results pages docs site lint format browser clean
@@ -17,12 +17,12 @@ test: $(VENV)/.installed-dev browser
 test-without-browser: $(VENV)/.installed-dev
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
 
-# The pictures of README and documentation; then the figures of the paper, with their data.
+# Make the pictures of README and documentation, and the figures of the paper with their data.
 pictures: $(VENV)/.installed browser
 	tools/pictures.sh $(VENV)
 	$(BIN)/dbb reproduce --out out/pictures/paper
 
-# Measures what the documentation's tables show, or those that ARGS names, and puts it into the pages.
+# Measure the documentation's tables, or those that ARGS names, and put them into the pages.
 results: $(VENV)/.installed-dev
 	$(BIN)/python -m tools.results $(ARGS)
 	$(BIN)/python -m tools.pages
@@ -34,12 +34,12 @@ pages: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -n -W --keep-going docs out/docs
 
-# Documentation, runs to play, borders and polar maps as files for a web server, in out/site: 20 minutes.
+# Make a static web site of documentation, recorded runs, borders and polar maps in out/site: 20 minutes.
 site: $(VENV)/.installed-dev $(VENV)/.installed-docs
 	$(BIN)/python -m tools.site
 
-# pyright asks the interpreter for its search path: pinocchio extends it at run time. The oldest and
-# the newest Python, on both systems.
+# pyright needs the search path of the interpreter, because pinocchio extends it at run time. Types are
+# checked for the oldest and the newest Python, on both systems.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

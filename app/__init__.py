@@ -2,7 +2,7 @@
 
 An implementation of Jang, Kim and Park's method: a distance buffer border (DBB) around the base,
 scored by the base's singularity and the arm's reachability; a force from the border that moves the
-base out of the arm's way; and continuous task transition in a QP.
+base away from the arm; and continuous task transition in a QP.
 
 In a robot's own loop at 1 kHz, with the robot's functions `sensors` and `send`::
 
@@ -11,7 +11,7 @@ In a robot's own loop at 1 kHz, with the robot's functions `sensors` and `send`:
     loop = ControlLoop(RobotModel(load_robot("husky_panda")))
     while (readings := sensors()) is not None:  # base pose and velocity, the arm's q and q̇
         command = loop.step(Measurement(*readings))
-        send(command.u_a, command.base_velocity)  # [N m], [m/s and rad/s]
+        send(command.u_a, command.base_velocity)  # [N m or N], [m/s and rad/s]
 
 If the second argument of `step` is a `Reference`, the end-effector tracks it; otherwise a person
 guides the arm. Each name below is loaded on first use.

@@ -1,8 +1,8 @@
 """Numerical kernels, compiled to machine code once and shared by all users of the installation.
 
-In an interpreter a control step on vectors of nine entries is mostly overhead: kernels make the
-whole step two to three times as fast. A kernel is a plain function of floats and arrays; with
-`NUMBA_DISABLE_JIT=1` Python interprets the kernel, slowly.
+An interpreter would spend most of a control step on overhead, because the vectors have only about
+nine entries. A kernel is a plain function of floats and arrays; with `NUMBA_DISABLE_JIT=1` Python
+interprets the kernel, slowly.
 """
 
 import sys
@@ -23,8 +23,8 @@ from numba.core.typing.templates import Signature
 
 from app.kernel_store import KernelStore
 
-_INLINED = 400  # [bytes] longest bytecode of an inlined function: LLVM needs far longer for
-# one large function than for several small functions
+# LLVM needs far longer for one large function than for several small functions.
+_INLINED = 400  # [bytes] longest bytecode of an inlined function
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
@@ -181,7 +181,10 @@ def _any_array(signature: str) -> Signature:
 
 @lru_cache(maxsize=1)
 def _announce_once(saved: bool) -> None:
-    """Print the reason for the delay once: a kernel is being compiled because it is not stored."""
+    """Print the reason of the delay, once: kernels are being compiled because they are not stored.
+
+    `saved` states whether the kernels can be stored.
+    """
     never = "at each start; to store them, set NUMBA_CACHE_DIR to a writable folder"
     how_often = "once on this machine" if saved else never
-    print(f"dbb: compiling kernels for half a minute, {how_often}", file=sys.stderr)
+    print(f"dbb: compiling kernels for about a minute, {how_often}", file=sys.stderr)

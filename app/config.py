@@ -72,8 +72,8 @@ class ActivationConfig(Strict):
     closest_point_smoothing: Annotated[float, Shown("Closest-point blending", advanced=True)] = (
         Field(default=0.005, ge=0.001, le=0.05)
     )
-    """[m] smoothing length of the closest point, a mean over the parts of a link that are farther
-    away than its nearest part by about this length or less."""
+    """[m] smoothing length of the closest point. The closest point is a mean over the parts of a
+    link whose distances exceed the link's smallest distance by about this length or less."""
 
 
 class RepulsionConfig(Strict):
@@ -95,7 +95,8 @@ class BarrierConfig(Strict):
     max_separation_speed: Annotated[float, Shown("Separation speed", advanced=True)] = Field(
         default=0.3, ge=0.05, le=2.0
     )
-    """[m/s] upper bound of the separation speed of a pair below d_min, also in penetration."""
+    """[m/s] upper bound of the separation speed that the barrier demands of a pair below d_min,
+    also in penetration."""
 
 
 class EeHoldConfig(Strict):
@@ -127,7 +128,7 @@ class TaskConfig(Strict):
     ee_speed: Annotated[float, Shown("Correction speed limit")] = Field(
         default=0.5, ge=0.05, le=2.0
     )
-    """[m/s] and [rad/s] upper bound of the end-effector's correction speed."""
+    """[m/s] upper bound of the end-effector's correction speed; rad/s for its rotation."""
     posture_stiffness: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s²] stiffness of the arm's posture task, towards the starting posture."""
     joint_centering: Annotated[float, Shown("Joint-limit stiffness")] = Field(
@@ -144,7 +145,8 @@ class TaskConfig(Strict):
     """[-] ratio of the base's time constants to the arm's, because the base's velocity command has
     a low rate."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
-    """[-] cost of the base's acceleration relative to that of the arm's, in the posture task."""
+    """[-] cost of the base's acceleration relative to the cost of the arm's acceleration, in the
+    posture task."""
     ee_weight: Annotated[float, Shown("End-effector weight", advanced=True)] = Field(
         default=1e5, ge=1.0, le=1e7
     )
@@ -152,7 +154,8 @@ class TaskConfig(Strict):
     slack_weight: Annotated[float, Shown("Softness ε", advanced=True)] = Field(
         default=1e-3, ge=1e-4, le=0.1
     )
-    """[-] ε, softness of a fully active row of T_sca; the arm's limits have the softness ε²."""
+    """[-] ε, softness of a fully active row of T_sca. Joint limits and barriers have the softness
+    ε²; torque limits are hard."""
 
 
 class LimitConfig(Strict):
@@ -171,7 +174,7 @@ class LimitConfig(Strict):
     torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
         default=1000.0, ge=50.0, le=1e6
     )
-    """[N m/s] slew rate limit of the arm's torques; a Panda has 1000."""
+    """[N m/s] slew rate limit of the arm's torques; a Panda allows 1000 N m/s."""
 
 
 class EstimateConfig(Strict):
@@ -180,11 +183,12 @@ class EstimateConfig(Strict):
     external_drift: Annotated[float, Shown("External push noise")] = Field(
         default=3.0, ge=0.1, le=100.0
     )
-    """[rad/s²] process noise of the external joint acceleration in one second; m/s² for a slide."""
+    """[rad/s²] process noise of the external joint acceleration in one second; m/s² for a prismatic
+    joint."""
     least_noise: Annotated[float, Shown("Smallest position noise", advanced=True)] = Field(
         default=2e-8, ge=1e-9, le=0.005
     )
-    """[rad] lower bound of the estimated position noise; m for a slide."""
+    """[rad] lower bound of the estimated position noise; m for a prismatic joint."""
     velocity_noise: Annotated[float, Shown("Smallest velocity noise", advanced=True)] = Field(
         default=100.0, ge=1.0, le=1e4
     )
@@ -258,7 +262,8 @@ class DisturbanceConfig(Strict):
     """Disturbances between controller and robot; none by default."""
 
     encoder_noise: float = Field(default=0.0, ge=0.0, le=0.005)
-    """[rad] standard deviation of the noise of each joint's measured position; m for a slide."""
+    """[rad] standard deviation of the noise of each joint's measured position; m for a prismatic
+    joint."""
     base_delay: float = Field(default=0.0, ge=0.0, le=0.5)
     """[s] additional delay from a velocity command to the base's drive."""
     mass_error: float = Field(default=0.0, ge=-0.3, le=0.3)
@@ -331,7 +336,7 @@ class Config(Strict):
         return make_config(data)
 
     def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed; raises the errors of `changed`."""
+        """A copy with one parameter changed; it raises the errors of `changed`."""
         return self.changed({path: value})
 
     def changes(self, since: Config) -> dict[str, float | str]:
@@ -391,8 +396,8 @@ def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
         raise ConfigError(explain(error, Config, range_text)) from None
     if usual is None:
         return config
-    sections = _renamed(data).items()
-    given = {f"{name}.{each}": v for name, section in sections for each, v in section.items()}
+    parts = _renamed(data).items()
+    given = {f"{name}.{each}": v for name, part in parts for each, v in part.items()}
     return usual.changed(given)
 
 
@@ -427,7 +432,7 @@ def present_name(path: str) -> str:
 
 @cache
 def sections() -> tuple[Section, ...]:
-    """All parameters by section, from the records above."""
+    """All sections with their parameters, from the records above."""
     return tuple(
         Section(
             name,

@@ -23,8 +23,8 @@ class UnknownNameError(DbbError):
     """A name (robot, scenario, controller, pair, …) that does not exist."""
 
     def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
-        self.kind, self.name, self.choices = kind, name, sorted(choices)
-        """The kind of name, such as "robot"; the unknown name; the existing names."""
+        self.choices = sorted(choices)
+        """The existing names."""
         super().__init__(
             f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
             f"choose from: {', '.join(self.choices) or '(none)'}"
@@ -42,7 +42,7 @@ def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
 
 
 class DescriptionError(DbbError):
-    """A robot description is missing or has an invalid field; the message names file and field."""
+    """A robot description is missing or invalid; the message names the fault."""
 
 
 class AssetError(DbbError):
@@ -67,11 +67,11 @@ class UnreachableError(DbbError):
 
 
 class MeasurementError(DbbError):
-    """A measurement has a wrong number of entries or an impossible first value."""
+    """A measurement or reference has a wrong type or shape, or its first values are impossible."""
 
 
 class TargetError(DbbError):
-    """A position is impossible: a target below the floor, or a joint position beyond its limits."""
+    """A person's command is impossible, such as a target below the floor."""
 
 
 class OutputError(DbbError):
@@ -103,7 +103,7 @@ class BrowserError(DbbError):
 
 
 class LoopError(DbbError):
-    """The simulation or a child process has ended or failed, or too many commands wait."""
+    """The simulation or a child process has ended or failed, or its queue of commands is full."""
 
 
 EXTRAS = {
@@ -123,8 +123,8 @@ EXTRAS = {
         *("scipy", "trimesh"),
     ),
 }
-"""The extras of the package, and the modules that each of them installs. Each extra includes `sim`.
-The first three extras belong to the packages in `app` of the same names."""
+"""The modules that each extra of the package installs. Each other extra includes `sim`, and belongs
+to the package in `app` with the extra's name."""
 
 
 @contextmanager
@@ -151,12 +151,12 @@ def extras_named() -> Iterator[None]:
 
 
 def closest(name: str, choices: Iterable[str]) -> str:
-    """The closest choice, ignoring case, or an empty string."""
+    """The closest choice, ignoring case; empty if no choice is close."""
     known = {choice.casefold(): choice for choice in choices}
     close = difflib.get_close_matches(name.casefold(), known, n=1)
     return known[close[0]] if close else ""
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:
-    """` (did you mean 'x'?)` for the closest choice, or an empty string."""
+    """` (did you mean 'x'?)` for the `closest` choice, or empty."""
     return f" (did you mean {close!r}?)" if (close := closest(name, choices)) else ""

@@ -36,10 +36,10 @@ Array = np.ndarray
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
 _MAX_PARTS = 500  # [-] dots and brackets in the longest TOML line that this process reads
-LARGEST_TEXT = 10_000_000  # [bytes] size of the largest XML file or CSV log
-LARGEST_DATA = 10**6  # [characters] of the longest TOML or JSON; each value needs 400 bytes
+LARGEST_TEXT = 10_000_000  # [bytes] size of the largest text file
+LARGEST_DATA = 10**6  # [characters] longest TOML or JSON text; each value needs 400 bytes
 _MAX_PROBLEMS = 8  # [-] largest number of reported problems of a file
-_MAX_LISTED = 1000  # [-] largest number of problems that are listed, which takes 1 kB for each
+_MAX_LISTED = 1000  # [-] largest number of problems of a listing, which needs 1 kB for each
 
 
 class Strict(BaseModel):
@@ -88,8 +88,8 @@ def explain(
     Args:
         error: The error.
         model: The record that was validated.
-        valid_text: Returns a text about the valid values, from the place and kind of a problem;
-            None selects pydantic's own text.
+        valid_text: Returns a text about the valid values, from the place and kind of a problem, or
+            None for pydantic's own text.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(texts):
@@ -145,7 +145,7 @@ def _cut(text: str) -> str:
 
 
 def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """The types of records that are possible at a place in a record."""
+    """The record types that are possible at a place of a record."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc:
         annotations = [
@@ -235,7 +235,7 @@ def _loaded(loads: Callable[[str], Any], text: str) -> Any:
 
 
 def _at(error: ValueError, text: str) -> str:
-    """The line that a reader of TOML or JSON names in its message, or empty."""
+    """The content of the line that a reader of TOML or JSON names in its message, or empty."""
     found = re.search(r"line (\d+),? column", str(error))
     lines = text.split("\n")
     if found is None or int(found[1]) > len(lines):
@@ -274,7 +274,7 @@ def text_of(content: bytes) -> str:
 
     Raises:
         ValueError: The file has a different encoding, and the message names the line; or the
-            content is a placeholder for the file.
+            content is a placeholder for the file. An empty content is valid.
     """
     if content.strip() and (name := placeholder(content)):
         raise ValueError(f"in the place of the file is {name}")
@@ -297,7 +297,7 @@ _SLIPS = {
 
 
 def _slip(text: str) -> str:
-    """A text about the first error of `_SLIPS` in an invalid text, with its line; or empty."""
+    """A text about the first match of `_SLIPS` in an invalid text, with its line; or empty."""
     for number, line in enumerate(text.splitlines(), 1):
         for pattern, why in _SLIPS.items():
             if found := re.search(pattern, line.partition("#")[0] or line):

@@ -1,7 +1,8 @@
 """Differences between operating systems, with a fallback for each missing feature.
 
-Linux has all features. macOS has no real-time policy for a user's process, no set of allowed cores
-and no `malloc_trim`; the program works without them. A missing feature raises no error here.
+Linux has all features. macOS, for example, has no real-time policy for a user's process, no set of
+allowed cores and no `malloc_trim`. A missing feature raises no error, and the program works without
+it.
 """
 
 import ctypes
@@ -191,7 +192,7 @@ def begun_folder(place: Path, name: str = "") -> Iterator[Path]:
         name: Name of the result; default: a random name.
 
     Raises:
-        OutputError: Another process uses the name.
+        OutputError: Another process still uses the name after a second.
         OSError: The folder cannot be made.
     """
     _remove_abandoned_once(place)
@@ -261,8 +262,8 @@ def own_path(path: Path) -> Path:
     """Resolve the links of a path.
 
     Raises:
-        OutputError: The path has a link of another user in a shared folder, its links form a
-            circle, or it is relative to a removed folder.
+        OutputError: The path has a link of another user in a shared folder, or more than 40 links,
+            which possibly form a circle; or it is relative to a removed folder.
     """
     try:
         found, parts, links = Path("/"), list(path.absolute().parts[1:]), 0
@@ -368,7 +369,7 @@ def give_freed_memory_back() -> None:
 
 
 def home_folder(find: Callable[..., Path]) -> Path | None:
-    """The folder of this program that a function of `platformdirs` finds; None without a home."""
+    """This program's folder from a function of `platformdirs`; None if the user has no home."""
     with suppress(RuntimeError):  # raised by recent versions without a home
         found = find("dbb", appauthor=False)
         return found if found.is_absolute() else None  # older versions return "~/…"
@@ -392,7 +393,7 @@ def cache_folders(*, make: bool = True) -> Iterator[Path]:
 
 
 def is_writable(folder: Path) -> bool:
-    """Whether files can be written into a folder, or into a folder that does not exist yet."""
+    """Whether files can be written into a folder; for a missing one, whether it can be made."""
     there = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     return os.access(there, os.W_OK | os.X_OK)
 

@@ -2,14 +2,13 @@
 
 A seeded random generator clicks, drags, scrolls and types in two pages of one `dbb serve`, and
 changes the robot from time to time. At each check the simulation is paused, and in both pages the
-drawn end-effector has to be at the gizmo. The results are the errors of the pages, the exceptions
-of the server, the largest distance between end-effector and gizmo, and the server's memory for each
-robot.
+drawn end-effector must be at the gizmo. The results are the errors of the pages, the exceptions of
+the server, the largest distance between end-effector and gizmo, and the server's memory for each
+robot. The status is 1 after an error, an exception or too large a distance.
 """
 
 from __future__ import annotations
 
-import json as json_module
 import random
 import re
 import subprocess
@@ -25,6 +24,8 @@ import pinocchio as pin
 import psutil
 import tyro
 
+from app.cli.common import print_result
+from app.cli.options import Json
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.export.browser import chromium
 from app.dashboard.scene.robot import LinkPoses
@@ -72,8 +73,7 @@ class Actions:
     """[-] number of pauses in which the end-effector and the gizmo are compared."""
     seed: int = 0
     """Seed of the actions."""
-    json: bool = False
-    """Print one JSON object on standard output, without other text."""
+    json: Json = False
 
 
 @dataclass
@@ -160,9 +160,7 @@ class _Run:
         self._last.append(f"{self._tabs.index(tab)} {act.__name__}")
         try:
             act(tab)
-        except (
-            Exception
-        ) as error:  # it is no fault of the page if the control has disappeared in the meantime
+        except Exception as error:  # the control has possibly disappeared in the meantime
             if len(self._failed) < 20:
                 self._failed.append(f"{act.__name__}: {str(error).splitlines()[0]}")
 
@@ -212,13 +210,13 @@ class _Run:
         mouse.up()
 
     def _scroll(self, tab: DashboardTab) -> None:
-        size = tab.page.viewport_size
-        x, y = self._random.uniform(0, size["width"]), self._random.uniform(0, size["height"])
+        width, height = _SIZES[self._tabs.index(tab)]
+        x, y = self._random.uniform(0, width), self._random.uniform(0, height)
         tab.page.mouse.move(x, y)
         tab.page.mouse.wheel(0, self._random.choice((-300, -60, 60, 300)))
 
     def _change(self, robot: str) -> None:
-        """Choose another robot in the first page, and wait until both have it."""
+        """Choose another robot in the first page, and wait until both pages show it."""
         first = self._tabs[0]
         self._calm(first)
         first.open_tab("Robot")
@@ -230,7 +228,7 @@ class _Run:
             each.wait_for_scene()
 
     def _use(self, name: str) -> None:
-        """Position of a robot's end-effector in the frame of the arm's last joint."""
+        """Store the position of a robot's end-effector in the frame of the arm's last joint."""
         robot = RobotModel(load_robot(name))
         arm, poses = robot.description.arm, LinkPoses(robot)
         q_m = np.array(arm.ready_position)
@@ -300,11 +298,7 @@ def main(args: Actions) -> None:
     finally:
         server.process.terminate()
         server.process.wait(60.0)
-    if args.json:
-        print(json_module.dumps(result, indent=2))
-    else:
-        for key, value in result.items():
-            print(f"{key:40} {value}")
+    print_result(result, json=args.json)
     if result["page_errors"] or result["server_exceptions"] or result["apart_after"]:
         sys.exit(1)
 

@@ -16,13 +16,13 @@ from app.dashboard.drag import GIZMO, SCALE
 from tests.browser import DashboardTab, chromium
 from tests.raw_client import RawClient
 
-AXIS = 0  # the gizmo's arrow along x, which at the start is the base's way back
-NEAR, FAR = 0.55, 0.90  # [m] from the base's centre; its front is at 0.5 m
-SWEEP = 4.0  # [s] there and back
-SWEEPS = 3  # before the robot is put back to its start
-FIRST = 2.0  # [s] within which a viewer has the whole scene
-MOVE = 0.05  # [s] between two moves of the mouse
-SILENCE = 0.2  # [s] longer silences of the server are reported
+AXIS = 0  # number of the gizmo's arrow along x
+NEAR, FAR = 0.55, 0.90  # [m] x of the end-effector from the base's centre; its front is at 0.5 m
+SWEEP = 4.0  # [s] duration of a sweep from FAR to NEAR and back
+SWEEPS = 3  # [-] number of sweeps between two restarts
+FIRST = 2.0  # [s] time in which a viewer receives the whole scene
+MOVE = 0.05  # [s] time between two moves of the mouse
+SILENCE = 0.2  # [s] length above which a silence of the server is reported
 
 
 def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
@@ -51,11 +51,11 @@ def _sweep(tab: DashboardTab, end: float) -> int:
     """Drag the end-effector `SWEEPS` times, release it and press Restart; count the drags."""
     try:
         arrow, hand = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
-    except LookupError:  # on a busy machine the robot is not yet back in the picture
+    except LookupError:  # on a busy machine the robot is not visible yet
         _restart(tab)
         return 0
     tab.page.mouse.move(*tab.pixels(GIZMO, arrow[None])[0])
-    tab.render(1)  # the gizmo has to see the pointer above it first
+    tab.render(1)  # the gizmo reacts only after it has registered the pointer
     tab.page.mouse.down()
     begin, sweeps = time.monotonic(), 0.0
     while sweeps < SWEEPS and time.monotonic() < end:
@@ -72,18 +72,19 @@ def _sweep(tab: DashboardTab, end: float) -> int:
 
 def _restart(tab: DashboardTab) -> None:
     tab.page.get_by_role("button", name="Restart").click()
-    tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the end-effector
+    tab.page.wait_for_timeout(300)  # [ms] until the gizmo is at the end-effector again
 
 
 def listen(address: str, seconds: float) -> dict[str, Any]:
-    """Take in all messages as a browser does, and draw nothing.
+    """Receive all messages as a browser does, and draw nothing.
 
-    Each silence of the server is the instant of `time.monotonic` at its start, and its length.
+    `silences_s` of the result has the start, by `time.monotonic`, and the length of each silence
+    of the server that is longer than `SILENCE`.
     """
     with RawClient(address) as client:
         print("ready", flush=True)
         time.sleep(FIRST)
-        first = known = client.received  # with meshes and borders
+        first = known = client.received  # includes meshes and borders
         begin = since = time.monotonic()
         silences: list[tuple[float, float]] = []
         while time.monotonic() - begin < seconds - FIRST:

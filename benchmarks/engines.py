@@ -6,54 +6,48 @@ of a study with each engine. `make results ARGS=engines` measures the scenarios.
 
 from __future__ import annotations
 
-import json as json_module
 import os
 import subprocess
 import sys
 import tempfile
 from statistics import median
 from time import thread_time
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import tyro
 
-from app.cli.common import load_robot_and_border
+from app.cli.common import load_robot_and_border, print_result
+from app.cli.options import Json
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants import make_physics
 
 PLANTS = ("planar", "mujoco", "mujoco-contact")
-_STEPS = 200  # steps of each plant in a round
+_STEPS = 200  # [-] steps of each plant in a round
 
 
 def main(
     rounds: int = 60,
     study: int = 0,
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    json: Json = False,
 ) -> None:
     """Compare the speed of the engines.
 
     Args:
         rounds: Number of rounds; each round measures all plants.
         study: Number of cases of a study with each engine; 0 means no study.
-        json: Print one JSON object.
+        json: Print only one JSON object.
     """
     times = time_plants(load_robot_and_border("husky_panda")[0], rounds)
     result: dict[str, Any] = {"times_us": times}
     if study:
         result["study"] = time_study(study)
-    if json:
-        print(json_module.dumps(result))
-        return
-    for name, of in times.items():
-        print(f"{name:15} {of['median']:7.1f} µs, smallest {of['least']:.1f} µs")
-    if study:
-        print(", ".join(f"{name} {value}" for name, value in result["study"].items()))
+    print_result(result, json=json)
 
 
 def time_plants(model: RobotModel, rounds: int) -> dict[str, dict[str, float]]:
-    """[µs] processor time of a step and a reading of each plant: median and smallest of the rounds.
+    """[µs] processor time of a step and a reading of each plant: median and minimum of the rounds.
 
     The torques compensate the arm's gravity, and the base drives along a gentle curve.
     """
@@ -78,30 +72,15 @@ def time_plants(model: RobotModel, rounds: int) -> dict[str, dict[str, float]]:
 
 
 def time_study(cases: int, rounds: int = 3) -> dict[str, Any]:
-    """[s] processor time of `dbb study` with each engine, alternately, with one process."""
+    """[s] processor time of `dbb study` with each engine: minimum of alternating rounds."""
     taken: dict[str, list[float]] = {"planar": [], "mujoco": []}
     for seed in range(rounds):
         for name, times in taken.items():
             with tempfile.TemporaryDirectory() as folder:
                 begin = os.times()
+                words = f"--cases {cases} --physics {name} --processes 1 --seed {seed} --json"
                 subprocess.run(
-                    [
-                        sys.executable,
-                        "-m",
-                        "app",
-                        "study",
-                        "--cases",
-                        str(cases),
-                        "--physics",
-                        name,
-                        "--processes",
-                        "1",
-                        "--seed",
-                        str(seed),
-                        "--out",
-                        folder,
-                        "--json",
-                    ],
+                    [sys.executable, "-m", "app", "study", "--out", folder, *words.split()],
                     check=True,
                     capture_output=True,
                     env={**os.environ, "OMP_NUM_THREADS": "1"},

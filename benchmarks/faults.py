@@ -21,13 +21,14 @@ import time
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
 import tyro
 
 from app.cli.common import print_json
+from app.cli.options import Json
 from app.jobs.progress import progress_bar
 from app.robot.assets import ASSETS
 from app.system import _BEGUN, ENDING
@@ -50,10 +51,10 @@ _FAULTS = {
 }
 """The first signal of each fault.
 
-A stopped process continues a second later, and then has to end. A held process continues only if it
-is the command, which was terminated in the meantime. "ctrl-c", "hang up" and "impatient" (Ctrl-C
-three times) send the signal to the whole group, as a terminal does. With "full" and "read-only" the
-command cannot write, and a worker is killed in addition."""
+"stop" suspends a process for a second; then the command is terminated. "hold" suspends a process
+and terminates the command; only the command itself is resumed. "ctrl-c", "hang up" and "impatient"
+(Ctrl-C three times) send the signal to the whole group, as a terminal does. With "full" and
+"read-only" the command cannot write, and a worker is killed in addition."""
 _FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
 _OF_DISK = ("full", "read-only")
 _COMMAND = "the command"
@@ -103,7 +104,7 @@ def main(
     seconds: float = float("inf"),
     seed: int = 0,
     only: tuple[str, ...] = (),
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    json: Json = False,
 ) -> None:
     """Cause faults in commands; the status is 1 if something remains or is lost.
 
@@ -117,7 +118,7 @@ def main(
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
-    # A process in the background ignores two of them, and its child processes would too.
+    # A background process ignores two of these signals, and its child processes would, too.
     for number in ENDING:
         signal.signal(number, signal.default_int_handler)
     names, end = only or tuple(_COMMANDS), time.monotonic() + seconds
@@ -161,7 +162,7 @@ library.pthread_mutex_lock(lock)
 with ending_signals_raised():
     library.pthread_mutex_lock(lock)
 """
-"""The command that hangs; after a signal only its guard can end it."""
+"""The program of the command "hang"; after a signal only its guard can end it."""
 _COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
 
 
@@ -175,9 +176,8 @@ def _try(
     words = tuple(word.format(port=port) for word in words)
     delay = float(rng.uniform(0.3, span))
     fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
-    in_child = (
-        in_child and fault not in _FROM_TERMINAL and name != "hang"
-    )  # its only child process is the guard
+    # The only child process of "hang" is the guard.
+    in_child = in_child and fault not in _FROM_TERMINAL and name != "hang"
     command = _started(words, folder, _ROOM if fault == "full" else None)
     time.sleep(delay)
     in_child = in_child or (fault in _OF_DISK and name != "hang")
@@ -192,12 +192,11 @@ def _try(
     if (folder / "out").is_dir():
         (folder / "out").chmod(0o700)
     usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
-    killed = name == "hang" or (
-        fault in _OF_DISK and struck == _COMMAND
-    )  # its guard kills it, or the next line
+    # The guard kills a command that hangs; a fault of the disk kills a command without workers.
+    killed = name == "hang" or (fault in _OF_DISK and struck == _COMMAND)
     usual |= {-signal.SIGKILL} if killed else set()
     usual |= {2} if fault in _OF_DISK else set()  # it cannot write
-    told = fault not in ("kill", "stop") and command.returncode not in usual
+    wrong = fault not in ("kill", "stop") and command.returncode not in usual
     lost: list[str] = []
     if name == "study":
         lost = [each for each, content in _studied(folder).items() if whole[each] != content]
@@ -211,7 +210,7 @@ def _try(
         "half": left.half,
         "begun": [] if fault == "kill" else left.begun,
         "lost": lost,
-        "status": [command.returncode] if told and (not in_child or fault in _OF_DISK) else [],
+        "status": [command.returncode] if wrong and (not in_child or fault in _OF_DISK) else [],
     }
 
 
@@ -238,13 +237,13 @@ def _started(
 def _strike(
     command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
 ) -> str:
-    """Send the signal to the command or to one of its processes; return which."""
+    """Send the signal to the command or one of its processes; return the command line."""
     with suppress(psutil.NoSuchProcess, ProcessLookupError):
         struck = psutil.Process(command.pid)
         children = struck.children(recursive=True)
         if in_child and children:
             struck = children[int(rng.integers(len(children)))]
-        told = _COMMAND if struck.pid == command.pid else _told(struck)
+        name = _COMMAND if struck.pid == command.pid else _command_line(struck)
         if fault in _FROM_TERMINAL:
             for pause in (0.0, 0.1, 0.4)[: 3 if fault == "impatient" else 1]:
                 time.sleep(pause)
@@ -257,8 +256,8 @@ def _strike(
             time.sleep(_STOPPED)
             if fault == "stop" or struck.pid == command.pid:
                 struck.resume()
-        return told
-    return "nobody"
+        return name
+    return "no process"
 
 
 def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Left:
@@ -266,7 +265,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
     end = time.monotonic() + _PATIENCE
     while (alive := _alive(folder)) and time.monotonic() < end:
         time.sleep(0.1)
-    orphans = [_told(each) for each in alive]
+    orphans = [_command_line(each) for each in alive]
     listening = _answers(port)
     for each in alive:
         with suppress(psutil.NoSuchProcess):
@@ -286,7 +285,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
 
 
 def _alive(folder: Path) -> list[psutil.Process]:
-    """Running processes that belong to the tries in a folder."""
+    """The running processes of the tries in a folder."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):
@@ -296,7 +295,7 @@ def _alive(folder: Path) -> list[psutil.Process]:
     return found
 
 
-def _told(process: psutil.Process) -> str:
+def _command_line(process: psutil.Process) -> str:
     with suppress(psutil.Error):
         return " ".join(process.cmdline())[-120:]
     return "one that has ended"

@@ -1,6 +1,6 @@
-"""Duration of `make run` in a fresh clone until the page answers: `python -m
-benchmarks.fresh_clone`.
+"""Duration of `make run` in a fresh clone: `python -m benchmarks.fresh_clone`.
 
+The measurement ends when the page answers.
 The committed state is cloned into a folder with a space in its path, and installed with packages
 from the user's caches. The kernels are compiled again. `download_mb` is the size of all wheels,
 which a machine with empty caches downloads first.
@@ -29,7 +29,7 @@ STAGES = {"venv.sh": "install_s", "import app": "compile_s", "dbb serve": "serve
 def main() -> None:
     """Measure and print one JSON object."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--python", default="", help="as make's PYTHON")
+    parser.add_argument("--python", default="", help="interpreter, as in `make PYTHON=…`")
     options = parser.parse_args()
     found: dict[str, Any] = {
         "cores": os.cpu_count(),
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def start(clone: Path, python: str) -> dict[str, float]:
-    """Clone, run and request the page; return the seconds of each stage and in total.
+    """Clone, run and request the page; return the duration [s] of each stage and in total.
 
     Raises:
         RuntimeError: make ended without an address.
@@ -80,7 +80,7 @@ def start(clone: Path, python: str) -> dict[str, float]:
 
 
 def wheels(clone: Path) -> int:
-    """[bytes] size of the wheels that the environment of a clone consists of."""
+    """[bytes] size of all wheels of the environment of a clone."""
     download = "-m pip download --quiet --no-deps -r requirements/all.txt --dest wheels"
     subprocess.run([".venv/bin/python", *download.split()], cwd=clone, check=True)
     return sum(file.stat().st_size for file in (clone / "wheels").iterdir())

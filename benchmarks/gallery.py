@@ -18,12 +18,13 @@ from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 
 from app.cli.common import say
-from app.errors import UnknownNameError
+from app.cli.options import Flag, Json
+from app.errors import UnknownNameError, check_name
 from app.onboarding.request import option
 
 _PROJECT = Path(__file__).resolve().parent.parent
@@ -35,7 +36,7 @@ _STRETCH = "package://stretch_urdf"
 
 
 def _package(name: str, folder: str) -> tuple[str, ...]:
-    """The option `--package` for a ROS package that rtb-data contains under another name."""
+    """The option `--package` for a ROS package whose folder in rtb-data has another name."""
     found = find_spec("rtbdata")
     if found is None or found.origin is None:
         return ()
@@ -152,26 +153,26 @@ ROBOTS: dict[str, dict[str, Any]] = {
 
 def main(
     robots: str = "all",
-    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    quick: Flag = False,
+    json: Json = False,
 ) -> None:
     """Create and check robots.
 
     Args:
         robots: Names of the robots, separated by commas, or all.
-        quick: Sample a coarser border, as for the documentation's table: existing rows of this
-            commit are used again, and missing rows are added.
-        json: Measure all robots now, and print the rows as one JSON object.
+        quick: Sample a coarse border, as for the documentation's table. Without --json, stored rows
+            of this commit are used again, and missing rows are measured and stored.
+        json: Print only one JSON object.
     """
     names = list(ROBOTS) if robots == "all" else robots.split(",")
-    for name in names:
-        if name not in ROBOTS:
-            raise SystemExit(str(UnknownNameError("robot of the gallery", name, ROBOTS)))
+    try:
+        for name in names:
+            check_name("robot of the gallery", name, ROBOTS)
+    except UnknownNameError as error:
+        sys.exit(str(error))
     if quick and not json:
-        from tools.results import (
-            figures,
-            measure,
-        )  # imported here: only this case uses the stored tables
+        # Imported here: only this case uses the stored tables.
+        from tools.results import figures, measure
 
         if not measure("gallery", again=False, only=names):
             sys.exit(1)

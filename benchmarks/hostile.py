@@ -1,8 +1,9 @@
 """Hostile clients beside an honest viewer: `python -m benchmarks.hostile --seconds 600 [--json]`.
 
-A server runs as `dbb serve` starts it. One viewer takes in all pictures in a process of its own,
-first alone, then while the attacks take turns on all other places. The results are the viewer's
-longest wait for a picture in each attack, and the server's memory before and after the attacks.
+The server is a process of `dbb serve`. One viewer receives all pictures in a separate process,
+first alone, then while the attacks take turns on all other connections. The results are the
+viewer's longest wait for a picture in each attack, and the server's memory before and after the
+attacks.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import psutil
@@ -31,30 +32,29 @@ import zstandard
 from viser import _messages
 from websockets.sync.client import ClientConnection, connect
 
-from app.cli.common import print_json
+from app.cli.common import print_result
+from app.cli.options import Json
 from app.jobs.progress import progress_bar
 
-_LONGEST_WAIT = 1.0  # [s] of the honest viewer for a picture
-_LARGEST_GROWTH = 1.15  # [-] of the server's memory
-_ALONE = 20.0  # [s] of the viewer before the attacks
-_TURN = 10.0  # [s] of an attack
-_SETTLED = 30.0  # [s] after the attacks, until memory is measured
-_PLACES = 31  # [-] connections beside the viewer
-_PAGE = 10.0  # [s] for the widgets of a page
-_HALF = 300  # [-] requests that are begun at once
-_PATIENCE = 600.0  # [s] for the server to start, or a page to be sent
+_LONGEST_WAIT = 1.0  # [s] largest accepted wait of the honest viewer for a picture
+_LARGEST_GROWTH = 1.15  # [-] largest accepted ratio of the server's memory after and before
+_ALONE = 20.0  # [s] time of the viewer alone, before the attacks
+_TURN = 10.0  # [s] duration of an attack
+_SETTLED = 30.0  # [s] time between the attacks and the measurement of memory
+_PLACES = 31  # [-] number of connections beside the viewer
+_PAGE = 10.0  # [s] timeout for the widgets of a page
+_HALF = 300  # [-] number of simultaneous incomplete requests
+_PATIENCE = 600.0  # [s] timeout for the start and the end of the server
 _MIB = 2**20  # [bytes]
 _BINARY, _PING = 2, 9  # [-] kinds of a websocket's frame
 
 
-def main(
-    seconds: float = 600.0, json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-) -> None:
-    """Attack a server; status 1 if the viewer waits too long or memory stays taken.
+def main(seconds: float = 600.0, json: Json = False) -> None:
+    """Attack a server; the status is 1 if the viewer waits too long or the memory grows too much.
 
     Args:
-        seconds: [s] of the attacks.
-        json: Print one JSON object.
+        seconds: [s] duration of all attacks.
+        json: Print only one JSON object.
     """
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         port = _free_port()
@@ -87,11 +87,7 @@ def main(
             "load": os.getloadavg()[1],
             "serves": server.poll() is None,
         }
-    if json:
-        print_json(result)
-    else:
-        for key, value in result.items():
-            print(f"{key:22} {value:.4g}" if isinstance(value, float) else f"{key:22} {value}")
+    print_result(result, json=json)
     if findings := _findings(result):
         sys.exit("\n".join(findings))
 
@@ -108,7 +104,7 @@ def _findings(result: dict[str, Any]) -> list[str]:
 
 
 def _served(port: int, folder: Path) -> subprocess.Popen[bytes]:
-    """A server in a folder of its own, as a user starts it."""
+    """Start `dbb serve` in a folder, as a user does."""
     words = ("-m", "app", "serve", "--physics", "kinematic", "--port", str(port))
     root = str(Path(__file__).resolve().parent.parent)
     environment = {**os.environ, "PYTHONPATH": root, "DBB_ROBOTS": str(folder / "robots")}
@@ -134,7 +130,7 @@ def _end(server: subprocess.Popen[bytes]) -> None:
 
 
 def _watched(port: int, seconds: float) -> subprocess.Popen[bytes]:
-    """The honest viewer, from when it is connected."""
+    """Start the honest viewer, and wait until it is connected."""
     words = ("-m", "benchmarks.client", "websocket", f"http://127.0.0.1:{port}", str(seconds))
     viewer = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE)
     if viewer.stdout is None or viewer.stdout.readline() != b"ready\n":
@@ -143,14 +139,14 @@ def _watched(port: int, seconds: float) -> subprocess.Popen[bytes]:
 
 
 def _silences(viewer: subprocess.Popen[bytes]) -> list[tuple[float, float]]:
-    """The silences that a viewer has reported at its end: start and length [s]."""
+    """Wait for the end of a viewer; return start and length [s] of each silence that it reports."""
     return json_module.loads(viewer.communicate()[0].splitlines()[-1])["silences_s"]
 
 
 def _longest(
     silences: list[tuple[float, float]], within: Sequence[Sequence[float]] = ((0.0, math.inf),)
 ) -> float:
-    """[s] the longest of the silences that touch one of some intervals; 0 without any."""
+    """[s] the longest of the silences that overlap one of some intervals; 0 if none does."""
     touching = [
         length
         for begin, length in silences
@@ -165,8 +161,8 @@ def _attack(
     """Let the attacks take turns.
 
     Returns:
-        How much each has sent, [s] of a core that the server spent meanwhile, the largest memory
-        [MiB], and the turns of the attacks: name, start and end [s].
+        The number of items that each attack has sent, the server's processor time [s] during each
+        attack, the largest memory [MiB], and name, start and end [s] of each turn.
     """
     done, spent, peak = dict.fromkeys(_ATTACKS, 0), dict.fromkeys(_ATTACKS, 0.0), 0.0
     turns: list[tuple[str, float, float]] = []
@@ -188,14 +184,14 @@ def _attack(
 
 
 def _cpu(server: subprocess.Popen[bytes]) -> float:
-    """[s] of a core that the server itself has spent; 0 once it has ended."""
+    """[s] processor time of the server without its children; 0 if it has ended."""
     with suppress(psutil.NoSuchProcess):
         return sum(psutil.Process(server.pid).cpu_times()[:2])
     return 0.0
 
 
 class _Client:
-    """A program in the place of a page, which knows the widgets that it got."""
+    """A client that acts as a page, and stores the widgets that it receives."""
 
     def __init__(self, port: int) -> None:
         self._connection: ClientConnection = connect(
@@ -207,7 +203,7 @@ class _Client:
         self.widgets: dict[str, dict[str, Any]] = {}
 
     def close(self) -> None:
-        """Leave without a word."""
+        """Close the connection without a closing message."""
         self._connection.socket.close()
 
     def send(self, message: Any) -> None:
@@ -215,7 +211,7 @@ class _Client:
         self._connection.send(msgspec.msgpack.encode(message.as_serializable_dict()))
 
     def find_widgets(self) -> None:
-        """Say where the camera is, and take in the page that the server makes then."""
+        """Send the camera's pose, and receive the widgets of the page that the server makes."""
         eye, to, up = (2.0, 2.0, 1.5), (0.0, 0.0, 0.4), (0.0, 0.0, 1.0)
         turn, size = (1.0, 0.0, 0.0, 0.0), (900, 1600)
         self.send(_messages.ViewerCameraMessage(turn, eye, 0.75, 0.01, 100.0, *size, to, up))
@@ -234,12 +230,12 @@ class _Client:
                 self.widgets[message["uuid"]] = message
 
     def named(self, kind: str) -> list[str]:
-        """The names of the widgets of a kind."""
+        """The identifiers of the widgets of a kind."""
         return [uuid for uuid, each in self.widgets.items() if each["type"] == kind]
 
 
 def _frame(kind: int, data: bytes = b"", *, last: bool = True) -> bytes:
-    """A frame of a websocket as a client sends it, masked by zeros."""
+    """A websocket frame of a client, with a mask of zeros."""
     size = len(data)
     head = bytes([(0x80 if last else 0) | kind])
     if size < 126:
@@ -252,7 +248,7 @@ def _frame(kind: int, data: bytes = b"", *, last: bool = True) -> bytes:
 
 
 def _raw(port: int) -> socket.socket:
-    """A connection that has become a websocket, for frames of any content."""
+    """Open a websocket for frames of any content."""
     made = socket.create_connection(("127.0.0.1", port), timeout=5.0)
     made.sendall(
         f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -264,7 +260,7 @@ def _raw(port: int) -> socket.socket:
 
 
 def _parts(port: int, end: float) -> int:
-    """Messages in large parts without an end, on all places at once."""
+    """Send messages of large fragments without a last one, on all connections at once."""
     part, sent = _frame(0, b"z" * _MIB, last=False), 0
     with ExitStack() as stack:
         for _ in range(_PLACES):
@@ -279,7 +275,7 @@ def _parts(port: int, end: float) -> int:
 
 
 def _trickle(port: int, end: float) -> int:
-    """Empty parts without an end."""
+    """Send empty fragments without a last one."""
     sent, many = 0, _frame(0, last=False) * 1000
     with _raw(port) as each:
         each.sendall(_frame(_BINARY, b"x", last=False))
@@ -290,7 +286,7 @@ def _trickle(port: int, end: float) -> int:
 
 
 def _pings(port: int, end: float) -> int:
-    """Pings whose answers nobody reads."""
+    """Send pings, and do not read the answers."""
     sent, many = 0, _frame(_PING, b"p" * 125) * 400
     with _raw(port) as each:
         each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -301,7 +297,7 @@ def _pings(port: int, end: float) -> int:
 
 
 def _half_requests(port: int, end: float) -> int:
-    """Requests without an end."""
+    """Send incomplete HTTP requests."""
     with ExitStack() as stack:
         for _ in range(_HALF):
             each = stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5.0))
@@ -311,14 +307,14 @@ def _half_requests(port: int, end: float) -> int:
 
 
 def _come_and_go(port: int, end: float) -> int:
-    """Pages that are opened and left at once."""
+    """Open a page and leave it at once."""
     with closing(_Client(port)) as client:
         client.find_widgets()
     return 1
 
 
 def _words(port: int, end: float) -> int:
-    """Malformed words of the page's script, and values that no widget holds."""
+    """Send malformed messages of the page's script, and invalid values of widgets."""
     sent = 0
     with closing(_Client(port)) as client:
         client.find_widgets()
@@ -332,7 +328,7 @@ def _words(port: int, end: float) -> int:
 
 
 def _bombs(port: int, end: float) -> int:
-    """Files whose reading takes far more than their size, at each place for uploads."""
+    """Upload files that need far more time or memory than their size suggests."""
     sent = 0
     bombs = (
         f"a{'.b' * 30_000} = 1".encode(),
@@ -355,7 +351,7 @@ def _bombs(port: int, end: float) -> int:
 
 
 def _unfinished(port: int, end: float) -> int:
-    """Uploads that never come to their end, on many places."""
+    """Begin uploads, and do not complete them, on four connections."""
     sent, clients = 0, ExitStack()
     with clients:
         for _ in range(4):
@@ -380,11 +376,12 @@ _ATTACKS: dict[str, Callable[[int, float], int]] = {
     "files that expand": _bombs,
     "unfinished uploads": _unfinished,
 }
-"""Each attack until an instant of `time.monotonic`; it returns how much it has sent."""
+"""The attacks. Each takes a port and its end by `time.monotonic`, and returns the number of sent
+items."""
 
 
 def _memory(server: subprocess.Popen[bytes]) -> float:
-    """[MiB] of the server and the processes that it has started."""
+    """[MiB] memory of the server and of the processes that it has started."""
     total = 0.0
     with suppress(psutil.NoSuchProcess):
         here = psutil.Process(server.pid)

@@ -1,13 +1,13 @@
 """Drawing speed of the page without a GPU: `python -m benchmarks.page`.
 
-A headless browser, which draws in software, shows the page of `dbb serve`; the page may detect
-this. The results are the number of pictures, the delay of a drag, the number of sent bytes, and the
-time for which the tab "Plots" blocks the page. On a loaded machine, compare alternating runs.
+A headless browser, which draws in software, shows the page of `dbb serve`; the page can detect
+this. The results are the rate of pictures, the delay of a drag, the rate of sent bytes, and the
+longest time for which the page is blocked, also with the tab "Plots". On a loaded machine, compare
+alternating runs.
 """
 
 from __future__ import annotations
 
-import json as json_module
 import os
 import time
 from collections.abc import Callable
@@ -21,7 +21,8 @@ import psutil
 import tyro
 from websockets.asyncio.server import ServerConnection
 
-from app.cli.common import load_robot_and_border
+from app.cli.common import load_robot_and_border, print_result
+from app.cli.options import Json
 from app.config import Config
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.export import browser as browsers
@@ -33,12 +34,12 @@ from app.simulation.scenarios.start import find_start
 from app.simulation.session import Session
 from tests.browser import DashboardTab, chromium
 
-AXIS = 2  # the gizmo's arrow upwards, which no panel covers
-STEP = 0.10  # [m] of a jump of the mouse
-REST = 1.5  # [s] after it
-JUMPS = 8
-SIZE, LARGE = (1280, 720), (1600, 900)  # [px]
-SETTLED = 6.0  # [s] after which a page has all it needs
+AXIS = 2  # number of the gizmo's arrow upwards, which no panel covers
+STEP = 0.10  # [m] height of a jump of the mouse
+REST = 1.5  # [s] pause after each jump
+JUMPS = 8  # [-] number of jumps
+SIZE, LARGE = (1280, 720), (1600, 900)  # [px] sizes of the two pages
+SETTLED = 6.0  # [s] time in which a page has loaded everything
 _HELPERS = """
 (() => {
   const watch = { hand: [], gizmo: [], stall: 0 };
@@ -89,10 +90,9 @@ class Page:
     seconds: float = 10.0
     """[s] duration of each part."""
     swiftshader: bool = False
-    """Use Chromium's own software drawing, which is two to three times slower than Mesa, the
+    """Draw with Chromium's own software renderer, which is two to three times slower than Mesa, the
     default."""
-    json: bool = False
-    """Print one JSON object on standard output, without other text."""
+    json: Json = False
 
 
 def main(args: Page) -> None:
@@ -113,11 +113,7 @@ def main(args: Page) -> None:
             server.stop()
     finally:
         loop.stop()
-    if args.json:
-        print(json_module.dumps(result, indent=2))
-        return
-    for key, value in result.items():
-        print(f"{key:28} {value:.4g}" if isinstance(value, float) else f"{key:28} {value}")
+    print_result(result, json=args.json)
 
 
 class _Measurement:
@@ -130,7 +126,7 @@ class _Measurement:
         self._count()
 
     def all(self) -> dict[str, Any]:
-        """All figures."""
+        """Measure everything, and return the results."""
         result: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0]}
         tab = self._open(SIZE)
         time.sleep(SETTLED)
@@ -156,7 +152,7 @@ class _Measurement:
         return tab
 
     def _over(self, tab: DashboardTab, act: Callable[[], None]) -> dict[str, float]:
-        """Number of pictures, bytes and longest stall while an action is repeated."""
+        """Rates of pictures, bytes and pulls, and longest stall, while an action is repeated."""
         tab.page.evaluate("() => (dbbWatch.stall = 0)")
         begin, sent, heard, frame = time.monotonic(), self._sent, self._heard, _frame(tab)
         work = _work()
@@ -185,7 +181,7 @@ class _Measurement:
         self._loop.send(Pause(False))
         return float(median(times))
 
-    def _drag(self, tab: DashboardTab) -> dict[str, float]:
+    def _drag(self, tab: DashboardTab) -> dict[str, Any]:
         """Measure jumps of the mouse until the end-effector follows, then a continuous drag."""
         tab.page.evaluate(
             "([g, h]) => Object.assign(dbbWatch, { gizmoNode: g, handNode: h, jumps: true })",
@@ -210,8 +206,8 @@ class _Measurement:
         dragged = self._over(tab, lambda: to(STEP * np.sin(3.0 * (time.monotonic() - begin))))
         tab.page.mouse.up()
         return {
-            "gizmo_follows_ms": float(median(found["gizmo"] or [np.nan])),
-            "hand_follows_ms": float(median(found["hand"] or [np.nan])),
+            "gizmo_follows_ms": median(found["gizmo"]) if found["gizmo"] else None,
+            "hand_follows_ms": median(found["hand"]) if found["hand"] else None,
             "jumps_followed": len(found["hand"]),
             **{f"dragging_{key}": value for key, value in dragged.items()},
         }

@@ -2,7 +2,7 @@
 
 The hard case is a headless browser that draws in software on the same cores while its mouse drags
 the end-effector to the base. The setup is that of `dbb serve`; in addition, the session records its
-times. `--drag --listeners 9 --seconds 3600` is a soak test of one hour with ten viewers.
+times. `--drag --listeners 9 --seconds 3600` is a test of one hour with ten viewers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import numpy as np
 import psutil
 import tyro
 
-from app.cli.common import load_robot_and_border
+from app.cli.common import load_robot_and_border, print_result
+from app.cli.options import Json
 from app.config import Config
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.simulation.loop.commands import Compare, Pull, Reset, Watch
@@ -45,7 +46,7 @@ class Realtime:
     """Measure the real-time factor of the dashboard."""
 
     seconds: float = 30.0
-    """[s] measured."""
+    """[s] duration of the measurement."""
     client: Literal["browser", "websocket", "none"] = "browser"
     """Kind of client: a headless browser, a client that draws nothing, or none."""
     clients: int = 1
@@ -61,19 +62,14 @@ class Realtime:
     """Whether all layers are shown: both complete borders, bodies, names, arrows, trails."""
     ghosts: int = 0
     """Number of compared robots with other controllers: 0, 1 or 2."""
-    json: bool = False
-    """Print one JSON object on standard output, without other text."""
+    json: Json = False
 
 
 def main(args: Realtime) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
         result = measure(args, Path(folder) / "times")
-    if args.json:
-        print(json_module.dumps(result, indent=2))
-        return
-    for key, value in result.items():
-        print(f"{key:28} {value:.4g}" if isinstance(value, float) else f"{key:28} {value}")
+    print_result(result, json=args.json)
 
 
 def measure(args: Realtime, record: Path) -> dict[str, Any]:
@@ -131,7 +127,7 @@ class Seen(NamedTuple):
         end: [s] end of the time span.
         done: The counts of each client, the first one first.
         servers_cpu: [%] of a core that the server and the loop used.
-        loop_cpu: [%] of a core that the loop used; NaN if the loop has no separate process.
+        loop_cpu: [%] of a core that the loop used; None if the loop has no separate process.
         pictures_per_s: Number of pictures that the server has drawn in a second.
         memory: [MiB] memory of the server and the loop, at equal intervals.
     """
@@ -140,7 +136,7 @@ class Seen(NamedTuple):
     end: float
     done: tuple[dict[str, Any], ...]
     servers_cpu: float
-    loop_cpu: float
+    loop_cpu: float | None
     pictures_per_s: float
     memory: list[float]
 
@@ -158,7 +154,7 @@ def _observe(args: Realtime, server: DashboardServer, loop: LoopHandle) -> Seen:
     end, after, last = time.perf_counter(), _cpu(servers), server.pictures
     done = tuple(json_module.loads(client.communicate(timeout=60)[0]) for client in clients)
     share = 100.0 * (np.array(after) - before) / (end - begin)
-    of_loop = float(share[1:].max()) if len(share) > 1 else float("nan")
+    of_loop = float(share[1:].max()) if len(share) > 1 else None
     pictures = (last - first) / (end - begin)
     return Seen(begin, end, done, float(share.sum()), of_loop, pictures, memory)
 

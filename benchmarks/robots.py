@@ -1,5 +1,4 @@
-"""All delivered robots on the same paths of the end-effector: `python -m benchmarks.robots
-[--json]`.
+"""Delivered robots on the same paths: `python -m benchmarks.robots [--json]`.
 
 A person pulls the end-effector of each robot towards the base from the side and from the front. In
 two further cases the end-effector tracks a path of 0.2 m towards the side, and one along the wheel

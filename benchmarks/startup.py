@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def _address(server: subprocess.Popen[str]) -> str:
-    """The address of the server, as soon as the server has printed it."""
+    """Wait until the server has printed its address, and return the address."""
     assert server.stderr is not None
     for line in server.stderr:
         if found := re.search(r"http://\S+", line):

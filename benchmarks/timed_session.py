@@ -1,4 +1,4 @@
-"""A session that records the beginning and the duration of each step."""
+"""A session that records the start and the duration of each step."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from app.simulation.session import Session, Step
 
 
 class TimedSession(Session):
-    """A session that writes its record during the run, so that it can run in any process for
-    hours.
-    """
+    """A session that writes its record to a file during the run, in any process and for hours."""
 
     def __init__(self, record: Path, *args: Any, **options: Any) -> None:
         """Prepare a session that writes its times to `record`; `read_times` reads them."""
@@ -37,5 +35,5 @@ class TimedSession(Session):
 
 
 def read_times(record: Path) -> np.ndarray:
-    """(N, 4) beginning [s], duration [s], controller's part [s] and β_m of each step."""
+    """(N, 4) start [s], duration [s], controller's part [s] and β_m [-] of each step."""
     return np.fromfile(record).reshape(-1, 4)

@@ -1,9 +1,10 @@
-"""Robots' files as others may write them: `python -m benchmarks.urdf_mutants [--json]`.
+"""Changed copies of robots' files: `python -m benchmarks.urdf_mutants [--json]`.
 
-Takes URDFs of real robots and changes each in one way that users' files are known for: names,
-encodings, units, addresses, kinds of joints, limits, placeholders, namespaces, origins, formats. A
-mutant has to be read as the original is, its links within a millimetre of where pinocchio and
-trimesh see those, or to be refused with one line. All else is a fault, and ends with status 1.
+Each mutant is the URDF of a real robot with one change that is typical of users' files: of names,
+encodings, units, addresses, kinds of joints, limits, placeholders, namespaces, origins or formats.
+A mutant must be read like the original, with each link's hull within a millimetre of the hull by
+pinocchio and trimesh, or be refused with one line. Everything else is a fault; then the status is
+1.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Any, NamedTuple
 from unicodedata import normalize
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -28,6 +29,7 @@ import trimesh
 import tyro
 
 from app.cli.common import print_json
+from app.cli.options import Json
 from app.errors import DbbError
 from app.onboarding.new_robot import parse
 from app.onboarding.request import Request
@@ -41,15 +43,15 @@ ROBOTS = {
     "frankie": ("panda_base_arm", "frankie_hand"),
     "husky_ur5": ("base_link", "tool0"),
 }
-"""Robots that ship, with base and tip."""
+"""Delivered robots with their links `base` and `tip`."""
 AGREE = 1e-3
-"""[m] by which a link's hull may be elsewhere."""
+"""[m] largest accepted deviation of a link's hull."""
 _POSES = 3
 _DIRECTIONS = np.asarray(trimesh.creation.icosphere(subdivisions=1).vertices)
 
 
 class Original(NamedTuple):
-    """A robot in a folder of its own, its meshes beside it."""
+    """A robot in a separate folder with its meshes."""
 
     urdf: Path
     base: str
@@ -57,18 +59,18 @@ class Original(NamedTuple):
 
 
 class Mutant(NamedTuple):
-    """A file that was changed in one way."""
+    """A changed copy of a robot's file."""
 
     kind: str
     urdf: Path
     base: str
     tip: str
     names: dict[str, str]
-    """New names of links by the old ones."""
+    """New names of renamed links, by the old names."""
 
 
 def copied(name: str, folder: Path) -> Original:
-    """A robot that ships, with the meshes that it collides with in the folder."""
+    """Copy a delivered robot and its collision meshes into a folder."""
     base, tip = ROBOTS[name]
     robot = ElementTree.parse(ASSETS / name / "robot.urdf").getroot()
     for link in robot.findall("link"):
@@ -85,7 +87,7 @@ def copied(name: str, folder: Path) -> Original:
 
 
 def supports(urdf: Path, base: str, poses: int = _POSES) -> dict[str, Array]:
-    """(poses, K) [m] by link: how far its hull reaches, in the base's frame."""
+    """(poses, K) [m] extent of each link's hull along K directions, in the base's frame."""
     robot = ElementTree.parse(urdf).getroot()
     bare = ElementTree.fromstring(ElementTree.tostring(robot))
     for link in bare.findall("link"):
@@ -107,7 +109,7 @@ def supports(urdf: Path, base: str, poses: int = _POSES) -> dict[str, Array]:
 
 
 def _place(model: pin.Model, data: pin.Data, pose: int) -> None:
-    """All joints at zero, then moved by angles that depend on the joint's name alone."""
+    """Compute placements: pose 0 has all joints at zero; else angles depend on names of joints."""
     v = np.zeros(model.nv)
     for name, joint in zip(model.names, model.joints, strict=True):
         if pose and joint.nv == 1 and _is_arm(name):
@@ -159,7 +161,7 @@ def _loaded(path: Path) -> trimesh.Trimesh:
 
 
 Change = Callable[[Original, Path, random.Random], dict[str, str] | None]
-"""Changes the robot whose copy stands in a folder; may give new names of links."""
+"""Changes the copy of a robot in a folder; returns the new names of renamed links, or None."""
 
 
 def _text(change: Callable[[str], str | bytes]) -> Change:
@@ -186,7 +188,7 @@ def _tree(change: Callable[[Element, random.Random], dict[str, str] | None]) -> 
     return changed
 
 
-def _mesh(change: Callable[[Path, Element], None]) -> Change:
+def _mesh(change: Callable[[Path, Element], object]) -> Change:
     """A change of one mesh file, and of the element that names it."""
 
     def changed(original: Original, folder: Path, rng: random.Random) -> None:
@@ -212,7 +214,7 @@ def _renamed(new: str) -> Change:
 
 
 def _encoded(code: str, declared: str | None = None) -> Change:
-    """The file in another encoding, with a comment that shows it."""
+    """The file in another encoding, with a comment that contains such characters."""
     word = {"gbk": "机器人", "shift_jis": "ロボット"}.get(code, "Grün")
     stated = code if declared is None else declared
     head = f'<?xml version="1.0" encoding="{stated}"?>' if stated else '<?xml version="1.0"?>'
@@ -225,7 +227,7 @@ def _encoded(code: str, declared: str | None = None) -> Change:
 
 
 def _of_all(path: str, key: str, change: Callable[[str], str]) -> Change:
-    """A change of an attribute, wherever it stands."""
+    """A change of an attribute in all elements of a path."""
 
     def changed(robot: Element, _: random.Random) -> None:
         for element in robot.iterfind(path):
@@ -246,7 +248,7 @@ def _moments_in_mm(robot: Element, _: random.Random) -> None:
 
 
 def _above(kind: str) -> Change:
-    """Another link above the robot, on a joint of a kind."""
+    """Another root link, connected to the former one by a joint of a kind."""
 
     def change(robot: Element, _: random.Random) -> None:
         children = {str(j.get("link")) for j in robot.iterfind("joint/child")}
@@ -264,7 +266,7 @@ def _above(kind: str) -> Change:
 
 
 def _beside(kind: str, shape: str, inner: str = "") -> Change:
-    """A link on the tip's side, on a joint of a kind, with a shape."""
+    """A further link with a shape, connected to a random link by a joint of a kind."""
 
     def change(robot: Element, rng: random.Random) -> None:
         parent = str(rng.choice(robot.findall("joint")).find("child").get("link"))  # pyright: ignore[reportOptionalMemberAccess]
@@ -284,7 +286,7 @@ def _shape(text: str, tag: str = "collision") -> str:
     return f"<{tag}><geometry>{text}</geometry></{tag}>"
 
 
-def _as(end: str, **options: object) -> Change:
+def _as(end: str, **options: Any) -> Change:
     """A mesh in another format."""
 
     def change(path: Path, element: Element) -> None:
@@ -297,7 +299,7 @@ def _as(end: str, **options: object) -> Change:
 
 
 def collada(mesh: trimesh.Trimesh, metre: float, up: str = "Z_UP") -> str:
-    """A mesh as a COLLADA file whose numbers are in a unit of so many metres."""
+    """A mesh as a COLLADA file whose unit has a length of `metre` [m]."""
     p = " ".join(f"{c:.9g}" for c in (np.asarray(mesh.vertices) / metre).ravel())
     t, n = " ".join(map(str, np.asarray(mesh.faces).ravel())), len(mesh.vertices)
     return (
@@ -327,8 +329,8 @@ def _collada(metre: float, up: str = "Z_UP") -> Change:
 
 
 def _replaced(content: bytes) -> Change:
-    """Something else in the place of a mesh."""
-    return _mesh(lambda path, _: path.write_bytes(content) and None)
+    """Other content in place of a mesh."""
+    return _mesh(lambda path, _: path.write_bytes(content))
 
 
 def _address(change: Callable[[Path, str], str]) -> Change:
@@ -336,7 +338,7 @@ def _address(change: Callable[[Path, str], str]) -> Change:
 
 
 def _moved_to(name: str, escape: bool = False) -> Change:
-    """A mesh in a folder of another name."""
+    """A mesh in a folder of another name; with `escape` the address has its blanks encoded."""
 
     def change(path: Path, element: Element) -> None:
         target = path.parent.parent / name / path.name
@@ -349,7 +351,7 @@ def _moved_to(name: str, escape: bool = False) -> Change:
 
 
 def _scaled(factor: float, *, stated: bool) -> Change:
-    """A mesh in another unit, by the scale in the URDF or not."""
+    """A mesh in another unit, with or without the corresponding scale in the URDF."""
 
     def change(path: Path, element: Element) -> None:
         mesh = _loaded(path)
@@ -454,7 +456,7 @@ CHANGES: dict[str, dict[str, Change]] = {
         "page": _replaced(b"<html><body>Sign in</body></html>"),
         "empty": _replaced(b""),
         "archive": _replaced(b"\x1f\x8b\x08\x00"),
-        "cut": _mesh(lambda path, _: path.write_bytes(path.read_bytes()[:500]) and None),
+        "cut": _mesh(lambda path, _: path.write_bytes(path.read_bytes()[:500])),
         "usd": _beside("fixed", _shape('<mesh filename="a.usd"/>', "visual")),
     },
     "namespaces": {
@@ -511,7 +513,7 @@ CHANGES: dict[str, dict[str, Change]] = {
 def mutate(
     original: Original, kind: str, change: Change, folder: Path, rng: random.Random
 ) -> Mutant:
-    """A changed copy of a robot in a folder."""
+    """Make a changed copy of a robot in a folder."""
     shutil.copytree(original.urdf.parent, folder)
     names = change(original, folder, rng) or {}
     base, tip = (names.get(link, link) for link in (original.base, original.tip))
@@ -519,7 +521,7 @@ def mutate(
 
 
 def verdict(mutant: Mutant, expected: dict[str, Array], home: Path) -> str:
-    """`same`, `refused: …`, or the difference."""
+    """Read a mutant; return `same`, `refused: …` with the message, or `FAULT: …`."""
     home.mkdir()
     try:
         request = Request(str(mutant.urdf), mutant.base, mutant.tip, home, kind="holonomic")
@@ -548,7 +550,7 @@ def _compared(mutant: Mutant, expected: dict[str, Array], home: Path, base: str)
 
 
 OUTCOMES = ("same", "refused", "FAULT")
-"""Of a mutant: read as the original, refused with one line, or anything else."""
+"""Outcomes of a mutant: read like the original, refused with one line, or anything else."""
 
 
 def main(
@@ -556,16 +558,16 @@ def main(
     first: int = 0,
     seed: int = 0,
     robots: Sequence[str] = tuple(ROBOTS),
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    json: Json = False,
 ) -> None:
-    """Try mutants, and say of each class how many are read alike and how many are refused.
+    """Read mutants, and count the outcomes for each class of changes.
 
     Args:
-        count: Mutants.
-        first: Number of the first one; each is the same wherever a call begins.
-        seed: Of the choice of link, joint or mesh that is changed.
-        robots: Names of robots that are changed.
-        json: Print one JSON object; the mutants go to standard error.
+        count: Number of mutants.
+        first: Number of the first mutant; a mutant depends only on its number and the seed.
+        seed: Seed of the choice of the changed link, joint or mesh.
+        robots: Names of the robots.
+        json: Print only one JSON object on standard output, and the mutants on standard error.
     """
     table = Counter[tuple[str, str]]()
     changes = [(kind, name, c) for kind, each in CHANGES.items() for name, c in each.items()]

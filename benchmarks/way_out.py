@@ -1,4 +1,4 @@
-"""Starts inside a buffer or in penetration: how many robots leave it within 3 s, and how gently.
+"""Starts inside a buffer or in penetration: robots that leave it, durations, jumps of torques.
 
 python -m benchmarks.way_out --starts 100 --begin penetration --json
 """
@@ -6,11 +6,12 @@ python -m benchmarks.way_out --starts 100 --begin penetration --json
 from __future__ import annotations
 
 from collections import Counter
-from typing import Annotated, Literal
+from typing import Literal
 
 import tyro
 
-from app.cli.common import load_robot_and_border, print_json
+from app.cli.common import load_robot_and_border, print_result
+from app.cli.options import Json
 from app.config import Config
 from app.jobs.progress import progress_bar
 from app.simulation.run import run_scenario
@@ -23,17 +24,17 @@ def main(
     robot: str = "husky_panda",
     physics: str = "planar",
     seed: int = 0,
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    json: Json = False,
 ) -> None:
     """Run many starts inside a buffer or in penetration.
 
     Args:
         starts: Number of starts.
-        begin: Kind of start.
+        begin: Kind of start, as for `dbb run way-out`.
         robot: Name of the robot.
         physics: Name of the plant.
         seed: Seed of the first start; each further start has the next seed.
-        json: Print one JSON object.
+        json: Print only one JSON object.
     """
     model, data = load_robot_and_border(robot)
     scenario, config = WayOutScenario(begin=begin), Config()
@@ -59,11 +60,7 @@ def main(
         "torque_jump_max_nm": max(row["torque_jump_max_nm"] for row in rows),
         "nearest_pairs": Counter(_nearest(row["min_distance_m"]) for row in rows),
     }
-    if json:
-        print_json(result)
-        return
-    for key, value in result.items():
-        print(f"{key:20} {value}")
+    print_result(result, json=json)
 
 
 def _nearest(distances: dict[str, float]) -> str:

@@ -1,4 +1,4 @@
-"""A body of your own against the arm: a box of cargo on the deck behind it.
+"""A body of your own: a box of cargo on the deck behind the arm.
 
 A body on the base becomes part of l_m: the link pairs, the border and the controller then
 include it. A person pulls the end-effector backwards at the cargo, and the base drives away.
@@ -25,11 +25,11 @@ COARSE = SamplingConfig(
     rounds=1,
     retries=1,
 )
-"""A coarse border in seconds; without it the standard one takes a minute, once."""
+"""Options for a coarse border in seconds; the standard border takes minutes, once."""
 
 
 def main(controller: str = "dbb") -> dict[str, object]:
-    """Pull the end-effector at the cargo; returns the figures of the run."""
+    """Pull the end-effector towards the cargo; returns the results of the run."""
     model = RobotModel(load_robot("husky_panda").with_mobile_shapes(CARGO))
     data = load_border_data(model, sampling=COARSE)
     pull = scenario_by_name("guiding-above").changed(

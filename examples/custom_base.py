@@ -15,7 +15,7 @@ from app.simulation.scenarios import LINES
 
 
 class RailBase(BaseKind):
-    """One velocity, v. No place is singular, so its score (10) is the arm's reachability."""
+    """A base with one velocity, v. It has no singular place, so the score (10) is reachability."""
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD,)
     kind: Literal["rail"]
@@ -32,7 +32,7 @@ class RailBase(BaseKind):
 
 
 def main(duration: float = 8.0) -> dict[str, object]:
-    """Guide the arm from the front towards the carriage; returns the run's figures."""
+    """Guide the arm from the front towards the carriage; returns the run's results."""
     register_base_kind(RailBase)  # robot.toml may now have: kind = "rail"
     base = {
         "kind": "rail",

@@ -1,4 +1,4 @@
-"""Filter: joint velocities and external forces from noisy encoders, without velocity readings.
+"""Filter: joint velocities from noisy encoders, without velocity readings.
 
 Run it: python examples/filter.py
 """
@@ -14,7 +14,7 @@ PULL = np.array([-10.0, 0.0, 0.0])  # [N] of a person on the end-effector
 
 
 def main(duration: float = 2.0) -> tuple[float, float]:
-    """Returns the standard deviations [rad/s] of the filter and of finite differences."""
+    """Returns the standard deviations [rad/s] of the errors of filter and finite differences."""
     model = RobotModel(load_robot("husky_panda"))
     loop, robot = ControlLoop(model), make_physics("kinematic", model)
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""The gripper takes 2 kg: the loop reports a load, and compensates it once it is stated.
+"""A load of 2 kg in the gripper: the loop reports it, and compensates it as a known payload.
 
 Run it: python examples/load.py
 """
@@ -27,4 +27,4 @@ def main() -> tuple[float, float]:
 
 if __name__ == "__main__":
     mass, speed = main()
-    print(f"{mass:.2f} kg at the end-effector; once stated, it moves at {speed:.3f} m/s")
+    print(f"load of {mass:.2f} kg; the compensated end-effector moves at {speed:.3f} m/s")

@@ -1,6 +1,6 @@
 """The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
 
-`ros` has three calls of rclpy: create_subscription, create_publisher(…).publish, create_timer.
+The methods of `ros` are create_subscription, create_publisher(…).publish and create_timer of rclpy.
 Run it: python examples/ros2_shape.py
 """
 
@@ -32,12 +32,12 @@ class AvoidanceNode:
             self.send_effort(Message(effort=self.loop.step(measured).u_a))
 
     def drive(self) -> None:
-        """Send the base's command in force."""
+        """Send the present velocity command of the base."""
         self.send_velocity(Message(velocity=self.loop.controller.last.v_cmd))
 
 
 def main(steps: int = 300) -> dict[str, Any]:
-    """The node beside a simulated robot, without ROS; returns the last message of each topic."""
+    """Run the node with a simulated robot, without ROS; returns each topic's last message."""
     model, sent, callbacks, timers = RobotModel(load_robot("husky_panda")), {}, {}, {}
     robot = make_physics("kinematic", model)
     topics = Message(

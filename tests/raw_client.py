@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import msgspec
@@ -51,8 +51,8 @@ class RawClient:
         """Send one message of viser's."""
         self.send_raw(msgspec.msgpack.encode(message.as_serializable_dict()))
 
-    def send_raw(self, data: bytes | str) -> None:
-        """Send anything."""
+    def send_raw(self, data: bytes | str | Iterable[bytes]) -> None:
+        """Send any data as a message; the items of an iterable are its fragments."""
         self._connection.send(data)
 
     def set_widget(self, handle: Any, value: object) -> None:

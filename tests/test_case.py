@@ -120,6 +120,8 @@ def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
         ({"dbb_case": 2}, "dbb_case"),
         ({"played": "guiding-fornt"}, "guiding-front"),
         ({"controller": "dbbb"}, "dbb"),
+        ({"robot": "husky_pando"}, "did you mean 'husky_panda'"),
+        ({"physics": "planer"}, "did you mean 'planar'"),
         ({"options": {"move": [0, 0, -11]}}, "--move"),
         ({"options": {"start": 5}}, "random-pull: start: Input should be a valid"),
         ({"options": {"q_m": ["x"]}}, "random-pull: q_m[0]: Input should be"),

@@ -416,11 +416,20 @@ def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
     assert "--door-width" in dbb("run", "refrigerator", "--help").out
 
 
-@pytest.mark.parametrize("command", ["run", "run guiding-front", "sweep", "study", "new-robot"])
-def test_no_help_gives_a_default_twice_or_none_as_one(dbb, command):
+@pytest.mark.parametrize(
+    "command", [*(name for group in COMMANDS.values() for name in group), "run guiding-front"]
+)
+def test_no_help_has_a_default_twice_or_in_the_words_of_python(dbb, command):
     text = " ".join(dbb(*command.split(), "--help").out.replace("│", " ").split())
-    assert "(default: None)" not in text
+    assert not re.search(r"\(default: (None|True|False)?\)", text)
     assert not re.search(r"\(default: [^()]*\)\W*\(default", text)
+
+
+def test_descriptions_are_filled_to_the_width_of_the_terminal(dbb, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "70")
+    lines = dbb("reach", "--help").out.partition("options")[0].splitlines()
+    described = [line for line in lines if not line.startswith("usage")]
+    assert 60 < max(map(len, described)) <= 70
 
 
 @pytest.mark.parametrize(
@@ -463,7 +472,7 @@ def test_an_option_that_is_given_twice_is_refused_with_the_right_spelling(dbb):
     refused(dbb("sweep", "--height", "0.3", "0.4", "--height=0.5"), "--height 0.3 0.4 0.5")
 
 
-def test_options_before_the_scenario_and_former_spellings_go_on_working(dbb):
+def test_options_can_precede_the_scenario_and_have_former_names(dbb):
     """--noise and --delay were those of `dbb study`; a disturbance has one name now."""
     before = json.loads(dbb("run", *QUICK[2:], "--json", "--seed", "3", QUICK[1]).out)
     assert (before["scenario"], before["seed"]) == ("guiding-lateral", 3)

@@ -391,13 +391,14 @@ def test_only_peers_that_exist_can_be_asked_for(tmp_path: Path) -> None:
     assert chosen(()) == PEERS
 
 
-def test_where_pink_is_not_installed_its_step_is_none_with_the_reason(
+def test_if_pink_cannot_be_installed_its_step_is_none_with_the_reason(
     robot: RobotModel, border_data: BorderData, tmp_path: Path
 ) -> None:
-    step = pink_step(robot, border_data, environments=tmp_path)
+    (tmp_path / "envs").write_text("a file in place of the folder", encoding="utf-8")
+    step = pink_step(robot, border_data, tmp_path / "envs")
     assert step.p50_us is None
     assert step.p99_us is None
-    assert str(tmp_path / "pink") in step.reason
+    assert str(tmp_path / "envs") in step.reason
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def test_a_cell_says_what_touched() -> None:
         "base_displacement_m": 0.0,
         "solver_failures": 0,
     }
-    assert run_cell(keep_run(printed)) == "−0.101 m, 2.1 mm off, **contact**"
-    assert run_cell(keep_run({**printed, "arm_contacts": 0})) == "−0.101 m, 2.1 mm off"
+    assert run_cell(keep_run(printed)) == "−0.101 m, error 2.1 mm, **contact**"
+    assert run_cell(keep_run({**printed, "arm_contacts": 0})) == "−0.101 m, error 2.1 mm"
     assert millimetres(0.3279) == "328 mm"
     assert run_cell(None) == ""

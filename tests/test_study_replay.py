@@ -68,7 +68,7 @@ def file(case, tmp_path):
 @pytest.mark.slow
 def test_the_command_gives_the_figures_of_the_study(sources, drawn, case, file, capfd):
     row = play_case(drawn, FAST, sources.model, sources.data)
-    main(["run", "--replay-case", str(file), "--json"])
+    main(["run", "--case", str(file), "--json"])
     played = json.loads(capfd.readouterr().out)
     assert (played["scenario"], played["controller"]) == ("random-pull", "none")
     assert (played["physics"], played["seed"]) == ("kinematic", case.seed)
@@ -79,7 +79,7 @@ def test_the_command_gives_the_figures_of_the_study(sources, drawn, case, file, 
 
 
 def test_a_case_can_be_played_with_another_controller(case, file, capfd):
-    main(["run", "--replay-case", str(file), "--controller", "dbb", "--json"])
+    main(["run", "--case", str(file), "--controller", "dbb", "--json"])
     assert json.loads(capfd.readouterr().out)["controller"] == "dbb"
 
 
@@ -94,7 +94,7 @@ def test_a_case_can_be_played_with_another_controller(case, file, capfd):
 )
 def test_what_the_case_says_already_is_refused(file, capfd, args, words):
     with pytest.raises(SystemExit) as end:
-        main(["run", *args, "--replay-case", str(file)])
+        main(["run", *args, "--case", str(file)])
     assert end.value.code == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert all(word in line for word in words), line
@@ -104,7 +104,7 @@ def test_the_dashboard_refuses_a_file_that_is_no_case(tmp_path, capfd):
     path = tmp_path / "case.json"
     path.write_text("{}")
     with pytest.raises(SystemExit):
-        main(["serve", "--replay-case", str(path), "--port", "0"])
+        main(["serve", "--case", str(path), "--port", "0"])
     assert str(path) in capfd.readouterr().err
 
 
@@ -113,7 +113,7 @@ def test_the_dashboard_checks_what_a_case_names_before_it_loads_anything(file, c
     content["controller"] = "dbx"
     file.write_text(json.dumps(content))
     with pytest.raises(SystemExit) as end:
-        main(["serve", "--replay-case", str(file), "--port", "0"])
+        main(["serve", "--case", str(file), "--port", "0"])
     assert end.value.code == 2
     assert "did you mean 'dbb'" in capfd.readouterr().err
 

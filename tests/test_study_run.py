@@ -227,8 +227,8 @@ def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkey
         (["--processes", "0"], ["--processes"]),
         (["--speed", "0.5", "0.1"], ["--speed", "LOW 0.5 is above HIGH 0.1"]),
         (["--speed", "nan", "0.1"], ["--speed", "nan"]),
-        (["--delay", "0", "0.6"], ["--base-delay", "0 to 0.5 s"]),
-        (["--strength", "40", "400"], ["--hand-f-max", "1 to 150 N"]),
+        (["--base-delay", "0", "0.6"], ["--base-delay", "0 to 0.5 s"]),
+        (["--hand-f-max", "40", "400"], ["--hand-f-max", "1 to 150 N"]),
         (["--hand-stiffness", "300", "9000"], ["--hand-stiffness", "10 to 3000 N/m"]),
         (["--hand-mass", "-1", "0"], ["--hand-mass", "0 to 5 kg"]),
         (["--released", "1.1"], ["--released", "0 to 1"]),
@@ -273,7 +273,7 @@ def test_a_failure_is_kept_and_played_again_with_the_same_figures(tmp_path):
     assert [path.name for path in files] == [f"case-{n:05d}.json" for n in result["failures"]]
     rows = map(json.loads, (tmp_path / "cases.jsonl").read_text(encoding="utf-8").splitlines())
     kept = next(row for row in rows if row["case"] == result["failures"][0])
-    played = json.loads(printed_here("run", "--replay-case", str(files[0]), "--json"))
+    played = json.loads(printed_here("run", "--case", str(files[0]), "--json"))
     assert played["contacts"] == kept["contacts"]
     for name in ("min_clearance_m", "ee_error_final_m", "base_path_m", "torque_jump_max_nm"):
         assert rounded(played[name]) == kept[name], name

@@ -64,7 +64,10 @@ def test_an_interpreter_that_is_asked_for_and_does_not_suit_is_named_and_no_othe
     for python in (str(old), "/no/such/python"):
         done = venv(spaced, "made", python=python)
         assert done.returncode == 1
-        assert done.stderr.strip() == f"PYTHON={python} is no CPython 3.10 to 3.14 with venv."
+        assert (
+            done.stderr.strip()
+            == f"PYTHON={python} is not a 64-bit CPython 3.10 to 3.14 with venv."
+        )
         assert not (spaced / "made").exists()
         for tool in ("bash", "env"):
             (spaced / "programs" / tool).unlink()

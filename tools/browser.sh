@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Provide a Chromium for the tests: the system's, else playwright's own, else Debian's package.
+# Find or install a Chromium for the tests: the system's, otherwise playwright's, otherwise Debian's package.
 # Usage: tools/browser.sh VENV
 set -uo pipefail
 venv=$1

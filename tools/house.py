@@ -1,7 +1,7 @@
 """Measures of the code's structure, with their limits: `python -m tools.house [--json]`.
 
-The status is 1 if a binding measure exceeds its limit: it counts faults that can be corrected
-locally. The limit of a size is an aim.
+The status is 1 if a binding measure exceeds its limit; binding measures count faults that can be
+corrected locally. The limits of the other measures are aims.
 """
 
 from __future__ import annotations
@@ -233,7 +233,7 @@ def _lines(path: Path) -> int:
 
 
 def offenders() -> Iterator[str]:
-    """The items behind the counts."""
+    """The functions and circles that binding measures count."""
     for name, function in functions():
         if lines_of(function) > LONG:
             yield f"{name}: {lines_of(function)} lines"

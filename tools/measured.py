@@ -1,4 +1,4 @@
-"""The measurements behind the documentation's tables: commands, stored figures, tables."""
+"""The measurements behind the documentation's tables: commands, stored numbers, tables."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ PULLS = (
     *("--slip", "0", "0", "--v-max", "0.5", "0.5", "--speed", "0.3", "1.2"),
     *("--payload", "0", "0", "--faulty", "0"),
 )
-"""The study of the documentation: strong pulls on a robot as modelled."""
+"""Options of the study of strong pulls on a robot that agrees with its model."""
 INSIDE = ("--inside", "--cases", "5000", "--seed", "1")
-"""Pulls inside of the stated envelope: an hour and a half; it continues after an interruption."""
+"""Options of the study of pulls inside the stated envelope, which takes an hour and a half."""
 
 
 TRUST = {
@@ -61,7 +61,7 @@ TRUST = {
 
 
 MUTANTS = ("--count", "50", "--json")
-"""Number of the 200 changed robots' files in a part."""
+"""Options of a part of the 200 mutants."""
 
 
 class ResultSet(NamedTuple):
@@ -113,7 +113,7 @@ def run(scenario: str, *options: str) -> tuple[str, ...]:
 
 
 def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
-    """The displayed figures of a run; the smallest distance is that of the scenario's pairs."""
+    """The displayed numbers of a run; the smallest distance is that of the scenario's pairs."""
     least = {"guiding-fold": "arm_min_clearance_m", "refrigerator": "door_min_distance_m"}
     return {
         "least_distance_m": printed[least.get(printed["scenario"], "min_clearance_m")],
@@ -126,10 +126,10 @@ def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_cell(row: Mapping[str, Any] | None) -> str:
-    """Smallest distance, final error of the end-effector, and contact."""
+    """Smallest distance, final error of the end-effector or the time of opening, and contact."""
     if row is None:
         return ""
-    end = f"{millimetres(row['off_m'])} off"
+    end = f"error {millimetres(row['off_m'])}"
     if row["opened_s"] is not None:
         end = f"80° open at {row['opened_s']:.1f} s"
     touched = ", **contact**" if row["contacts"] else ""
@@ -143,7 +143,7 @@ def scenarios_table(found: Figures) -> str:
         moved = found.get(f"{scenario} dbb", {}).get("base_moved_m")
         cells = [run_cell(found.get(f"{scenario} {name}")) for name in COMPARED]
         rows.append([f"`{scenario}`", *cells, "" if moved is None else f"{moved:.2f} m"])
-    return grid(["scenario", *(f"`{name}`" for name in COMPARED), "base moved, `dbb`"], rows)
+    return grid(["scenario", *(f"`{name}`" for name in COMPARED), "base displacement, `dbb`"], rows)
 
 
 def disturbances_table(found: Figures) -> str:
@@ -178,7 +178,8 @@ def plants_table(found: Figures) -> str:
             cells.append(f"{study[n]:.0f} s, {study['planar'] / study[n]:.2f} times as fast")
         rows.append([f"`{n}`", *cells, *[""] * (3 - len(cells))])
     taken = f"`dbb study` of {study['cases']} cases"
-    return grid(["plant", "step and reading, median, smallest", "of pybullet's", taken], rows)
+    head = ["plant", "step and reading: median, minimum", "ratio to pybullet", taken]
+    return grid(head, rows)
 
 
 def robots_table(found: Figures) -> str:
@@ -199,12 +200,12 @@ def robots_table(found: Figures) -> str:
                 "yes" if line["contacts"] else "no",
             ]
         )
-    head = ["robot", "case", "controller", "least distance", "hand off", "base drove", "contact"]
+    head = ["robot", "case", "controller", "smallest distance", "error", "base path", "contact"]
     return grid(head, rows)
 
 
 def keep_robots(printed: dict[str, Any]) -> list[dict[str, Any]]:
-    """The displayed figures of each case."""
+    """The displayed numbers of each case."""
     shown = ("title", "case", "reason", "controller", "clearance_m", "hand_error_m")
     keys = (*shown, "base_path_m", "contacts")
     return [{key: line[key] for key in keys if key in line} for line in printed["rows"]]
@@ -219,21 +220,23 @@ def law_table(found: Figures) -> str:
     """A row per figure of the summaries."""
     rows = []
     if summary := found.get("release", {}).get("summary"):
-        what = f"{summary['releases']} releases inside the buffer: the base's longest path after"
+        what = (
+            f"{summary['releases']} releases inside the buffer: longest path of the base afterwards"
+        )
         speed = number(summary["speed_after_10s_max_mmps"], "mm/s after 10 s")
         rows.append([what, "release", f"{metres(summary['path_max_m'])}, {speed}"])
     if summary := found.get("pulls", {}).get("summary"):
         what = f"{summary['pulls']} hard pulls of up to 100 N: smallest distance of arm and base"
-        met = f"bodies met in {summary['overlaps']}, contact in {summary['with_contact']}"
+        met = f"overlap in {summary['overlaps']}, contact in {summary['with_contact']}"
         rows.append([what, "pulls", f"{metres(summary['least_distance_m'])}, {met}"])
-        what = "these pulls: fastest joint, relative to its velocity limit"
+        what = "these pulls: largest ratio of a joint's speed to its limit"
         rows.append([what, "pulls", number(summary["joint_speed_share_max"], digits=2)])
     if summary := found.get("wander", {}).get("summary"):
-        what = f"{summary['runs']} runs of two people of 50 N who pull the arm anywhere"
+        what = f"{summary['runs']} runs: two people with up to 50 N pull the arm to random places"
         met = f"{metres(summary['least_distance_m'])}, contact in {summary['with_contact']}"
         rows.append([f"{what}: smallest distance of arm and base", "wander", met])
     if summary := found.get("continuity", {}).get("summary"):
-        what = "jump of the base's commanded acceleration in the limit of a zero step"
+        what = "largest jump of the base's commanded acceleration, extrapolated to a step of 0"
         jump = number(summary["jump_mps2"], "m/s²", 1)
         jump += f", {number(summary['jump_radps2'], 'rad/s²', 1)}"
         rows.append([f"{what}, {summary['paths']} motions", "continuity", jump])
@@ -242,7 +245,7 @@ def law_table(found: Figures) -> str:
         ends = f"{summary['ends_off']} of them at the end, contact in {summary['with_contact']}"
         rows.append([what, "paths", f"{summary['leave']}, {ends}"])
     return grid(
-        ["what", "command", "measured"],
+        ["quantity", "command", "value"],
         [[what, f"`python -m benchmarks.law {name}`", value] for what, name, value in rows],
     )
 
@@ -264,10 +267,13 @@ def performance_table(found: Figures) -> str:
         for key, what in (
             ("step_p50_us", "control step with both pairs in the buffer, median"),
             ("step_p99_us", "that step, 99th percentile"),
-            ("step_own_p50_us", "the quickest of three such steps, median"),
+            ("step_own_p50_us", "the shortest of three measurements of each such step, median"),
             ("floor_p50_us", "direct calls of the libraries, median"),
             ("guided_p50_us", "`ControlLoop.step`, guided with one pair in the buffer, median"),
-            ("tracking_p50_us", "`ControlLoop.step`, tracking with both pairs in it, median"),
+            (
+                "tracking_p50_us",
+                "`ControlLoop.step`, tracking with both pairs in the buffer, median",
+            ),
         ):
             if key in step:
                 rows.append([what, number(step[key], "µs")])
@@ -284,18 +290,26 @@ def performance_table(found: Figures) -> str:
     for name in ("alone", "websocket", "browser"):
         if loop := found.get(name):
             what = {
-                "alone": "nobody connected",
+                "alone": "no client",
                 "websocket": "a client that drags and draws nothing",
             }
             client = what.get(name, "a headless browser that drags and draws in software")
             periods = [number(loop[f"period_{p}_ms"], digits=3) for p in ("p50", "p99", "max")]
             rows.append([f"real-time factor, {client}", number(loop["realtime_factor"])])
             rows.append(
-                ["its loop's period: median, 99th percentile, longest", f"{' / '.join(periods)} ms"]
+                [
+                    "period of its loop: median, 99th percentile, maximum",
+                    f"{' / '.join(periods)} ms",
+                ]
             )
     if start := found.get("startup"):
         rows.append(["from `dbb serve` to the page's answer", number(start["page_answers_s"], "s")])
-        rows.append(["to its first whole picture", number(start["first_picture_s"], "s")])
+        rows.append(
+            [
+                "from `dbb serve` to the first complete picture",
+                number(start["first_picture_s"], "s"),
+            ]
+        )
     if page := found.get("page"):
         for state, what in (
             ("idle", "nothing moves"),
@@ -304,11 +318,13 @@ def performance_table(found: Figures) -> str:
             ("plots", "its plots are open"),
         ):
             drawn, sent = page[f"{state}_pictures_per_s"], page[f"{state}_kB_per_s"]
-            told = f"{number(drawn)} pictures/s, {number(sent)} kB/s"
-            rows.append([f"a page that draws in software, 1280 x 720, {what}", told])
-        told = f"{number(page['gizmo_follows_ms'])} ms, {number(page['hand_follows_ms'])} ms"
-        rows.append(["from the mouse to the gizmo's picture, to the end-effector's", told])
-    return grid(["what", "measured"], rows)
+            rates = f"{number(drawn)} pictures/s, {number(sent)} kB/s"
+            rows.append([f"a page that draws in software, 1280 x 720, {what}", rates])
+        delays = f"{number(page['gizmo_follows_ms'])} ms, {number(page['hand_follows_ms'])} ms"
+        rows.append(
+            ["delay from the mouse to the picture of the gizmo, of the end-effector", delays]
+        )
+    return grid(["quantity", "value"], rows)
 
 
 def reach_table(found: Figures) -> str:
@@ -325,7 +341,7 @@ def reach_table(found: Figures) -> str:
 
 
 def keep_reach(printed: dict[str, Any]) -> dict[str, Any]:
-    """The displayed figures of the command's body."""
+    """The displayed numbers of the command's body."""
     (row,) = (each for each in printed["bodies"].values())
     return {key: row[key] for key in ("A_per_m2", "B_m", "C", "paper", "description", "r_squared")}
 
@@ -343,17 +359,24 @@ def study_table(found: Figures) -> str:
             numbers = (f"{sum(band[key] for band in group):,}" for key in counts)
             label = f"{force}, `--inside`" if name == "inside" else force
             rows.append([label, *numbers, least, fastest])
-    columns = ("cases", "in the buffer", "bodies met", "contact", "nearest", "largest speed")
-    return grid(["force exerted until near", *columns], rows)
+    columns = (
+        "cases",
+        "in the buffer",
+        "overlaps",
+        "contact",
+        "smallest distance",
+        "largest speed",
+    )
+    return grid(["force before two bodies were near", *columns], rows)
 
 
 def gallery_table(found: Figures) -> str:
-    """A row per robot: its content and the results of its checks, or why it was not made."""
+    """A row per robot: its content and the results of its checks, or the reason of the refusal."""
     rows = []
     for name, row in found.items():
         checks = row.get("checks", {})
-        told = [f"{check}: {each['outcome']}" for check, each in checks.items()]
-        told = [line for line in told if not line.endswith(": passed")]
+        notes = [f"{check}: {each['outcome']}" for check, each in checks.items()]
+        notes = [line for line in notes if not line.endswith(": passed")]
         unseen = checks.get("arm's bodies", {"numbers": {}})["numbers"].get("unseen_share")
         rows.append(
             [
@@ -363,10 +386,10 @@ def gallery_table(found: Figures) -> str:
                 ", ".join(row.get("pairs", [])),
                 "" if unseen is None else number(100 * unseen, "%", 2),
                 *(guided_cell(checks.get(each)) for each in ("guiding-lateral", "guiding-front")),
-                row.get("refusal", "; ".join(told)).replace("|", "\\|"),
+                row.get("refusal", "; ".join(notes)).replace("|", "\\|"),
             ]
         )
-    head = ["robot", "verdict", "made in", "pairs", "unseen", "from the side", "from the front"]
+    head = ["robot", "verdict", "creation", "pairs", "unseen", "from the side", "from the front"]
     return grid([*head, "checks that did not pass"], rows)
 
 
@@ -382,13 +405,13 @@ def guided_cell(check: Figures | None) -> str:
 
 
 def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
-    """The displayed figures of the table and its sentence."""
+    """The displayed numbers."""
     keys = ("cases", "failed", "failed_rate_bound_95", "entered_buffer_share", "by_force")
     return {key: printed[key] for key in keys}
 
 
 def keep_all(printed: dict[str, Any]) -> dict[str, Any]:
-    """All figures, because they are few."""
+    """All numbers, because they are few."""
     return printed
 
 
@@ -407,7 +430,7 @@ def install_table(found: Figures) -> str:
         "page_answers_s": "`git clone` to the page's answer",
     }
     rows = [[what, number(clone[key], "s", 2)] for key, what in stages.items()]
-    return grid(["`make run` in a fresh clone", "takes"], rows)
+    return grid(["`make run` in a fresh clone", "duration"], rows)
 
 
 def buffer_table(found: Figures) -> str:
@@ -459,12 +482,12 @@ def trust_table(found: Figures) -> str:
             sums.setdefault(f"faults: `{command}`", Counter()).update(counts)
     rows = []
     for what, counts in sums.items():
-        shown = next(each for kind, each in _TOLD.items() if what.startswith(kind))
-        told = [f"{counts[key]:,} {words}" for key, words in shown.items()]
+        shown = next(each for kind, each in _WORDS.items() if what.startswith(kind))
+        outcomes = [f"{counts[key]:,} {words}" for key, words in shown.items()]
         if what.startswith("messages"):
-            told.append(f"memory of the parts {', '.join(growth)}")
+            outcomes.append(f"growth of memory in the parts {', '.join(growth)}")
         often = counts["tries"] or sum(counts[key] for key in shown)
-        rows.append([what, f"{often:,}", ", ".join(told)])
+        rows.append([what, f"{often:,}", ", ".join(outcomes)])
     if hostile := found.get("hostile"):
         before, after = hostile["memory_before_mib"], hostile["memory_after_mib"]
         outcome = f"longest wait of a viewer {number(hostile['longest_wait_s'], 's', 2)}, memory "
@@ -482,26 +505,26 @@ def mutants_table(found: Figures) -> str:
                 sums.setdefault(row, Counter()).update(counts)
     sums["all"] = sums.pop("all")
     rows = [[kind, *(f"{row[key]:,}" for key in _OUTCOMES)] for kind, row in sums.items()]
-    return grid(["change", "read equally", "refused in a line", "faults"], rows)
+    return grid(["change", "read correctly", "refused in a line", "faults"], rows)
 
 
 _OUTCOMES = ("same", "refused", "FAULT")
 
 
 _SENT = ("taken", "refused", "garbage")
-_TOLD = {
+_WORDS = {
     "messages": {each: each for each in _SENT},
     "files": {"right": "read", "line": "refused in a line"},
     "faults": {
         "orphans": "processes left",
         "ports": "ports open",
-        "half": "half-written",
-        "begun": "begun and left",
+        "half": "incomplete results",
+        "begun": "temporary files left",
         "lost": "lost results",
         "status": "wrong statuses",
     },
 }
-"""The counts, by their word in the table."""
+"""The words of the table, by the names of the counts."""
 
 
 SETS: dict[str, ResultSet] = {

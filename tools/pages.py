@@ -5,8 +5,8 @@ A pair of comments marks the place in a page:
     <!-- generated: results scenarios -->
     <!-- end -->
 
-`BLOCKS` has the function that fills each block: tables of the figures in docs/results, parameters
-and commands of the program, rooms by their docstrings.
+`BLOCKS` has the function that fills each block: tables of the results in docs/results, parameters
+and commands of the program, packages by their docstrings.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pathlib import Path
 from unittest import mock
 
 from app.cli.main import main as dbb
+from app.cli.records import fields_of
 from app.config import sections
 from app.control.quantities import DIMENSIONS, QUANTITIES
 from app.parameters import Parameter
@@ -39,7 +40,7 @@ WIDTH = "124"  # [-] characters of a command's help
 
 
 def pages() -> list[Path]:
-    """All pages that may hold generated blocks."""
+    """All pages that can have generated blocks."""
     own = [PROJECT / name for name in ("README.md", "SECURITY.md")]
     return [*own, *sorted((PROJECT / "docs").rglob("*.md"))]
 
@@ -100,8 +101,8 @@ def quantities() -> str:
 def study_range() -> str:
     """The random intervals of `dbb study`, from the record of app/studies/pulls/parameters.py."""
     rows = []
-    for name, field in StudyRange.model_fields.items():
-        unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+    for name, field in fields_of(StudyRange):
+        unit, _, text = field.help.removeprefix("[").partition("]")
         value = field.default
         drawn = " to ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:g}"
         if name in LOGARITHMIC:
@@ -144,7 +145,7 @@ def help_of(*words: str) -> str:
 
 
 def figures() -> str:
-    """The figures of a run, by their keys."""
+    """The results of a run, by their keys."""
     return grid(
         ["key", "meaning"],
         [[f"`{key}`", figure.about] for key, figure in {**FIGURES, **DOOR}.items()],
@@ -152,7 +153,7 @@ def figures() -> str:
 
 
 def rooms() -> str:
-    """A row per module or package of `app`, and per package within them."""
+    """A row for each module in `app`, and for each package."""
     rows = []
     app = PROJECT / "app"
     for path in sorted(app.iterdir()):
@@ -172,7 +173,7 @@ def step() -> str:
 
 
 def about(path: Path) -> str:
-    """The first sentence of a module's docstring; a note if the file is missing."""
+    """The first paragraph of a module's docstring; a note if the file is missing."""
     if not path.is_file():
         return "(no longer there)"
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
@@ -192,7 +193,7 @@ BLOCKS: dict[str, Callable[..., str]] = {
 
 
 def words(text: str) -> list[str]:
-    """A page without its layout, because versions of tyro draw different boxes."""
+    """The words of a page without its layout, because versions of tyro draw different boxes."""
     return re.sub(r"[\s╭╮╰╯│─┌┐└┘]+|-{5,}", " ", text).split()
 
 

@@ -1,4 +1,4 @@
-"""Sentences that a reader must read twice: `python -m tools.plain [PATH ...]`, part of `make lint`.
+"""Sentences that are hard to read: `python -m tools.plain [PATH ...]`, part of `make lint`.
 
 It reads the docstrings, comments and messages of Python files and the text of Markdown pages,
 and prints file and line, the sentence, and the reason. The status is 1 if it finds any.
@@ -74,7 +74,7 @@ class Text(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A sentence with its line and the reason why a reader may stumble over it."""
+    """A sentence with its line and the reason why it is hard to read."""
 
     line: int
     sentence: str

@@ -1,8 +1,8 @@
 """Measure the tables of the documentation: `python -m tools.results [NAME ...]`.
 
-Each row of a table is one command with `--json`. The displayed figures of its output are stored in
-docs/results/NAME.json with the commit and the machine, as soon as they exist: after an interruption
-the same call continues, and repeats the measurements of older commits.
+Each row of a table is measured by one command with `--json`. The displayed numbers of its output
+are stored in docs/results/NAME.json with the commit and the machine, immediately after the
+command. After an interruption the same call continues; it also repeats rows of older commits.
 `python -m tools.pages` puts the tables into the pages.
 """
 
@@ -46,7 +46,7 @@ def write(name: str, rows: Mapping[str, Any]) -> None:
 
 
 def figures(name: str) -> dict[str, Any]:
-    """The figures alone, by the names of their rows."""
+    """The stored numbers of a set, by the names of the rows."""
     return {row: kept["figures"] for row, kept in read(name).items()}
 
 
@@ -64,13 +64,13 @@ def caption(name: str) -> str:
 
 
 def table(name: str) -> str:
-    """Table and caption of a set in Markdown; the caption alone before anything is measured."""
+    """Table and caption of a set in Markdown; only the caption if no row is measured."""
     found = figures(name)
     return f"{SETS[name].table(found)}\n\n{caption(name)}" if found else caption(name)
 
 
 def commit() -> str:
-    """The commit that last changed the code, with a `+` if files have changed since.
+    """The commit that last changed the code, with a `+` if files have uncommitted changes.
 
     Raises:
         SystemExit: This is no git checkout.
@@ -91,12 +91,12 @@ def machine() -> str:
 
 
 def measure(name: str, again: bool, only: Collection[str] = ()) -> bool:
-    """Measure the rows of a set that are missing or of another commit; False if one failed.
+    """Measure the rows of a set that are missing or of another commit; False if a command failed.
 
     Args:
         name: Name of the set.
-        again: Repeat rows that are up to date, too.
-        only: Rows to measure; all if it is empty.
+        again: Also measure rows that are up to date.
+        only: Names of the rows that can be measured; empty means all rows.
     """
     rows, at, good = read(name), commit(), True
     wanted = SETS[name].runs
@@ -142,15 +142,17 @@ def _environment() -> dict[str, str]:
 def _git(*arguments: str) -> str:
     done = subprocess.run(["git", *arguments], cwd=PROJECT, capture_output=True, text=True)
     if done.returncode:
-        sys.exit(f"results name the commit they were measured at: {done.stderr.strip()}")
+        sys.exit(f"results are stored with their commit, but git fails: {done.stderr.strip()}")
     return done.stdout.strip()
 
 
 def main() -> int:
     """Measure the requested sets; returns 1 if a command failed."""
     parser = argparse.ArgumentParser(prog="python -m tools.results", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SETS)}")
-    parser.add_argument("--again", action="store_true", help="repeat rows that are up to date, too")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"names among {', '.join(SETS)}")
+    parser.add_argument(
+        "--again", action="store_true", help="also measure rows that are up to date"
+    )
     options = parser.parse_args()
     if unknown := set(options.names) - set(SETS):
         parser.error(f"no results {', '.join(sorted(unknown))}; there are {', '.join(SETS)}")

@@ -3,7 +3,7 @@
 python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
 DBB_ROBOTS=out/gallery python tools/robots_picture.py docs/pictures/gallery.png new_tiago …
 
-If one row is too short for all robots, the picture has only the view from the side.
+The picture of more than six robots has only the views from the side.
 """
 
 import sys
@@ -29,8 +29,8 @@ from app.studies.style import SOFT, new_figure, png_of, styled
 
 D_B = 0.15  # [m]
 ALONG, ACROSS, UP = (-0.7, 1.25), (-0.85, 0.65), (-0.05, 2.0)  # [m] visible range
-HEIGHTS = 9  # [-] contours from the floor up
-IN_A_ROW = 6  # [-] robots
+HEIGHTS = 9  # [-] number of contours
+IN_A_ROW = 6  # [-] largest number of robots in a row
 
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
@@ -59,7 +59,7 @@ def draw_border(axes: Axes, model: RobotModel) -> None:
 
 
 def main(out: Path, names: list[str]) -> None:
-    """Draw a column for each robot, from the side and from above; or rows from the side."""
+    """Draw each robot from the side and from above; more than `IN_A_ROW` robots from the side."""
     models = [RobotModel(load_robot(name)) for name in names]
     with styled():
         if len(models) <= IN_A_ROW:

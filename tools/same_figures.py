@@ -1,9 +1,10 @@
-"""Compare the figures of runs between two environments, or before and after a change.
+"""Compare the results of runs between two environments, or before and after a change.
 
-`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json`, with the given
-controllers and robots, and stores the figures; `... compare FILE` runs them again, with `--python`
-in another environment, and prints differences above `--tolerance` (0: bit by bit), without times.
-Both run the code of the current folder, so that two checkouts can be compared.
+`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json` and stores the results
+in FILE; runs that are already in FILE are not repeated. `python -m tools.same_figures compare FILE`
+runs the scenarios of FILE again, with `--python` in another environment, and prints differences
+above `--tolerance` (0: bit by bit). Durations are not compared. Both run the code of the current
+folder, so two checkouts can be compared.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
-"""Figures of a run's speed."""
+"""Results that depend on the machine's speed."""
 SCENARIOS = (
     "guiding-lateral",
     "guiding-front",
@@ -31,7 +32,7 @@ SCENARIOS = (
 
 
 def figures(python: str, case: str) -> dict[str, Any]:
-    """The figures of a run in an environment, or its error, without times.
+    """The results of a run in an environment, without durations, or its error.
 
     Args:
         python: The interpreter.
@@ -45,7 +46,7 @@ def figures(python: str, case: str) -> dict[str, Any]:
 
 
 def differences(first: Any, second: Any, tolerance: float, name: str = "") -> list[str]:
-    """The differences, as `min_distance_m.lm-l3: 0.1, 0.2`."""
+    """The differences, each as a text such as `min_distance_m.lm-l3: 0.1, 0.2`."""
     if isinstance(first, dict) and isinstance(second, dict):
         return [
             text
@@ -85,7 +86,7 @@ def _options() -> argparse.Namespace:
 
 
 def main() -> int:
-    """Print a line per run; returns 1 if any figure differs."""
+    """Print a line for each run; return 1 if any result differs."""
     options = _options()
     kept = json.loads(options.file.read_text()) if options.file.exists() else {}
     cases = list(kept) if options.do == "compare" else [c for c in _cases(options) if c not in kept]

@@ -1,7 +1,7 @@
-"""A static site of files: `make site` or `python -m tools.site [--out out/site]`.
+"""A static web site: `make site` or `python -m tools.site [--out out/site]`.
 
-It has the documentation, replays of every scenario with every controller, the border
-over d_b, and the polar maps. Robots whose meshes may not be published are left out.
+It has the documentation, replays of every scenario with every controller, the border for several
+d_b, and the polar maps, all of the paper's robot.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ PROJECT = Path(__file__).resolve().parent.parent
 ROBOT = "husky_panda"
 """The paper's robot; its meshes have BSD and Apache licences."""
 LARGEST = 3e6
-"""[bytes] largest page, so that it opens at once."""
+"""[bytes] size of the largest page, which opens without a delay."""
 DISTANCES = tuple(round(0.01 * k, 2) for k in range(6, 25, 3))
 """[m] buffer distances of the border's pages."""
-HOLD = 1.0  # [s] display time of each page
+HOLD = 1.0  # [s] display time of each d_b
 
 
 class Played(NamedTuple):
@@ -71,7 +71,7 @@ class Played(NamedTuple):
 
 
 class Bordered(NamedTuple):
-    """The border's page of a pair of L_m, in words, and a colouring."""
+    """The page of a border, the displayed name of its pair of L_m, and the colour's quantity."""
 
     page: str
     pair: str
@@ -84,13 +84,13 @@ def make_site(
     controllers: Sequence[str],
     layers: Sequence[Layer],
 ) -> None:
-    """Replays, borders and the page that links them; `docs` and `maps` are linked if they exist.
+    """Make replays, borders and the page that links them; it links `docs` and `maps` if they exist.
 
     Args:
         out: New folder.
-        scenarios: One row of replays each.
-        controllers: One column each.
-        layers: Colourings of borders, of `app.dashboard.export.Layer`.
+        scenarios: The scenarios, one row of replays for each.
+        controllers: Names of the controllers, one column for each.
+        layers: Quantities that colour the borders.
 
     Raises:
         DbbError: A page is larger than `LARGEST`.
@@ -136,7 +136,7 @@ def _replay(
 
 
 def _at_rest(model: RobotModel, data: BorderData, t: float, d_b: float) -> Snapshot:
-    """The robot before a pull, with a buffer distance [m] in place of the time [s]."""
+    """The robot before a pull, at the time t [s], with the buffer distance d_b [m]."""
     scenario = scenario_of(model.description, "guiding-front")
     config = Config(border=BorderConfig(d_b=d_b))
     run = RunSpec(model.description.name, scenario, config, physics="kinematic")
@@ -151,7 +151,7 @@ def _border(
     pair: str,
     layer: Layer,
 ) -> Bordered:
-    """A page whose time line goes over d_b."""
+    """Make a page whose time line changes d_b."""
     with own_server() as server:
         look = Look(layer=layer, pair=pair)
         scene = OffscreenScene(server, RecordedLoop(snapshots), model, data.clouds, look)

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Run the laws with every interpreter that is found (pyenv's, uv's, the system's), each in an empty
-# environment of its own, one after the other; print a table. Logs go to out/pythons.
-# Usage: tools/test_pythons.sh [PYTHON ...], by default all that are found
+# Run the tests, without slow and browser tests, with each CPython 3.10 to 3.14 of pyenv, uv or the
+# system, in new environments, one after the other; print a table. Logs go to out/pythons.
+# Usage: tools/test_pythons.sh [PYTHON ...]; default: one interpreter of each version
 set -uo pipefail
 cd "$(dirname "$0")/.."
 trap 'exit 130' INT
@@ -14,12 +14,12 @@ candidates() {
         command -v "python3.$minor"
     done
 }
-version() { # PYTHON: as 3.12 3.12.1; prints nothing if the interpreter cannot be run
+version() { # PYTHON: prints, for example, 3.12 3.12.1; nothing if the interpreter cannot run
     "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2], ".".join(map(str, sys.version_info[:3])))' \
         2>/dev/null
 }
 
-chosen() { # one of each version is enough, unless they are named
+chosen() { # the named interpreters; otherwise one of each version
     if [ "$#" -gt 0 ]; then printf '%s\n' "$@"; return; fi
     seen=" "
     candidates | while read -r python; do
@@ -57,7 +57,7 @@ print(", ".join(f"{d.name} {d.version}" for d in distributions() if d.name in na
     rm -rf "$venv"
 done 3< <(chosen "$@")
 echo
-echo "| CPython | engines | installed in | the laws | in |"
+echo "| CPython | engines | installation | tests | duration |"
 echo "|---|---|---|---|---|"
 if [ "${#rows[@]}" -eq 0 ]; then
     echo "No CPython 3.10 to 3.14 was found." >&2

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Make a virtual environment, unless it is there, and install this project in it: by uv where there
-# is one, else by pip.
+# Make a virtual environment, if it does not exist, and install this project in it, by uv if it is
+# installed, otherwise by pip. Without EXTRA, only the environment is made.
 # Usage: [PYTHON=python] tools/venv.sh FOLDER [EXTRA], such as all or dev
 set -euo pipefail
 folder=$1
 extra=${2:-}
 
-# CPython of 64 bits with its lock, as the libraries' wheels want it; without uv, with venv and pip.
+# The libraries' wheels need a 64-bit CPython with its global lock; without uv also venv and pip.
 supported() {
     "$1" - "$(command -v uv || true)" 2>/dev/null <<'PY'
 import sys, sysconfig
@@ -21,7 +21,7 @@ PY
 found() {
     if [ -n "${PYTHON:-}" ]; then
         if supported "$PYTHON"; then echo "$PYTHON"; return; fi
-        echo "PYTHON=$PYTHON is no CPython 3.10 to 3.14 with venv." >&2
+        echo "PYTHON=$PYTHON is not a 64-bit CPython 3.10 to 3.14 with venv." >&2
         return 2
     fi
     # The newest first, but 3.14 last: pybullet, the default plant, has no wheels for it.
@@ -39,7 +39,7 @@ if [ ! -x "$folder/bin/python" ]; then
         :
     elif [ -n "$python" ]; then
         "$python" -m venv "$folder"
-        # pip 23.0, which Python 3.10 brings, tries versions for ten minutes where a new one takes seconds.
+        # pip 23.0, part of Python 3.10, needs ten minutes for a resolution that takes newer ones seconds.
         "$folder/bin/python" -m pip install --quiet --upgrade pip
     else
         echo "No CPython 3.10 to 3.14 with venv found: install uv (https://docs.astral.sh/uv) or Debian's python3-venv, or name one: make PYTHON=/path/to/python3 ..." >&2
@@ -52,7 +52,7 @@ if command -v uv >/dev/null; then
 else
     install=("$folder/bin/python" -m pip install --quiet --disable-pip-version-check)
 fi
-# The versions that were tested, each with its hash (tools/lock.sh); what has none is searched for.
+# Tested versions with hashes (tools/lock.sh); for an extra without them, pip chooses the versions.
 if [ -f "requirements/$extra.txt" ]; then
     "${install[@]}" --require-hashes -r "requirements/$extra.txt"
     "${install[@]}" --no-deps -e .

@@ -37,10 +37,10 @@ OPTIONAL = {
     "mujoco": "MuJoCo",
     "mujoco-core": "MuJoCo",
 }
-"""Differences between platforms, by their name in the table."""
-_MACOS = "14.0"  # the oldest supported one
-_AT_ONCE = 4
-_PATIENCE = 300  # [s]
+"""Packages that differ between platforms, and their names in the table."""
+_MACOS = "14.0"  # oldest supported version
+_AT_ONCE = 4  # [-] number of parallel resolutions
+_PATIENCE = 300  # [s] timeout of a resolution
 
 
 class IndexUnreachableError(Exception):
@@ -48,7 +48,7 @@ class IndexUnreachableError(Exception):
 
 
 Outcome = str | frozenset[str]
-"""Names of all installed packages, or uv's message on one without a wheel."""
+"""Names of all resolved packages, or uv's message about a package without a wheel."""
 
 
 def resolve(platform: str, python: str) -> Outcome:
@@ -126,7 +126,9 @@ def write(new: str) -> None:
 def main() -> int:
     """Print the table, or write it; returns 1 if a supported platform lacks a wheel."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help=f"into {DOCUMENT.name}")
+    parser.add_argument(
+        "--write", action="store_true", help=f"write the table into {DOCUMENT.name}"
+    )
     options = parser.parse_args()
     try:
         outcomes = resolve_all()

@@ -26,7 +26,7 @@ def load_model(robot: str) -> RobotModel:
 
 
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """Load a robot's model, pairs and clouds; missing pairs and clouds are sampled."""
+    """Load a robot's model, link pairs and border clouds; missing pairs and clouds are sampled."""
     from app.border.cache import load_border_data
 
     model = load_model(robot)
@@ -39,7 +39,7 @@ def say(text: str) -> None:
 
 
 def show(text: str) -> None:
-    """Print a line whose text possibly comes from an untrusted source."""
+    """Print a line on standard output; its text possibly comes from an untrusted source."""
     print(printable(text))
 
 
@@ -69,7 +69,7 @@ def as_json(result: object) -> str:
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print a table of plain texts on standard output, independent of the terminal's width."""
+    """Print a table of plain texts, at most 140 characters wide, on standard output."""
     from rich.console import Console
     from rich.markup import escape  # otherwise rich reads a unit such as [m] as a style
     from rich.table import Table
@@ -81,7 +81,7 @@ def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str =
 
 
 def print_part(part: Part) -> None:
-    """Print the text of a part of a report's page on standard output."""
+    """Print the texts and tables of a part of a report's page on standard output."""
     for text in part.text:
         show(text)
     for grid in part.tables:

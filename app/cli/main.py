@@ -3,9 +3,13 @@
 import ast
 import atexit
 import errno
+import inspect
 import logging
 import os
+import re
+import shutil
 import sys
+import textwrap
 from contextlib import suppress
 from importlib import import_module, metadata
 from pathlib import Path
@@ -16,7 +20,7 @@ from app.jobs.progress import ending_signals_raised
 from app.system import find_folders, open_standard_files
 
 COMMANDS = {
-    "A robot that moves": {
+    "Runs and pictures": {
         "serve": "serve",
         "run": "run",
         "screenshot": "pictures",
@@ -119,17 +123,36 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once, in_present_words, together
+    from app.cli.options import check_once, together
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = together(in_present_words(words))
+    rest = together(words)
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()
     else:
         function = getattr(module, known)
     check_once(rest)
-    tyro.cli(function, prog=f"dbb {name}", args=rest, config=(tyro.conf.DisallowNone,))
+    function.__doc__, description = _help_texts(function.__doc__ or "")
+    marks = (tyro.conf.DisallowNone,)
+    tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, config=marks)
+
+
+def _help_texts(doc: str) -> tuple[str, str]:
+    """A docstring in which the text of each argument is one line, and its filled description.
+
+    tyro fills the text of an argument to the terminal's width, but not the description. It also
+    joins lines that begin with a letter; therefore all lines after the first are indented.
+    """
+    doc = re.sub(r"\n {8,}(?=\S)", " ", inspect.cleandoc(doc))
+    text = re.sub(r"(?<=\S)\n(?=\S)", " ", doc.partition("\n\nArgs:")[0])
+    width, filled = shutil.get_terminal_size().columns, []
+    for k, line in enumerate(filter(None, text.split("\n"))):
+        item = re.match(r"  \S+ {2,}", line)  # a name and its description
+        indent = "  " if k and not item else ""
+        hanging = " " * (item.end() if item else 2)
+        filled.append(textwrap.fill(line, width, initial_indent=indent, subsequent_indent=hanging))
+    return doc, "\n".join(filled)
 
 
 def overview() -> str:

@@ -22,7 +22,11 @@ _MAX_CASES = 10_000_000
 
 
 def reproduce(
-    figures: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FIGURE")] = (),
+    figures: Annotated[
+        tuple[str, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar="[FIGURE …]", help_behavior_hint=""),
+    ] = (),
     *,
     out: Path = Path("out/reproduction"),
     seed: int = 0,
@@ -32,9 +36,8 @@ def reproduce(
     """Run the paper's experiments, draw its figures, check its claims.
 
     Args:
-        figures: Names of figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity (for
-            §4.3), departures;
-            default: all.
+        figures: Names of figures: fig3, fig5 to fig8, fig10 to fig18, density and continuity (both
+            for §4.3) and departures; default: all.
         out: Folder for a PNG and CSV files of each figure, `metrics.json` and `index.html`.
         seed: Seed of all random numbers of the runs.
     """
@@ -155,9 +158,8 @@ def study(
 
     Args:
         cases: Number of cases.
-        scheduler: Address of a running dask scheduler, whose workers must have this project
-            installed;
-            default: processes on this machine.
+        scheduler: Address of a running dask scheduler; this project must be installed for its
+            workers. Default: processes on this machine.
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MAX_CASES)
@@ -193,7 +195,7 @@ def study(
 
 @contextmanager
 def _resumable(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar; after Ctrl-C, print the number of stored cases and how to continue."""
+    """Show a progress bar; after Ctrl-C, print how many cases are stored, and how to continue."""
     kept = 0.0
 
     def count(done: float) -> None:

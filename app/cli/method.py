@@ -35,7 +35,7 @@ def pairs(
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
         samples: Number of random postures of the arm.
-        seed: Seed of the sampling.
+        seed: Seed of the random postures.
     """
     check_range("--samples", samples, 1, _MAX_SAMPLES)
     options.check_seed(seed)
@@ -233,7 +233,8 @@ def config(
 
     Args:
         out: File to write instead of standard output; an existing file is not overwritten.
-        robot: Robot whose defaults apply without a file; `dbb robots` lists all names.
+        robot: Robot whose defaults apply to the parameters that are not in the file of --config;
+            `dbb robots` lists all names.
     """
     tuned = options.configured(robot, config)
     if out is not None:
@@ -265,7 +266,7 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
-        no_border: Do not measure the sampling of a new border, which takes a minute or two.
+        no_border: Do not measure the sampling of a new border, which takes minutes.
         seed: Seed of the plant and of the synthetic borders.
     """
     options.check_seed(seed)
@@ -273,8 +274,8 @@ def bench(
         from benchmarks.step.bench import bench as measure
     except ModuleNotFoundError:
         raise ConfigError(
-            "dbb bench needs a checkout of the project, and this is an installation: "
-            "clone the project, and call .venv/bin/dbb bench there after make run"
+            "dbb bench needs a checkout of the project, and this is an installation: clone the "
+            "project, call make run there, and then .venv/bin/dbb bench"
         ) from None
     model, data = load_robot_and_border(robot)
     result = measure(model, data, seed=seed, border=not no_border, on_stage=say)

@@ -10,7 +10,7 @@ import tyro
 
 from app.cli.records import Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
-from app.config_file import read_config
+from app.config_file import NamedConfig, read_config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
@@ -18,17 +18,16 @@ from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range
 from app.system import begun_folder, is_no_file, own_path, usable_cores
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # an option without a value
-Json = Annotated[
-    Flag,
-    tyro.conf.arg(name="json", help="Print only one JSON object.", help_behavior_hint=""),
-]
+NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
+"""Mark of an option whose default is not displayed."""
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, NO_DEFAULT]  # an option without a value
+Json = Annotated[Flag, tyro.conf.arg(help="Print only one JSON object.")]
 ConfigOption = Annotated[
     Path | None,
+    NO_DEFAULT,
     tyro.conf.arg(
         help="TOML file of parameters, written by `dbb config` or the dashboard. Parameters that "
-        "are not in the file have the robot's defaults. Other options override the file.",
-        help_behavior_hint="",
+        "are not in the file have the robot's defaults. Options for parameters override the file.",
     ),
 ]
 Processes = Annotated[
@@ -39,9 +38,6 @@ Processes = Annotated[
     ),
 ]
 
-NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
-"""Mark of an option with the default None, whose help text states the effective default."""
-
 FORMERLY = {
     "--delay": "--base-delay",
     "--noise": "--encoder-noise",
@@ -50,7 +46,6 @@ FORMERLY = {
     "--replay-case": "--case",
 }
 """Former names of options, which are still valid, and the present names."""
-_REPEATED = {"--allow-host"}
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Options that set a parameter, and the parameter's path."""
@@ -84,7 +79,7 @@ class Setup:
 def parameter_options(paths: Mapping[str, str]) -> Any:
     """The annotation in `Annotated[Given, …]` for options that set one parameter each.
 
-    `paths` has the parameter's path for each option.
+    `paths` has the path of each option's parameter, such as `border.d_b`.
     """
     found = {}
     for name, path in paths.items():
@@ -129,11 +124,7 @@ def configured(
 
 
 def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual: Config) -> Config:
-    try:
-        config = usual if file is None else read_config(file, usual).config
-    except ConfigError as error:
-        raise ConfigError(f"--config: {error}") from None
-    return changed(config, given, paths)
+    return changed(usual if file is None else _read(file, usual).config, given, paths)
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:
@@ -142,8 +133,12 @@ def hosts_of(file: Path | None) -> tuple[str, ...]:
     Raises:
         ConfigError: The file cannot be read.
     """
+    return () if file is None else _read(file).hosts
+
+
+def _read(file: Path, usual: Config | None = None) -> NamedConfig:
     try:
-        return () if file is None else read_config(file).hosts
+        return read_config(file, usual)
     except ConfigError as error:
         raise ConfigError(f"--config: {error}") from None
 
@@ -210,19 +205,19 @@ def check_once(words: list[str]) -> None:
 
 
 def together(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with repeated options of `_REPEATED` merged into one option."""
+    """The words of a command line, with the values of all `--allow-host` in one option."""
     rest: list[str] = []
-    found: dict[str, list[str]] = {}
+    hosts: list[str] = []
     into = rest
     for word in words:
         name, sign, value = word.partition("=")
-        if name in _REPEATED:
-            into = found.setdefault(name, [])
+        if name == "--allow-host":
+            into = hosts = hosts or [name]
             into += [value] if sign else []
         else:
             into = rest if word.startswith("--") else into
             into.append(word)
-    return [*rest, *(word for name, values in found.items() for word in (name, *values))]
+    return rest + hosts
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:

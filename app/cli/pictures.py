@@ -31,13 +31,15 @@ if TYPE_CHECKING:
     from app.simulation.trace.snapshot import Snapshot
 
 _MAX_PICTURES = 12
-Place = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
+Place = Annotated[
+    tuple[float, float, float] | None, options.NO_DEFAULT, tyro.conf.arg(metavar="X Y Z")
+]
 
 
 def screenshot(
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
     *,
-    at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS")],
+    at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS …")],
     out: Path,
     picture: Annotated[Given, from_record(Look, leave=("pair",))],
     setup: options.SetupOptions,
@@ -47,8 +49,9 @@ def screenshot(
     """Draw instants of a scenario, in a browser without a display.
 
     Args:
-        scenario: A scenario of `dbb run`, or the JSON file of a case.
-        at: [s] time since the start of the scenario; several times (--at 0 3 6) make a strip of
+        scenario: A scenario of `dbb run`, or the JSON file of a case; a case sets robot, parameters
+            and seed.
+        at: [s] time since the start of the scenario; 2 to 12 times (--at 0 3 6) make a strip of
             pictures.
         out: The PNG file.
     """
@@ -104,8 +107,8 @@ class Filming:
     span: tuple[float, float] | None = None
     """[s] part of the scenario; default: the whole scenario."""
     side_by_side: bool = False
-    """Draw the robot of each controller of --beside in a separate picture at the left instead of as
-    a ghost."""
+    """Draw the robot of each controller of --beside in a separate picture at the left, and not as a
+    ghost."""
     codec: str = ""
     """h264 or h265 for .mp4, vp9 or vp8 for .webm; default: h264 and vp9."""
 
@@ -119,7 +122,9 @@ def film(
     scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
     *,
     out: Path,
-    beside: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER")] = (),
+    beside: Annotated[
+        tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER …", help_behavior_hint="")
+    ] = (),
     filming: Annotated[Given, from_record(Filming)],
     picture: Annotated[Given, from_record(Look, leave=("page", "pair"))],
     start: Place = None,
@@ -131,9 +136,10 @@ def film(
     """Film a scenario without a display, picture by picture.
 
     Args:
-        scenario: A scenario of `dbb run`, or the JSON file of a case.
+        scenario: A scenario of `dbb run`, or the JSON file of a case; a case sets robot, parameters
+            and seed.
         out: The file, which ends in .mp4, .webm, .webp (animated) or .gif.
-        beside: Other controllers, whose robots appear as ghosts.
+        beside: Further controllers, whose robots appear as ghosts.
         start: [m] start of the end-effector, in the world, as in `dbb run`.
         move: [m] displacement of the end-effector, in the world, as in `dbb run`.
     """
@@ -152,9 +158,9 @@ def film(
     check_name(f"--codec of {out.suffix}", codec, codecs)
     asked = spec_named(scenario, setup, config)
     asked = asked._replace(scenario=asked.scenario.changed(start=start, move=move))
-    told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
-    told |= _film(asked, beside, how, codec, look, out)
-    print_json(told) if json else print(out)
+    result = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
+    result |= _film(asked, beside, how, codec, look, out)
+    print_json(result) if json else print(out)
 
 
 def _film(
@@ -215,10 +221,11 @@ def replay(
 ) -> None:
     """Make a web page that replays the run of a log in any browser.
 
-    The file needs no network.
+    The page needs no network.
 
     Args:
-        log: File of `dbb run --log` or `--out`, or the JSON file of a case.
+        log: A .csv or .parquet log of `dbb run`, or the JSON file of a case, whose run is then
+            executed.
         out: The HTML file.
     """
     # Imported here: viser and pyarrow would delay the start of every other command.
@@ -232,14 +239,14 @@ def replay(
     with progress_bar(out.name, duration) as on_progress:
         page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
     write_whole(out, page)
-    told = {
+    result = {
         "page": str(out),
         "scenario": read.meta.scenario,
         "robot": read.meta.robot,
         "duration_s": duration,
         "size_bytes": out.stat().st_size,
     }
-    print_json(told) if json else print(out)
+    print_json(result) if json else print(out)
 
 
 def report(
@@ -251,7 +258,8 @@ def report(
     """Make one HTML file from a log, with plots and key numbers.
 
     Args:
-        log: File of `dbb run --log` or `--out`, or the JSON file of a case.
+        log: A .csv or .parquet log of `dbb run`, or the JSON file of a case, whose run is then
+            executed.
         out: The HTML file.
     """
     # Imported here: matplotlib and pyarrow would delay the start of every other command.

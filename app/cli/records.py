@@ -1,4 +1,4 @@
-"""Options made from records: each field becomes an option, and its docstring the help text."""
+"""Options made from records: a field becomes an option, and the field's docstring its help text."""
 
 import ast
 import inspect
@@ -13,7 +13,7 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-Given = dict[str, Any]  # values of the options that the user set, by the name of the field
+Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 
 _METAVARS = {
     "allow_host": "NAME",
@@ -24,6 +24,8 @@ _METAVARS = {
     "ready": "Q1 Q2 …",
     "controllers": "NAME …",
     "heights": "Z …",
+    "mount_rpy": "ROLL PITCH YAW",
+    "tip_rpy": "ROLL PITCH YAW",
     "package": "NAME=FOLDER …",
     "speeds": "V …",
     "xacro": "NAME=VALUE …",
@@ -51,8 +53,11 @@ def from_record(
 ) -> Any:
     """The annotation in `Annotated[Given, …]` by which a command gets an option for each field.
 
+    The command gets a dictionary that has only the options that the user set.
+
     Args:
-        record: A dataclass or pydantic record, or an instance whose values are the defaults.
+        record: A dataclass or pydantic record; or a dataclass instance, whose values are the
+            defaults.
         only: Names of the included fields; None means all fields.
         leave: Names of the excluded fields.
         names: Name of the option, for each field whose option has a different name.
@@ -69,10 +74,7 @@ def from_record(
 def from_fields(
     found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
 ) -> Any:
-    """The annotation of `from_record` for some fields.
-
-    The command gets a dictionary that has only the options that the user set.
-    """
+    """The annotation of `from_record`, for fields that are described one by one."""
     kinds = {
         name: _option(name, each, (names or {}).get(name, name), positional == name)
         for name, each in found.items()
@@ -88,7 +90,7 @@ def _option(name: str, about: Field, option: str, positional: bool) -> Any:
         name=option,
         metavar=_metavar(name, about.kind, positional),
         help=about.help,
-        help_behavior_hint="" if about.default in (None, ()) else hint,
+        help_behavior_hint="" if about.default in (None, (), "") else hint,
     )
     kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
     if positional:
@@ -118,7 +120,7 @@ def fields_of(record: object) -> Iterator[tuple[str, Field]]:
     if issubclass(cls, BaseModel):
         for name, each in cls.model_fields.items():
             default = each.get_default(call_default_factory=True)  # type: ignore[call-arg]
-            yield name, Field(kinds[name], default, each.description or "")
+            yield name, Field(kinds[name], default, " ".join((each.description or "").split()))
         return
     docs = {name: text for each in reversed(cls.__mro__) for name, text in _docs(each)}
     for each in fields(cls):  # type: ignore[arg-type]

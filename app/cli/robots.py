@@ -73,19 +73,20 @@ def check_robot(
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
     parameters: Annotated[Given, options.parameter_options(_OF_CHECK)],
     *,
-    runs: Annotated[bool, tyro.conf.arg(name="runs")] = True,
+    runs: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: yes)")] = True,
     quick: Flag = False,
     json: Json = False,
 ) -> None:
-    """Check that a robot's description agrees with the robot.
+    """Check a robot's description against URDF, meshes and engines.
 
-    The command compares pinocchio and the engines; checks limits, bodies against meshes, pairs,
-    border and a guiding run; and prints warnings. The exit status is 0 only if no check fails.
+    The command compares pinocchio with the engines, and the bodies with the meshes. It checks
+    limits, pairs, border and guiding runs, and prints warnings. The exit status is 0 only if no
+    check fails.
 
     Args:
         name: Name of the robot; `dbb robots` lists all names.
         runs: Also guide the end-effector towards the base, which takes the most time.
-        quick: Use the coarse border of `dbb new-robot --quick`.
+        quick: Use a coarse border, as from `dbb new-robot --quick`.
     """
     from app.border.config import QUICK
     from app.robot.description import load_robot
@@ -122,8 +123,9 @@ def new_robot(
     its source. It writes all files or none.
 
     Args:
-        quick: Sample a coarse border in seconds. The first `dbb serve` refines the border in the
-            background; every other command first samples the full border, which takes minutes.
+        quick: Sample a coarse border in seconds. The first `dbb serve` refines this border in the
+            background. Other commands first sample the full border, which takes minutes;
+            `dbb check-robot --quick` does not.
     """
     asked = Request(**request)
     check_request(asked)

@@ -33,10 +33,10 @@ class Files:
     out: Path | None = None
     """Folder for `log.csv` and `metrics.json`."""
     log: Path | None = None
-    """File ending in .csv or .parquet for `dbb report` and `dbb replay`, with one row per control
-    step and all displayed quantities in every 20th row; or in .mcap for Foxglove, Rerun and other
-    viewers."""
-    ros: options.Flag = False
+    """File that ends in .csv or .parquet, for `dbb report` and `dbb replay`, or in .mcap, for
+    Foxglove, Rerun and other viewers. The first two have one row per control step, and all
+    displayed quantities in every 20th row."""
+    ros: bool = False
     """Write ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
 
     def __post_init__(self) -> None:
@@ -102,12 +102,12 @@ def run(
 
 _LIST = "\n".join(
     [
-        "Scenarios, each with its own options (dbb run SCENARIO --help):",
+        "Scenarios; each has its own options (dbb run SCENARIO --help), and the options below:",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
-        f"  {'--case':16} repeat a case from the page or from a study (dbb run --case FILE)",
+        f"  {'--case':16} repeat a case from the dashboard or a study (dbb run --case FILE)",
     ]
 )
-run.__doc__ = f"{run.__doc__}\n\n{_LIST}\n\nThe options of all scenarios:"
+run.__doc__ = f"{run.__doc__}\n\n{_LIST}"
 
 
 def command_of(scenario: Scenario) -> Callable[..., None]:
@@ -143,12 +143,12 @@ def run_case(
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
-    """Repeat a case with the same start, pulls, robot, disturbances and seed.
+    """Repeat a case: the same robot, scenario, parameters and seed.
 
     The results are the same too, unless an option or a newer version changes the run.
 
     Args:
-        case: JSON file of a case, saved in the dashboard or in a study's folder `failures`.
+        case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.
     """
     played = read(case)
     again = spec_of_case(played, setup)

@@ -37,15 +37,15 @@ class Serving:
     port: int = 8080
     """Port to listen on; 0 selects a free port."""
     allow_host: tuple[str, ...] = ()
-    """Further names under which browsers reach the server, for example through a proxy. The option
-    can be repeated. The file of --config can also have these names:
+    """Further name under which browsers reach the server, for example through a proxy; repeat the
+    option for several names. The file of --config can also have names:
     [server] allow_host = ["NAME"]."""
     start: Point | None = None
     """[m] start of the end-effector, in the world; default: the start of guiding-front, or the
     ready position of a robot without a line for that scenario."""
     case: Path | None = None
-    """File of a case, from the page or from `failures` of a study. The robot, its start and its
-    disturbances are those of the case, and a button plays the pull."""
+    """File of a case, saved in the dashboard or in the folder `failures` of a study. The robot, its
+    start, the parameters and the seed are those of the case, and a button repeats the case."""
 
     def __post_init__(self) -> None:
         """Check the options before anything is loaded."""
@@ -161,8 +161,8 @@ def _serve(first: _First) -> None:
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         if not is_loopback(asked.host):
             say(
-                f"other machines can reach {asked.host}: everyone there can watch and command "
-                "the simulation; there is no password"
+                f"other machines can reach {asked.host}, without a password: everyone there can "
+                "watch and command the simulation"
             )
         server.run_forever()
     finally:
@@ -170,16 +170,19 @@ def _serve(first: _First) -> None:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border; if it is coarse, a background process samples the full border."""
+    """The robot's border from the cache, or a new one.
+
+    If the cache has only a coarse border, a background process samples the full one for the next
+    start.
+    """
     from app.border.cache import kept_border_data, load_border_data
     from app.border.config import QUICK
     from app.dashboard.job import Job, sample_border
 
-    coarse = None
-    if (kept := kept_border_data(model)) is None:
-        coarse = kept_border_data(model, QUICK)
-    if coarse is None:
-        return kept or load_border_data(model)
+    if (kept := kept_border_data(model)) is not None:
+        return kept
+    if (coarse := kept_border_data(model, QUICK)) is None:
+        return load_border_data(model)
     name, job = model.description.name, Job()
     say(f"the border of {name} is coarse; a background process refines it for the next start")
     job.start(name, "refining its border", lambda: job.run(sample_border, name))

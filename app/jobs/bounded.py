@@ -1,7 +1,8 @@
 """Reading of untrusted data within a budget of time and memory.
 
-This process reads small data. A child process reads larger data, and the system ends this child if
-it exceeds its budget. Thus no file can exhaust the memory of a server or block its threads.
+This process reads small data. A child process reads larger data; the system ends the child after
+its processor time, and refuses memory beyond the budget. Thus no file can exhaust the memory of a
+server or block its threads.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from app.system import limited
 Read = TypeVar("Read")
 
 SMALL = 16 * 2**10
-"""[bytes] size of the largest data that this process reads; most configurations are smaller."""
+"""[bytes] largest size of data that this process reads itself; most configurations are smaller."""
 _AT_ONCE = threading.BoundedSemaphore(2)  # largest number of reading child processes
 _never = threading.Event()
 _limited = threading.Event()  # set in a reading child, which starts no further child
@@ -46,12 +47,12 @@ class Budget(NamedTuple):
 
 
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
-    """Call `read(*args)` within a budget, and return the result.
+    """Call `read(*args)` within the budget for its data, and return the result.
 
     Args:
         read: A function of a module, which reads some data; its result must be picklable.
         args: Arguments of `read`, which must be picklable.
-        size: [bytes] size of the data.
+        size: [bytes] size of the data, which determines the budget.
 
     Raises:
         BudgetError: Reading exceeds the budget.
@@ -62,7 +63,13 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
         packed = run_in_process(
-            _limited_read, budget, read, args, report=_ignore, cancelled=_never, niceness=0
+            _limited_read,
+            budget,
+            read,
+            args,
+            report=lambda *_: None,
+            cancelled=_never,
+            niceness=0,
         )
         return pickle.loads(packed)
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
@@ -81,7 +88,3 @@ def _limited_read(
             raise ValueError("its brackets or tables nest too deeply") from None
         except RuntimeError as error:  # a shape's serialisation has exhausted the memory
             raise MemoryError from error
-
-
-def _ignore(*_: object) -> None:
-    """Ignore a report of progress."""

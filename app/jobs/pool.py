@@ -85,7 +85,7 @@ class Workers(AbstractContextManager["Workers"]):
             on_progress: Called in the reader's thread with the share of all work that is done, 0 to
                 1, which never decreases.
             tells: Whether `function` has a third argument, a function that takes the share of the
-                job that is done; otherwise only the end of a job counts.
+                job that is done; otherwise `on_progress` changes only at the end of each job.
             lost: Makes the result of a job whose process has ended in each of three attempts.
 
         Raises:
@@ -121,7 +121,7 @@ class Workers(AbstractContextManager["Workers"]):
             yield result
 
     def _ask(self, task: _Task, tell: OnProgress) -> Any:
-        """Run a job in an idle process; there is a process for each thread that calls this."""
+        """Run a job in an idle process; each thread of the pool has a process."""
         child = self._idle.get()
         try:
             for _ in range(_TRIES):
@@ -155,7 +155,7 @@ ALONE = Workers(tuple, 1)
 
 
 class _Shares:
-    """The share of each job that is done, sent by its worker to the waiting thread."""
+    """The share of each job that is done, as reported by the jobs' workers."""
 
     def __init__(self, jobs: int, on_progress: OnProgress) -> None:
         self._of, self._on_progress = [0.0] * jobs, on_progress

@@ -36,7 +36,7 @@ Report = Callable[[str, float], None]
 """A function that takes the present activity and the share of the work that is done, 0 to 1, or a
 negative number if the share is unknown."""
 
-_CANCEL_EVERY = 0.1  # [s] time between two checks for cancellation
+_CANCEL_EVERY = 0.1  # [s] time between two checks of the event that cancels
 _PATIENCE = 2.5  # [s] time in which a process can clean up before it is killed
 _BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
 """Code of a child's interpreter, which sets the parent's path before it imports this module."""
@@ -68,7 +68,8 @@ class Child(AbstractContextManager["Child"]):
         Args:
             work: The function.
             args: Arguments of `work` after the two connections.
-            leads_group: Whether all processes that the child starts end with the child.
+            leads_group: Whether the child leads a group of processes, so that all processes that it
+                starts end with it.
         """
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
@@ -95,7 +96,7 @@ class Child(AbstractContextManager["Child"]):
     def ended(self, patience: float = 0.0) -> int | None:
         """The exit status if the process ends within `patience` [s], otherwise None.
 
-        A negative status is the number of a signal.
+        A negative status is the negative number of the signal that ended the process.
         """
         try:
             return self._process.wait(patience)

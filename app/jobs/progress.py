@@ -19,9 +19,9 @@ OnProgress = Callable[[float], None]
 """A function that takes the share of the work that is done, 0 to 1."""
 
 _EVERY = 20.0  # [s] time between two lines of plain text; shorter work prints no line
-_LONGEST = 2.0  # [s] time in which a command ends after a signal; its children take 2.5 s more
+_LONGEST = 2.0  # [s] time in which a command can end by itself after a signal
 _PATIENCE = 8.0  # [s] time after which the guard kills a process in which no thread can run
-_TIDYING = 1.0  # [s] timeout of the exit functions of a process that ends late
+_TIDYING = 1.0  # [s] timeout of the exit functions of a process that did not
 _received: list[int] = []
 
 
@@ -55,7 +55,7 @@ def progress_bar(
 def part_of(on_progress: OnProgress, begin: float, end: float) -> OnProgress:
     """A function that takes the share of a part of some work, and reports the share of the whole.
 
-    The part is the interval from `begin` to `end` [-] of the whole work.
+    The part is the interval from `begin` to `end` [-] of the whole work, 0 to 1.
     """
     return lambda share: on_progress(begin + (end - begin) * share)
 
@@ -104,7 +104,7 @@ def ending_signals_raised() -> Iterator[None]:
 
     SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` with 128 + the signal's
     number. If compiled code converts the exception into another error, the exception is raised
-    again at the end. The process ends within 2 s in any case.
+    again at the end. If the work does not end, the process ends by `_deadline`.
 
     Raises:
         KeyboardInterrupt: SIGINT (Ctrl-C) has ended the work.
@@ -142,13 +142,14 @@ def _raise(number: int, _: FrameType | None) -> None:
 
 @contextmanager
 def _deadline(numbers: Sequence[int]) -> Iterator[None]:
-    """End the process 2 s after one of some signals, independently of the main thread.
+    """End the process 2 to 3 s after one of some signals, independently of the main thread.
 
     Python's own handlers wait until compiled code of the main thread has returned, and their
     exceptions can be lost there. Therefore the number of each signal is also written to a pipe,
     immediately. The guard reads the pipe and passes the numbers on to a thread of this process,
     which ends the process; if the guard is killed, the thread reads the pipe itself. If compiled
-    code holds Python's lock, so that no thread of this process can run, the guard kills it.
+    code holds Python's lock, so that no thread of this process can run, the guard kills it after
+    8 s.
     """
     if not numbers:
         yield
@@ -178,7 +179,7 @@ def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) ->
 def _end_after(longest: float, status: int) -> NoReturn:
     wake_children()
     sleep(longest)
-    # Temporary folders are removed, as at any end; a hanging removal does not delay the end.
+    # Temporary folders are removed, as at any end; a removal that hangs delays the end by 1 s only.
     tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
     tidying.start()
     tidying.join(_TIDYING)

@@ -12,6 +12,7 @@ from typing_extensions import Self
 from app.config import Config, present_name, tunables
 from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, check_name
+from app.robot.assets import check_robot_name
 from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
@@ -133,9 +134,8 @@ class RunCase(Strict):
             where: Name of the file, for messages.
 
         Raises:
-            CaseError: The text is not a case, or its scenario, controller, an option or a
-                parameter is invalid; the message names the fault. The names of robot and plant
-                are not checked.
+            CaseError: The text is not a case, or its robot, scenario, controller, plant, an option
+                or a parameter is invalid; the message names the fault.
         """
         try:
             content = parsed(json.loads, text)
@@ -145,7 +145,9 @@ class RunCase(Strict):
             raise CaseError(f"{where} is not a case: it has no {FORMAT!r}")
         try:
             case = cls.model_validate_json(json.dumps(content))
+            check_robot_name(case.robot)
             check_name("controller", case.controller, CONTROLLERS)
+            chosen_plant(case.physics)
             case.scenario()
             case.config()
         except ValidationError as error:

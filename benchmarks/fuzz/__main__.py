@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import tyro
 
 from app.cli.common import print_json
+from app.cli.options import Json
 from app.jobs.progress import progress_bar
 from benchmarks.fuzz import Length
 
@@ -19,12 +20,13 @@ def main(
     what: Literal["both", "messages", "files"] = "both",
     count: int | None = None,
     keep: Path = Path("out/fuzz"),
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    json: Json = False,
 ) -> None:
-    """Fuzz messages and files for half of the time each; the status is 1 after a finding.
+    """Send mutated messages and read mutated files; the status is 1 after a finding.
 
     Args:
-        seconds: [s] total duration, without the starts of processes.
+        seconds: [s] total duration, without the starts of processes; half for each of messages and
+            files.
         seed: Seed of the mutations.
         what: Messages, files or both.
         count: Number of messages, and number of files of each kind, instead of the duration.

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-_MIN_POWER, _MAX_POWER = 2.0, 5.0  # [-] powers of ten of how often something is repeated
+_MIN_POWER, _MAX_POWER = 2.0, 5.0  # [-] bounds of the decimal logarithm of the repetitions
 
 _TOML: tuple[Callable[[int], str], ...] = (
     lambda n: f"a{'.b' * n} = 1",

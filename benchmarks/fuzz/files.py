@@ -59,14 +59,14 @@ from benchmarks.fuzz.expand import expanded
 from benchmarks.fuzz.mutate import mutated, mutated_bytes
 from tests.logs import random_snapshots, trace_of
 
-_LONGEST = 20.0  # [s] of a core, after which a file is given up
-_SILENT = 300.0  # [s] without an answer, after which the process that reads hangs
-_SECONDS = 2.0  # [s] of a core that one may take
-_READER = 4.0  # [s] that a process of its own may take beside, if one reads it: it imports much
-_GROWTH = 300.0  # [MiB] largest growth of the process
+_LONGEST = 20.0  # [s] processor time after which the reading of a file is aborted
+_SILENT = 300.0  # [s] time without an answer after which the reading process counts as hanging
+_SECONDS = 2.0  # [s] largest accepted processor time for a file
+_READER = 4.0  # [s] largest accepted further time of child processes, which import libraries
+_GROWTH = 300.0  # [MiB] largest accepted growth of the process
 _OWN_CHILD = 0.01  # [-] share of files that are read in a child of the project, not in a fork
-_EXPANDED = 0.1  # [-] share of files that are made to become large
-_MEMORY = 6 * 2**30  # [bytes] address space; the libraries take one half
+_EXPANDED = 0.1  # [-] share of files from `expanded`
+_MEMORY = 6 * 2**30  # [bytes] limit of the address space; the libraries need half of it
 _numbers = itertools.count()
 _ROBOT = ASSETS / "husky_panda"
 _URDF = """<robot name="r"><link name="base"><visual><geometry><mesh filename="a.stl"/></geometry>
@@ -134,7 +134,7 @@ def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
             meta = {b"dbb_log": json.dumps(header, default=repr).encode()}
         case 2:
             values = mutated(table.column(k).to_pylist(), rng)
-            with suppress(pa.ArrowException, OverflowError, TypeError):  # no column has them
+            with suppress(pa.ArrowException, OverflowError, TypeError):  # no column can have them
                 table = table.set_column(k, table.column_names[k], pa.array(values))
         case 3:
             table = table.remove_column(k)
@@ -170,10 +170,10 @@ def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
             )
         case _:
             del arrays[name]
-    write(path, _Told(json.dumps(header, default=repr)), arrays)  # type: ignore[arg-type]
+    write(path, _Header(json.dumps(header, default=repr)), arrays)  # type: ignore[arg-type]
 
 
-class _Told(str):
+class _Header(str):
     """A header of any content."""
 
     def model_dump_json(self) -> str:
@@ -243,7 +243,7 @@ def _journal(path: Path) -> None:
 
 
 def _go_on(path: Path) -> None:
-    """Continue the study of a folder with this journal."""
+    """Open the journal of a study in a folder."""
     folder = path.parent / "study"
     folder.mkdir(exist_ok=True)
     shutil.copyfile(path, folder / "cases.jsonl")
@@ -269,8 +269,9 @@ def _mesh(path: Path) -> None:
 
 
 def _shape(path: Path) -> None:
-    """Fit a link with this mesh; each mesh has its own name, because results are cached by the
-    name.
+    """Read the geometry of a link with this mesh.
+
+    Each mesh has its own name, because results are cached by the name.
     """
     mesh = path.with_name(f"{next(_numbers)}.stl")
     path.rename(mesh)

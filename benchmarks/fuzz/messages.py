@@ -41,17 +41,17 @@ from benchmarks.fuzz import Length
 from benchmarks.fuzz.mutate import HOSTILE, mutated
 from tests.raw_client import RawClient
 
-_BURST = 500  # [-] messages between two looks
-_WARM = 0.5  # [-] share of it after which memory is measured first
-_GARBAGE_EVERY = 10.0  # [s] between two clients that are sent away; a page takes long to make
-_LARGEST_GROWTH = 1.1  # [-] of memory
-_PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with other work
+_BURST = 500  # [-] messages between two checks
+_WARM = 0.5  # [-] share of the test after which memory is first measured
+_GARBAGE_EVERY = 10.0  # [s] time between two disconnected clients; a new page takes long
+_LARGEST_GROWTH = 1.1  # [-] largest accepted ratio of the memory at the end and at `_WARM`
+_PATIENCE = 60.0  # [s] timeout for a new page or the next step, on a busy machine
 _PACKED = tuple(value for value in HOSTILE if value != 10**400)
-"""Values that a message can hold."""
+"""Hostile values that msgpack can encode."""
 _PICTURE = png(Image.new("RGBA", (SIZES["width"][2], SIZES["height"][2])))
-"""The answer of a page to the request of a picture."""
+"""The answer of a page to a request for a picture."""
 _asked: deque[str] = deque(maxlen=1)
-"""The last name of a question to a page."""
+"""The identifier of the last request to a page."""
 
 
 def fuzz_messages(
@@ -119,7 +119,7 @@ class _Fuzz:
         """Send messages until the end of the test."""
         first = last = None
         with RawClient(self._server.address) as witness, _errors_in(self._findings):
-            self._wait(lambda: self._server.pages, "no page for who looks on")
+            self._wait(lambda: self._server.pages, "no page for the watching client")
             self._client()
             begin, garbage, share = time.monotonic(), time.monotonic(), 0.0
             while share < 1.0 and not self._findings:
@@ -150,7 +150,7 @@ class _Fuzz:
         """Connect a sender, and wait for its page."""
         known = set(self._server.pages)
         self._sender = RawClient(self._server.address)
-        self._wait(lambda: set(self._server.pages) - known, "no page for who comes")
+        self._wait(lambda: set(self._server.pages) - known, "no page for a new client")
         self._page = self._server.pages.get(max(self._server.pages, default=0), self._page)
         self._uploads = gate.Uploads(LARGEST_ARCHIVE)
 
@@ -172,13 +172,11 @@ class _Fuzz:
                     self._sender.close()
                     self._client()
             except websockets.ConnectionClosed as error:
-                self._findings.setdefault(f"a client was sent away: {error}", repr(data[:300]))
+                self._findings.setdefault(f"a client was disconnected: {error}", repr(data[:300]))
                 self._client()
 
     def _in_parts(self, data: bytes) -> Iterator[bytes]:
-        """Send a message in few or many pieces, empty or large; the server may close the
-        connection.
-        """
+        """Split a message into few or many fragments, empty or large."""
         count, size = int(10 ** self._rng.uniform(0, 4.5)), int(10 ** self._rng.uniform(0, 5))
         self._tally["parts"] += count
         yield data
@@ -241,7 +239,7 @@ class _Fuzz:
 
     def _look(self, seen: Callable[[], bool]) -> None:
         """Check that the server works and the parameters are in their ranges; end started work."""
-        for job in self._jobs():  # nobody waits for its end: a picture's may take half a minute
+        for job in self._jobs():  # not awaited, because a picture can take half a minute
             job.cancel()
         t = self._loop.latest().t
 
@@ -249,8 +247,10 @@ class _Fuzz:
             self._loop.send(Pause(False))  # an earlier message may pause it again
             return self._loop.latest().t != t
 
-        self._wait(passes, "time stands still", lambda: str(self._loop.latest())[:2000])
-        self._wait(seen, "another viewer gets nothing more")
+        self._wait(
+            passes, "the simulation does not advance", lambda: str(self._loop.latest())[:2000]
+        )
+        self._wait(seen, "the watching client receives nothing")
         config = self._loop.latest().config
         if type(config).model_validate(config.model_dump()) != config:
             self._findings.setdefault("a parameter is out of its range", str(config))
@@ -258,7 +258,7 @@ class _Fuzz:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
     def _jobs(self) -> list[Job]:
-        """Replace the work that buttons start; it is sufficient that the work starts."""
+        """The work that buttons start."""
         shared = self._server.shared
         jobs = [shared.robot_switch, shared.robot_build]
         return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
@@ -271,18 +271,19 @@ class _Fuzz:
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20
 
-    def _wait(self, true: Callable[[], Any], otherwise: str, told: Callable[[], str] = str) -> None:
+    def _wait(self, true: Callable[[], Any], otherwise: str, why: Callable[[], str] = str) -> None:
+        """Wait until a condition is true; a timeout is a finding with the text `otherwise`."""
         end = time.monotonic() + _PATIENCE
         while not true():
             if time.monotonic() > end:
-                self._findings.setdefault(otherwise, told())
+                self._findings.setdefault(otherwise, why())
                 return
             time.sleep(0.01)
 
 
 @contextlib.contextmanager
 def _errors_in(findings: dict[str, str]) -> Iterator[None]:
-    """Count each error in the log as a finding, by the line that raised it."""
+    """Add each error in the log to the findings."""
 
     class Errors(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -298,5 +299,5 @@ def _errors_in(findings: dict[str, str]) -> Iterator[None]:
 
 
 def _plain(value: Any) -> Any:
-    """A message with the value of a widget, in the form of a page."""
+    """The value of a widget in the form that a page sends."""
     return list(value) if isinstance(value, tuple) else value

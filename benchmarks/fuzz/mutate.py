@@ -88,9 +88,7 @@ def _nested(depth: int) -> Any:
 
 
 def mutated_bytes(data: bytes, rng: np.random.Generator) -> bytes:
-    """The bytes with a change: some are changed, removed, repeated, or replaced by a number or a
-    word.
-    """
+    """The bytes with changes: bytes are replaced, removed or repeated, and words are inserted."""
     for _ in range(int(rng.geometric(0.5))):
         at = int(rng.integers(len(data) + 1))
         end = min(len(data), at + int(rng.integers(1, 200)))

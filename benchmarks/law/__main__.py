@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy; processes take it over
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before the import of numpy; children inherit it
 
 import tyro
 
@@ -43,7 +43,7 @@ def main() -> None:
     """Run the chosen measurement and print its table.
 
     Raises:
-        SystemExit: A name or a number is wrong; the message says which.
+        SystemExit: An argument is wrong; the message names the fault.
     """
     try:
         tyro.extras.subcommand_cli_from_dict(
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def _shown(measure: Callable[..., Report]) -> Callable[..., None]:
-    """The measurement with its table printed; same arguments."""
+    """A function with the arguments of a measurement that prints its report."""
 
     @wraps(measure)
     def run(options: Options, **others: Any) -> None:

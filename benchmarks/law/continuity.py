@@ -27,14 +27,14 @@ from benchmarks.law.work import played
 
 Array = np.ndarray
 
-_AUDIT = 1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618
-"""(7,) [rad] where the audit saw a jump, of the paper's robot."""
-_AUDIT_SPEED = 0.2  # [rad/s] with which a joint passes there
-_STEP = 0.001  # [s]
-_FINER = 0.5, 0.25, 0.125  # [-] of that step
-_WINDOW = 2  # steps before and after the worst one that are refined
-_OFF = np.array([0.003, -0.002, 0.001])  # [m] of the reference from the tracking hand
-_ASKED = 0.02, 0.05  # [m/s²] and [rad/s²] a step
+_FIXED = 1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618
+"""(7,) [rad] joint positions of the paper's robot in the fixed state."""
+_FIXED_SPEED = 0.2  # [rad/s] speed of the moving joint in this state
+_STEP = 0.001  # [s] time between two evaluations
+_FINER = 0.5, 0.25, 0.125  # [-] refined steps, as shares of `_STEP`
+_WINDOW = 2  # [-] refined steps before and after the worst step
+_OFF = np.array([0.003, -0.002, 0.001])  # [m] offset of the reference from the end-effector
+_ASKED = 0.02, 0.05  # [m/s²] and [rad/s²] largest accepted change in one step
 Kind = Literal["guided", "tracking", "tracking-limited"]
 KINDS: dict[Kind, tuple[str, str]] = {
     "guided": ("guided", "robot"),
@@ -95,8 +95,8 @@ def continuity(
         first: Number of the first motion; with 0 the fixed state is included.
         kinds: Modes of the law: see `KINDS`.
     """
-    audits = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
-    own = range(first - audits, first + count)
+    fixed = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
+    own = range(first - fixed, first + count)
     rows = []
     for kind in kinds:
         paths = [Path(options, k, *KINDS[kind], duration, speed) for k in own]
@@ -155,8 +155,9 @@ def _place(place: Refinement, by_step: Array) -> str:
 
 
 class Worst(NamedTuple):
-    """The largest change in one step, and the largest kink, a change that differs from its
-    neighbours.
+    """The largest change in one step and the largest kink, with their times [s].
+
+    A kink is the difference between a change and the mean of its two neighbours.
     """
 
     change: float
@@ -178,11 +179,11 @@ def _worst(path: Path) -> tuple[Worst, Worst]:
 
 
 def _refined(place: Refinement) -> list[list[float]]:
-    """(steps, 2) largest change in one step around a place, for smaller and smaller steps."""
+    """(steps, 2) largest change in one step around a place, for steps of decreasing length."""
     found = []
     for share in (1.0, *_FINER):
         h = share * _STEP
-        # The same instants are among those of each step; a few before, for a law with a memory.
+        # All steps share the instants of the longest one. Earlier instants fill the law's memory.
         begin = max(place.t - 4 * _WINDOW * _STEP, 0.0)
         times = np.arange(begin, place.t + (_WINDOW + 1) * _STEP + 0.5 * h, h)
         inside = times[1:] > place.t - _WINDOW * _STEP
@@ -214,7 +215,7 @@ def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
                 state.v_ee.copy(),
                 state.J_ee @ qdd_all + state.Jdqd_ee,
             )
-        controller.last.v_last[:] = np.nan  # a gap: the motion is not that of the torques
+        controller.last.v_last[:] = np.nan  # as after a gap: the torques do not cause this motion
         w = controller.step(measured, reference, base_acceleration=base_acceleration)
         asked.append(np.clip(w.a_base_cmd, -most, most))
         touching.append(w.d[: len(w.pairs)].min() <= 0.0)
@@ -228,7 +229,7 @@ def _motion(path: Path) -> Motion:
     if path.number < 0:
         joint = path.number + robot.model.n_m
         return one_joint_motion(
-            robot.model, np.array(_AUDIT), joint, _AUDIT_SPEED, 0.5 * path.duration
+            robot.model, np.array(_FIXED), joint, _FIXED_SPEED, 0.5 * path.duration
         )
     rng = np.random.default_rng([path.options.seed, path.number])
     return random_motion(robot.model, pose_in_buffer(robot, rng), path.speed, rng, path.duration)

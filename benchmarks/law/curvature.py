@@ -24,11 +24,11 @@ from benchmarks.law.work import played
 
 Array = np.ndarray
 
-_H = 0.002  # [s] of the differences
-_FIVE = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  # fourth order
-_KINK = 0.05  # [m/s²] and relative: differences of two steps that differ more straddle a kink
+_H = 0.002  # [s] step of the differences
+_FIVE = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  # second difference of fourth order
+_KINK = 0.05  # [m/s²] and [-] largest change of a difference with the step; more means a kink
 _MIN_D = 0.02  # [m] distance below which the term of two fixed points is constant
-_MIN_ROWS = 5  # of a pair, to say something
+_MIN_ROWS = 5  # [-] smallest number of samples of a displayed pair
 _MODELS = "law", "without_term", "with_term"
 
 

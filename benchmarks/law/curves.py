@@ -33,9 +33,7 @@ class Curve(NamedTuple):
     duration: float
 
     def place(self, s: float) -> tuple[Array, Array, Array]:
-        """The point (3,) [m] at the share s of the curve, and its first two derivatives with
-        respect to s.
-        """
+        """The point (3,) [m] at the share s of the curve, and its first two derivatives by s."""
         start, end = np.array(self.start), np.array(self.end)
         if self.centre is None:
             return start + s * (end - start), end - start, np.zeros(3)

@@ -23,18 +23,18 @@ from benchmarks.law.starts import kept, place_beside, posture
 Array = np.ndarray
 
 KINDS = "towards", "diagonal", "arc"
-_TRIES = 400  # curves drawn before a case is given up
-_DURATION = 2.0, 10.0  # [s]
+_TRIES = 400  # [-] largest number of random curves for a case
+_DURATION = 2.0, 10.0  # [s] range of the duration of a curve
 _SPEED = 0.25  # [m/s] largest mean speed of the end-effector
-_CONE = math.radians(40.0)  # about the way inwards
-_LENGTH = 0.08, 0.30  # [m] of a line towards the base
+_CONE = math.radians(40.0)  # [rad] largest angle between a line and the direction inwards
+_LENGTH = 0.08, 0.30  # [m] range of the length of a line towards the base
 _RISE = 0.15  # [m] largest difference of height between the ends of a curve
-_TURN = 0.3, 1.2  # [rad] of an arc about the base's middle
-_NEAREST = 0.08  # [m] from the base's box to the end-effector
-_HAND_TURN = 0.5  # [rad] by which the end-effector points past the way from the mount
-_ALONG = np.linspace(0.25, 1.0, 4)  # [-] of a curve, where its reach is looked at
-_GUESSES = 6  # of the search for a posture there
-_REACHED = 1e-4  # [m] and [rad]
+_TURN = 0.3, 1.2  # [rad] range of the angle of an arc about the base's middle
+_NEAREST = 0.08  # [m] smallest distance of the end-effector from the base's box
+_HAND_TURN = 0.5  # [rad] largest angle of the end-effector to the direction away from the mount
+_ALONG = np.linspace(0.25, 1.0, 4)  # [-] places on a curve at which reachability is checked
+_GUESSES = 6  # [-] random initial guesses of each search for a posture
+_REACHED = 1e-4  # [m] and [rad] largest error of a posture
 
 
 class Task(NamedTuple):
@@ -48,7 +48,7 @@ def task_of(options: Options, number: int) -> Task:
     """The task with a number; the result is cached.
 
     Raises:
-        StudyError: The arm reaches none of many curves.
+        StudyError: The arm can track none of `_TRIES` curves.
     """
     asked = [inspect.getsource(sys.modules[__name__]), options.seed, number]
     found = kept(options.robot, asked, lambda: _drawn(options, number))
@@ -134,7 +134,7 @@ def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator
 
 
 def _nearest(state: RobotState, target: pin.SE3, guess: Array) -> Array | None:
-    """(n_m,) a posture for an end-effector pose in the world, or None after a failed search."""
+    """(n_m,) a posture for an end-effector pose in the world; None if none is found."""
     model = state.model
 
     def residual(q: Array) -> Array:

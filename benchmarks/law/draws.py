@@ -17,10 +17,10 @@ from benchmarks.law.starts import place_above, place_beside, posture
 Array = np.ndarray
 Interval = tuple[float, float]
 
-_PROJECTS_TRIES = 16  # of the start solver per pitch of the end-effector, as `dbb run` has it
-_TRIES = 200  # places drawn before a case is given up
-_CONE = math.radians(50.0)  # largest angle between a pull and the direction inwards
-_END = -0.15, 0.10  # [m] from the base's box, or from the column, to where the end-effector is led
+_PROJECTS_TRIES = 16  # [-] tries of the start solver for each pitch of the end-effector
+_TRIES = 200  # [-] largest number of random places for a case
+_CONE = math.radians(50.0)  # [rad] largest angle between a pull and the direction inwards
+_END = -0.15, 0.10  # [m] range of the distance of a pull's end from the base's box or the column
 
 
 def named_pull(
@@ -71,15 +71,15 @@ def random_pull(
         options: Robot and controller.
         number: Number of the case.
         rng: Random generator.
-        f_max: [N] largest force of the person.
+        f_max: [N] range of the largest force of the person.
         stiffness: [N/m] range of the person's stiffness, which is uniform in its logarithm.
-        lead: [s] duration of the pull; default: from `speed`.
-        speed: [m/s] mean speed of the person's hand.
+        lead: [s] range of the duration of the pull; None means that `speed` determines it.
+        speed: [m/s] range of the mean speed of the person's hand.
         above: [-] share of the starts over the base.
         column: [-] share of the pulls that are aimed at the arm's own column.
 
     Raises:
-        StudyError: No start was found.
+        StudyError: The arm can reach none of `_TRIES` starts.
     """
     over = rng.random() < above
     folded = column > 0.0 and rng.random() < column
@@ -139,7 +139,7 @@ def _column(robot: str) -> tuple[Array, Array]:
 
 
 def _in_cone(axis: Array, rng: np.random.Generator) -> Array:
-    """(3,) random unit vector within `_CONE` of another one, uniform on the sphere."""
+    """(3,) random unit vector within the angle `_CONE` of `axis`, uniform on the sphere."""
     cosine = rng.uniform(math.cos(_CONE), 1.0)
     side = rng.normal(size=3)
     side -= (side @ axis) * axis

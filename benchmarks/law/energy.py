@@ -1,6 +1,4 @@
-"""The work of a random force near the border: the law must not return more energy than it
-receives.
-"""
+"""The work of a random force near the border: a person must not gain energy from the robot."""
 
 from __future__ import annotations
 
@@ -24,9 +22,9 @@ from benchmarks.law.work import played
 Array = np.ndarray
 
 PLACES = "front", "wheel axis", "lateral"
-_RMS = 6.0  # [N] of the random force
-_SPRING = 40.0  # [N/m] keeps the end-effector near the border
-_INWARDS = 0.7  # [-] of the named pull, from its start to where the spring draws the end-effector
+_RMS = 6.0  # [N] root mean square of the random force
+_SPRING = 40.0  # [N/m] stiffness of the spring that holds the end-effector near the border
+_INWARDS = 0.7  # [-] position of the spring's anchor on the named pull, from start to end
 
 
 class Restless(NamedTuple):

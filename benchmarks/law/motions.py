@@ -12,9 +12,9 @@ from app.robot.state import Measurement, RobotState
 
 Array = np.ndarray
 
-_BAND = 0.3, 1.5  # [Hz]
-_WAVES = 3  # sines a coordinate
-_SAMPLES = 16  # samples of a motion for measuring its speed
+_BAND = 0.3, 1.5  # [Hz] range of the frequencies
+_WAVES = 3  # [-] sines of each coordinate
+_SAMPLES = 16  # [-] samples of a motion for the computation of its largest speed
 
 
 class Waves(NamedTuple):
@@ -43,8 +43,7 @@ class Waves(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """A motion of arm and base. The pose of the base is constant, because no distance depends on
-    it.
+    """A motion of arm and base. The base's pose is constant, because no distance depends on it.
 
     Attributes:
         arm: Motion of the joints (n_m,) [rad or m].
@@ -102,7 +101,7 @@ def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
 
 
 def _fastest(model: RobotModel, motion: Motion, duration: float) -> float:
-    """[m/s] speed of the end-effector, with the joints near the middle of their motion."""
+    """[m/s] largest speed of the end-effector, with joint positions at the middle of the motion."""
     state, fastest = RobotState(model), 1e-9
     for t in np.linspace(0.0, duration, _SAMPLES):
         measured = motion.at(float(t))[0]._replace(q_m=motion.arm.middle)

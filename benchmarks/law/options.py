@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
 
-import tyro
+from app.cli.options import Json
 
 
 @dataclass(frozen=True)
@@ -19,6 +18,5 @@ class Options:
     seed: int = 0
     """Seed of all random numbers."""
     jobs: int = 1
-    """Processes."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Print one JSON object."""
+    """Number of parallel processes."""
+    json: Json = False

@@ -23,21 +23,21 @@ from benchmarks.law.work import played
 
 Array = np.ndarray
 
-_LEAVES = 1.0  # [mm] from the target
-_AFTER = 3.0  # [s] after the motion's end
-_AT_POSITION = 0.02  # [rad or m] from a joint's limit
-_AT_SPEED, _AT_TORQUE = 0.98, 0.999  # [-] of the limits
+_LEAVES = 1.0  # [mm] error above which the end-effector has left the path
+_AFTER = 3.0  # [s] duration of the rest after the motion
+_AT_POSITION = 0.02  # [rad or m] distance from a limit below which a joint is at this limit
+_AT_SPEED, _AT_TORQUE = 0.98, 0.999  # [-] shares of the limits from which a joint is at a limit
 
 
 class Tracking(NamedTuple):
-    """The path with a number."""
+    """The number of a path, with the options."""
 
     options: Options
     number: int
 
 
 def paths(options: Options, count: int = 300, first: int = 0) -> Report:
-    """Track random curves: towards the base, over its corners, around it.
+    """Track random curves: towards the base, across its corners, around it.
 
     Args:
         options: See `Options`.

@@ -11,8 +11,8 @@ from benchmarks.law.robot import Robot
 
 Array = np.ndarray
 
-_NEAR = 0.01  # [m] least distance of a pair
-_MARGIN = 0.05  # [-] share of a joint's range kept from its limits
+_NEAR = 0.01  # [m] smallest distance of a pair, and of a pair of L_m from d_b
+_MARGIN = 0.05  # [-] smallest distance from a joint's limits, as a share of its range
 
 
 def pose_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:

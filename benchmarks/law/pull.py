@@ -1,4 +1,4 @@
-"""A pull: a person leads the end-effector along a line, holds it there, and perhaps releases it."""
+"""A pull: a person pulls the end-effector along a line, holds it there, and then can release it."""
 
 from __future__ import annotations
 
@@ -53,9 +53,7 @@ class Pull(NamedTuple):
         return place
 
     def config(self) -> Config:
-        """The default parameters with this person, whose stiffness may exceed the range of the
-        parameter.
-        """
+        """The default parameters with this person; the stiffness can exceed its range."""
         hand = {"stiffness": self.stiffness, "f_max": self.f_max}
         config = Config()
         return config.model_copy(update={"hand": config.hand.model_copy(update=hand)})
@@ -79,7 +77,7 @@ class Moment(NamedTuple):
 
 
 def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
-    """The steps of an endless pull; the caller sends True after the release."""
+    """The steps of a pull without end; the person releases when the caller sends True."""
     robot, config = load(pull.robot), pull.config()
     session = Session(robot.model, robot.data, config, controller=pull.controller)
     with gc_frozen(), closing(session):
@@ -90,7 +88,7 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
             step = session.step(pull=target)
             state, speed = session.state, 0.0
             p, v = state.T_world_ee.translation.copy(), state.v_ee[:3].copy()
-            if target is not None:  # moves as the session's person does, who shows no place
+            if target is not None:  # a copy of the session's person, whose place is private
                 shadow.force(p, v, target)
                 place = shadow.motion[0]
                 speed, before = math.dist(place, before) / DT, place

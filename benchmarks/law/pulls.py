@@ -16,19 +16,19 @@ from benchmarks.law.report import Report, largest, least
 from benchmarks.law.robot import load
 from benchmarks.law.work import played
 
-_AUDIT = (0.369, 0.639, 0.30), (-0.245, -0.424, 0.0)
-"""[m] start and move of the audit's pull."""
-_AUDIT_LEAD = 0.54  # [s]
-_AUDIT_HELD = 0.36  # [s]
-_AUDIT_STIFFNESS = 2000.0  # [N/m]
-_AUDIT_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
-_ABOVE = 0.2  # [-] share of the random pulls that come from above
+_FIXED = (0.369, 0.639, 0.30), (-0.245, -0.424, 0.0)
+"""[m] start and displacement of the fixed pulls."""
+_FIXED_LEAD = 0.54  # [s] duration of the displacement
+_FIXED_HELD = 0.36  # [s] time at its end
+_FIXED_STIFFNESS = 2000.0  # [N/m]
+_FIXED_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
+_ABOVE = 0.2  # [-] share of the random pulls that start over the base
 _THROWN = 1.1  # [-] ratio to the person's speed above which the arm is out of control
-_CLAIMED = 80.0  # [N] up to which nothing may overlap
+_CLAIMED = 80.0  # [N] largest force for which the summary has separate counts
 
 
 class Held(NamedTuple):
-    """A pull, and the time [s] for which the hand is held at its end."""
+    """A pull, and the time [s] for which the person holds the end-effector at its end."""
 
     pull: Pull
     held_s: float
@@ -53,15 +53,15 @@ def pulls(
 def cases(
     options: Options, count: int, held: float, first: int = 0, column: float = 0.0
 ) -> list[Held]:
-    """The fixed pulls, then random pulls."""
+    """The fixed pulls if `first` is 0, then random pulls."""
     found = [
         Held(
             named_pull(
-                options, f"audit, {f_max:g} N", *_AUDIT, _AUDIT_LEAD, _AUDIT_STIFFNESS, f_max
+                options, f"fixed, {f_max:g} N", *_FIXED, _FIXED_LEAD, _FIXED_STIFFNESS, f_max
             ),
-            _AUDIT_HELD,
+            _FIXED_HELD,
         )
-        for f_max in (_AUDIT_FORCES if first == 0 else ())
+        for f_max in (_FIXED_FORCES if first == 0 else ())
     ]
     for k in range(first, first + count):
         rng = np.random.default_rng([options.seed, k])
@@ -86,6 +86,8 @@ def play(case: Held) -> dict[str, Any]:
     force = person = back = torque = 0.0
     nearest = links = math.inf
     contacts, shares, bounds, moment = 0, [], [], None
+    bound = QUANTITIES["force_bound"].take
+    assert bound is not None
     steps = moments(pull)
     for moment in steps:
         step = moment.step
@@ -101,7 +103,7 @@ def play(case: Held) -> dict[str, Any]:
         torque = max(torque, float(np.max(np.abs(step.control.u_cmd) / tau_max)))
         contacts += step.contacts.arm_base or step.contacts.arm_arm
         if len(shares) % EVERY == 0:
-            bounds.append(QUANTITIES["force_bound"].take(moment.session, step))
+            bounds.append(bound(moment.session, step))
         shares.append(joint_share(step, robot.model))
     steps.close()
     assert moment is not None

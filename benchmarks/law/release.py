@@ -22,10 +22,10 @@ NAMED = {
     "lateral": ((0.30, 0.72, 0.30), (0.0, -0.25, 0.0)),
     "rear side": ((-0.20, 0.70, 0.50), (0.0, -0.25, 0.0)),
 }
-"""[m] start and move of the pulls that have a name."""
-_ASKED_FRONT, _ASKED = 0.3, 0.6  # [m] of path after the release
-_ASKED_SPEED = 1.0  # [mm/s] after `_REST`
-_REST = 10.0  # [s]
+"""[m] start and displacement of the named pulls."""
+_ASKED_FRONT, _ASKED = 0.3, 0.6  # [m] largest accepted path of the base: at the front, elsewhere
+_ASKED_SPEED = 1.0  # [mm/s] largest accepted speed of the base after `_REST`
+_REST = 10.0  # [s] time after the release
 
 
 class Release(NamedTuple):

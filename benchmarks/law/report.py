@@ -53,12 +53,12 @@ def markdown(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def largest(rows: Sequence[Mapping[str, Any]], column: str) -> float | None:
-    """The largest value of a column, or None without a value."""
+    """The largest value of a column, or None if no row has a value."""
     return max((row[column] for row in rows if row[column] is not None), default=None)
 
 
 def least(rows: Sequence[Mapping[str, Any]], column: str) -> float | None:
-    """The smallest value of a column, or None without a value."""
+    """The smallest value of a column, or None if no row has a value."""
     return min((row[column] for row in rows if row[column] is not None), default=None)
 
 

@@ -11,8 +11,8 @@ from benchmarks.law.options import Options
 from benchmarks.law.report import Report, largest
 from benchmarks.law.work import played
 
-_FORCES = 30.0, 50.0, 80.0, 100.0  # [N] between which pulls are counted together
-_HELD = 1.5  # [s] at the end of a pull
+_FORCES = 30.0, 50.0, 80.0, 100.0  # [N] bounds of the groups of pulls
+_HELD = 1.5  # [s] time at the end of a pull
 
 
 def speeds(options: Options, count: int = 24) -> Report:

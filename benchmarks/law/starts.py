@@ -27,9 +27,9 @@ from benchmarks.law.robot import load
 Array = np.ndarray
 Point = tuple[float, float, float]
 
-_GAP = 0.22, 0.45  # [m] from the base's outline to the end-effector, in plan
-_HEIGHT = 0.15, 0.60  # [m] of an end-effector beside the base, above the floor
-_RISE = 0.22, 0.45  # [m] from the base's top to an end-effector over it
+_GAP = 0.22, 0.45  # [m] horizontal distance of an end-effector beside the base from its outline
+_HEIGHT = 0.15, 0.60  # [m] height of an end-effector beside the base above the floor
+_RISE = 0.22, 0.45  # [m] height of an end-effector over the base above the base's top
 
 
 class Place(NamedTuple):
@@ -80,7 +80,7 @@ def posture(
     tries: int = 4,
     along: Sequence[Point] = (),
 ) -> Array | None:
-    """(n_m,) a posture outside of all buffers with the end-effector at p, or None after a failure.
+    """(n_m,) a posture outside all buffers with the end-effector at p; None if none is found.
 
     Args:
         robot: Name of the robot.
@@ -108,8 +108,8 @@ def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
 
     Args:
         robot: Name of the robot.
-        asked: The key of the search, in the form of JSON.
-        search: Returns the result in the form of JSON.
+        asked: The key of the search, as a JSON value.
+        search: Returns the result as a JSON value.
     """
     key = hashlib.sha256(json.dumps([_digest(robot), *asked]).encode()).hexdigest()[:24]
     path = _folder() / f"{key}.json"

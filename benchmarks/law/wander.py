@@ -1,8 +1,7 @@
 """Contacts while two people pull the arm to random places.
 
-In other measurements lines lead the end-effector to the base. Here one person pulls the
-end-effector and another person any link, to random places above and around the base, with releases
-from time to time.
+One person pulls the end-effector and another person any link, to random places above and around the
+base, with releases from time to time.
 """
 
 from __future__ import annotations
@@ -27,18 +26,16 @@ from benchmarks.law.robot import load
 from benchmarks.law.work import played
 
 _DURATION = 15.0  # [s]
-_ALONE = 4.0  # [s] at the end, when nobody holds the robot
-_STIFFNESS = 300.0, 2500.0  # [N/m]
-_FARTHEST = 0.9  # [m] from the base's centre
-_HEIGHTS = 0.05, 1.3  # [m]
-_AT_A_PLACE = 0.4, 2.5  # [s]
-_LET_GO = 0.25  # [-] of the places, instead of which the person lets go
+_ALONE = 4.0  # [s] time at the end in which nobody holds the robot
+_STIFFNESS = 300.0, 2500.0  # [N/m] range of the person's stiffness
+_FARTHEST = 0.9  # [m] largest horizontal distance of a place from the base's centre
+_HEIGHTS = 0.05, 1.3  # [m] range of the heights of places
+_AT_A_PLACE = 0.4, 2.5  # [s] range of the time at a place
+_LET_GO = 0.25  # [-] probability of a release in place of a pull to the next place
 
 
 class Walk(NamedTuple):
-    """Random motions of two people, by seed and number; each person pulls with up to `force`
-    [N].
-    """
+    """The number of a run, with the options and the largest force [N] of each person."""
 
     options: Options
     number: int
@@ -130,7 +127,7 @@ def play(walk: Walk) -> dict[str, Any]:
 
 
 def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[PullEvent]:
-    """The motion of one person until no person holds the robot."""
+    """The pulls of one person, with a release `_ALONE` before the end of the run."""
     found, t = [], rng.uniform(0.0, 1.0)
     while t < _DURATION - _ALONE:
         angle, r = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, _FARTHEST)

@@ -1,6 +1,4 @@
-"""Runs the libraries and our controllers along the same paths, and evaluates all in the same
-way.
-"""
+"""Runs the libraries and our controllers along the same paths, with the same evaluation."""
 
 from __future__ import annotations
 
@@ -9,12 +7,12 @@ import platform
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 
 from app.cli.common import load_robot_and_border, print_json
-from app.cli.options import Json, make_folder
+from app.cli.options import Flag, Json, make_folder
 from app.errors import DbbError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.plants import PLANTS
@@ -38,12 +36,11 @@ class Peers:
     """Folder for table.json, table.csv, table.md and peers.png, and for the environments."""
     physics: str = "planar"
     """Plant of our own controllers: planar, mujoco, mujoco-contact or kinematic."""
-    allow_missing: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    allow_missing: Flag = False
     """End with status 0 even if a library could not be installed or run."""
-    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    quick: Flag = False
     """Measure only the step of pink along one path."""
     json: Json = False
-    """Print one JSON object on standard output, without other text."""
 
 
 def main(args: Peers) -> int:
@@ -81,7 +78,7 @@ def _compare(args: Peers, peers: dict[str, Any]) -> int:
 
 def _quick(args: Peers) -> int:
     model, data = load_robot_and_border("husky_panda")
-    step = pink_step(model, data, environments=args.out / "envs", install=True)
+    step = pink_step(model, data, args.out / "envs")
     if args.json:
         print_json(
             {

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from app.errors import DbbError
 
-_LONGEST = 600.0  # [s] of one installation
-_MARK = "requirements.txt"  # in an environment that is complete
+_LONGEST = 600.0  # [s] timeout of a command
+_MARK = "requirements.txt"  # file that marks a complete environment
 
 
 class PeerError(DbbError):
@@ -40,7 +40,7 @@ def ensure_environment(environment: Path, requirements: Sequence[str]) -> Path:
     do.
 
     Raises:
-        PeerError: It cannot be created; the message has the last message of the installer.
+        PeerError: The environment cannot be created; the message quotes the installer's error.
     """
     if installed(environment, requirements):
         return python_of(environment)
@@ -82,7 +82,7 @@ def _run(command: Sequence[str]) -> None:
 
 
 def last_line(text: str) -> str:
-    """The last line with text; for pip, the line with the error."""
+    """The last line that begins with `ERROR:`, as of pip; else the last line with text."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if line.startswith("ERROR:")]
     return (errors or lines or ["it gave no reason"])[-1]

@@ -1,4 +1,4 @@
-"""The same evaluation for all: results of a motion on the common model, with pinocchio and coal.
+"""The evaluation of all motions: results on the common model, with pinocchio and coal.
 
 It does not use our own robot model, distances or controllers.
 """
@@ -103,8 +103,8 @@ def along(q: Array, velocity: Array) -> Array:
 def slips(q: Array) -> Array:
     """(N,) [m] sideways motion of the base in each step.
 
-    A step between two headings along any heading in between does not count: an arc's chord, or
-        a step of Euler's along the initial heading.
+    A step has no slip if its direction lies between the headings before and after the step. Thus
+    the chord of an arc, and an Euler step along the initial heading, have no slip.
 
     Args:
         q: (N + 1, 3 + n_m) configurations.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from app.errors import UnknownNameError
+from app.errors import check_name
 
 
 class Peer(NamedTuple):
@@ -54,6 +54,5 @@ def chosen(names: Sequence[str]) -> dict[str, Peer]:
         UnknownNameError: A name does not exist; the message lists the existing names.
     """
     for name in names:
-        if name not in PEERS:
-            raise UnknownNameError("peer", name, PEERS)
+        check_name("peer", name, PEERS)
     return {name: peer for name, peer in PEERS.items() if name in names or not names}

@@ -19,16 +19,16 @@ DURATION = 15.0
 AXIS_OFFSETS = (0.0, 0.001, 0.010, 0.050)
 """[m] initial x of the arm's closest point, on the paths along the wheel axis."""
 
-_HEIGHT = 0.3  # [m] of the end-effector
-_LENGTH = 0.2  # [m] of the paths along the wheel axis
+_HEIGHT = 0.3  # [m] height of the end-effector on the paths along the wheel axis
+_LENGTH = 0.2  # [m] length of these paths
 _LINES = {
     "side": ((0.30, 0.68, 0.30), (0.0, -0.2, 0.0)),
     "front": ((0.92, 0.10, 0.30), (-0.3, 0.0, 0.0)),
-}  # [m] where the end-effector begins, and how far it is led
+}  # [m] start and displacement of the end-effector
 
 
 def axis_name(offset: float) -> str:
-    """As in `axis-10mm`."""
+    """The name of a path along the wheel axis, such as `axis-10mm`."""
     return f"axis-{1000 * offset:g}mm"
 
 
@@ -43,7 +43,7 @@ def hand_paths(
     """Some of `PATHS`, each with the arm's initial posture for a base at the origin.
 
     Raises:
-        UnreachableError: The arm has no clear posture there.
+        UnreachableError: The arm has no posture outside all buffers at a start.
     """
     d_b = Config().border.d_b
     solver = StartSolver(model, data.pairs, d_b)

@@ -26,13 +26,13 @@ D_MIN = 0.05
 """[m] minimum distance of all pairs, also for our own controllers."""
 RATE = 20.0
 """[1/s] largest approach speed divided by the remaining distance, also for our own controllers."""
-_HAND_COST = 10.0  # [1/m and 1/rad] of the end-effector's error; its square weighs in the objective
-_ARM_COST = 0.1  # [1/rad] of a step of each joint of the arm; likewise
-_DETECTION = 0.3  # [m] farther pairs may be left out
+_HAND_COST = 10.0  # [1/m and 1/rad] cost of the end-effector's error; the objective has its square
+_ARM_COST = 0.1  # [1/rad] cost of a step of each joint of the arm; the objective has its square
+_DETECTION = 0.3  # [m] distance above which a library can ignore a pair
 
 
 def run_name(path: str, base_weight: float) -> str:
-    """As in `side-300`."""
+    """The name of a run, such as `side-300`."""
     return f"{path}-{base_weight:g}"
 
 

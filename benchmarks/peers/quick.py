@@ -10,14 +10,12 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.robot.model import RobotModel
-from benchmarks.peers.environments import PeerError, ensure_environment, installed
+from benchmarks.peers.environments import PeerError, ensure_environment
 from benchmarks.peers.names import PEERS
 from benchmarks.peers.paths import hand_paths
 from benchmarks.peers.plan import BASE_WEIGHTS, write_plan
 from benchmarks.peers.running import run_driver
 
-ENVIRONMENTS = Path("out/peers/envs")
-"""Default folder of the environments."""
 _PATH = "side"
 
 
@@ -35,25 +33,18 @@ class PinkStep(NamedTuple):
     reason: str = ""
 
 
-def pink_step(
-    model: RobotModel, data: BorderData, *, environments: Path = ENVIRONMENTS, install: bool = False
-) -> PinkStep:
+def pink_step(model: RobotModel, data: BorderData, environments: Path) -> PinkStep:
     """Measure the step in a separate process: 3,000 steps, about three seconds.
 
     Args:
         model: The robot.
         data: Its pairs.
-        environments: Folder of the libraries' environments.
-        install: Whether to create a missing environment of pink, which needs a package index.
+        environments: Folder of the libraries' environments; a missing one of pink is created, which
+            needs a package index.
     """
     pink = PEERS["pink"]
-    environment = environments / "pink"
-    if not install and not installed(environment, pink.requirements):
-        return PinkStep(
-            None, None, f"pink is not in {environment}: `python -m benchmarks.peers` installs it"
-        )
     try:
-        python = ensure_environment(environment, pink.requirements)
+        python = ensure_environment(environments / "pink", pink.requirements)
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name) / "plan"
             folder.mkdir()

@@ -18,7 +18,7 @@ Array = np.ndarray
 Row = dict[str, Any]
 
 AGREES = 1e-5
-"""[m] tolerance of a library's initial distances relative to the evaluator's, for our model."""
+"""[m] largest accepted difference between the initial distances of library and evaluator."""
 
 
 def rows_of(
@@ -113,7 +113,7 @@ def flaw(motion: Motion, count: int, judge: Evaluator) -> str:
         return f"its motion has the shape {motion.q.shape}, not {shape}"
     if not np.isfinite(motion.q).all():
         return "its motion is not finite"
-    if not len(motion.d_start):  # it does not tell them
+    if not len(motion.d_start):  # the library reports no distances
         return ""
     off = np.abs(motion.d_start - judge.distances(motion.q[0])).max()
     if not off <= AGREES:

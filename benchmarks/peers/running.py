@@ -19,7 +19,7 @@ Array = np.ndarray
 
 _PROJECT = Path(__file__).resolve().parents[2]
 _DRIVERS = Path(__file__).resolve().parent / "drivers"
-_LONGEST = 900.0  # [s] of one driver
+_LONGEST = 900.0  # [s] timeout of a driver
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -91,7 +91,7 @@ def run_driver(name: str, peer: Peer, python: Path, plan: Path, out: Path) -> Do
 
 
 def own_python() -> Path:
-    """The interpreter that runs this."""
+    """The interpreter of this process."""
     return Path(sys.executable)
 
 

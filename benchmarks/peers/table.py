@@ -65,9 +65,9 @@ def _one(rows: Sequence[Row]) -> str:
         "",
         "step, p50 / p99",
         *(PATH_TITLES.get(path, path) for path in paths),
-        "least distance",
+        "smallest distance",
         "slip",
-        "largest change, base / arm",
+        "largest acceleration, base / arm",
     ]
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for name in dict.fromkeys(row["peer"] for row in rows):

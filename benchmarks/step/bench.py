@@ -26,11 +26,11 @@ from benchmarks.step.rollouts import time_rollouts
 from benchmarks.step.timing import time_stages, time_steps
 
 POINTS = (50_000, 500_000, 5_000_000)
-"""Points of the synthetic borders."""
+"""Numbers of points of the synthetic borders."""
 Array = np.ndarray
 
 _PROCESSES = 2
-_REPEATS = 3  # of each control step
+_REPEATS = 3  # [-] measurements of each control step
 _RESELECTED = (0.10, 0.12, 0.18, 0.20, 0.15)  # [m] sequence of selected d_b
 
 
@@ -43,18 +43,18 @@ def bench(
     border: bool = True,
     on_stage: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Measure all that `dbb bench` tells.
+    """Measure all results of `dbb bench`.
 
     Args:
         model: The robot.
         data: Its pairs and clouds.
-        seed: Seed of the plant, and of synthetic data.
-        points: Of the borders for `step_p50_us_by_points`.
-        border: Whether to sample a border anew, which takes half a minute.
-        on_stage: Takes the name of the next measurement.
+        seed: Seed of the plant and of synthetic data.
+        points: Numbers of points of the borders for `step_p50_us_by_points`.
+        border: Whether to measure the sampling of a new border, which takes minutes.
+        on_stage: Called with the name of each measurement before it starts.
     """
     load = os.getloadavg()[0]
-    on_stage("recording hand paths")
+    on_stage("recording paths of the end-effector")
     paths = record(model, data, seed)
     on_stage("control steps")
     steps = _steps(model, data, paths, seed)
@@ -68,7 +68,7 @@ def bench(
     on_stage("borders of many points")
     by_count = by_points(model, data, paths[:1], points, seed)
     if border:
-        on_stage("a border from nothing")
+        on_stage("sampling a new border")
     return {
         "robot": model.description.name,
         "seed": seed,
@@ -87,10 +87,10 @@ def bench(
 
 
 def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int) -> dict[str, Any]:
-    """The whole step, and after each active one the floor: side by side, in the same conditions.
+    """Durations of all control steps, and of the direct calls after each active step.
 
-    Each step is repeated a few times; the quickest excludes other work of the
-        machine.
+    Each step is measured `_REPEATS` times; the `own` durations are the shortest ones, which exclude
+    other work of the machine.
     """
     floor, loop = Floor(model, data.pairs, seed), ControlLoop(model, data, Config())
     floors: list[float] = []
@@ -133,7 +133,7 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
 
 
 def _figures(name: str, steps: Array, floors: Array) -> dict[str, float | None]:
-    """Median, 99th percentile [µs] and ratio to the floor of some steps; None if there are none."""
+    """Median and 99th percentile [µs] of steps, ratio to the direct calls; None without steps."""
     if not (len(steps) and len(floors)):
         return dict.fromkeys((f"{name}_p50_us", f"{name}_p99_us", f"{name}_ratio"))
     p50, p99 = np.percentile(steps, (50, 99)).tolist()
@@ -142,7 +142,7 @@ def _figures(name: str, steps: Array, floors: Array) -> dict[str, float | None]:
 
 
 def _reselect(model: RobotModel, data: BorderData) -> float:
-    """[ms] median from another d_b to the first step with it."""
+    """[ms] median duration of `configure` with another d_b."""
     controller, times = Controller(model, data, Config()), []
     for d_b in _RESELECTED:
         config = Config().replace("border.d_b", d_b)
@@ -153,7 +153,7 @@ def _reselect(model: RobotModel, data: BorderData) -> float:
 
 
 def _build(model: RobotModel) -> float:
-    """[s] for pairs and clouds from nothing, with two processes; nothing is kept."""
+    """[s] duration of the sampling of pairs and clouds with two processes; no result is stored."""
     sampling = SamplingConfig()
     begin = perf_counter()
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)

@@ -1,4 +1,4 @@
-"""Borders of any number of points, for the cost of a search among them."""
+"""Synthetic borders of many points, which show the cost of a search among the points."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _ROUNDS = 3
 def by_points(
     model: RobotModel, data: BorderData, paths: Sequence[Path], counts: Sequence[int], seed: int
 ) -> dict[str, dict[str, float]]:
-    """[µs] median of a step with both pairs of L_m active, by kind of border and its points.
+    """[µs] median of a step with both pairs of L_m active, by kind of border and number of points.
 
-    The points are synthetic, spread on the exact offset of the mobile robot. All take turns, and
-    the least of each one's medians counts: the machine's own speed changes from second to second.
+    The points lie on the exact offset of the mobile robot. The borders take turns, and the smallest
+    median of each counts, because the machine's speed varies.
     """
     offset = OffsetContours(model, Config().border.d_b)
     loops = {}
@@ -46,7 +46,7 @@ def by_points(
 
 
 def _dense(data: BorderData, offset: OffsetContours, count: int, seed: int) -> BorderData:
-    """The same pairs with clouds of so many points each, all at d_b."""
+    """The same pairs with clouds of `count` points each, all at the distance d_b."""
     points = quantise_points(points_on(offset, count, np.random.default_rng(seed)))
     distance = np.full(count, round(offset.d_b / DISTANCE_UNIT), np.uint16)
     clouds = {pair.name: make_cloud(pair.name, points, distance) for pair in data.pairs.mobile}

@@ -1,9 +1,9 @@
-"""The bare calls that no control step on these libraries can do without, for comparison.
+"""Direct calls of the libraries that every control step needs, as a reference for its duration.
 
-Dynamics, placements and distances of the pairs, the Jacobian of the end-effector and of each body
-of a pair, and one QP of the size of the arm's: q̈_m is unknown, the limits of torques and joints
-and the distances to the base are inequalities. Only its gradient changes from call to call, and it
-is warm-started.
+They compute dynamics, placements and distances of the pairs, the Jacobians of the end-effector and
+of each body of a pair, and the solution of one QP with the size of the arm's QP: q̈_m is unknown;
+limits of torques and joints, and distances to the base, are inequalities. Only the QP's gradient
+changes between the calls, and the solver is warm-started.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Array = np.ndarray
 
 
 class Floor:
-    """Makes these calls, and nothing else.
+    """Measures the duration of these calls.
 
     Attributes:
         size: Unknowns, equalities and inequalities of the QP.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, seed: int) -> None:
-        """Prepare everything that can be prepared once."""
+        """Prepare the data that all calls share."""
         self._model, self._data = model, model.pin.createData()
         self._distances = PairDistances(model, pairs.all)
         bodies = {body for pair in pairs.all for body in pair}
@@ -42,7 +42,7 @@ class Floor:
         self._calls = 0
 
     def time(self, moment: Moment) -> float:
-        """[µs] of all the calls for a control step."""
+        """[µs] duration of the calls for the readings of one control step."""
         model, data, m = self._model, self._data, moment.measurement
         wheels = np.linalg.solve(model.J_m, m.base_velocity)
         q = model.configuration(m.base_pose, m.q_m)
@@ -64,7 +64,7 @@ class Floor:
 def _make_qp(
     n: int, equalities: int, inequalities: int, rng: np.random.Generator
 ) -> proxqp.dense.QP:
-    """A feasible QP of that size with some active inequalities at its solution."""
+    """A feasible QP of a size; some inequalities are active at its solution."""
     R, C = rng.normal(size=(n, n)), rng.normal(size=(inequalities, n))
     bound = rng.uniform(0.3, 3.0, inequalities)
     qp = proxqp.dense.QP(n, equalities, inequalities)

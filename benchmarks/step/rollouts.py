@@ -1,4 +1,4 @@
-"""Whole runs with physics, as fast as they go: in multiples of real time."""
+"""Speed of complete runs with a plant, in multiples of real time."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.cache import BorderData, load_border_data
+from app.border.cache import BorderData
+from app.cli.common import load_robot_and_border
 from app.config import Config
 from app.jobs.pool import Workers
-from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
@@ -21,25 +21,12 @@ _RUNS = ("guiding-lateral", "guiding-front")
 _ROUNDS = 3
 
 
-class Robot(NamedTuple):
-    """The data that a process loads once."""
-
-    model: RobotModel
-    data: BorderData
-
-
-def load(robot: str) -> Robot:
-    """A robot and its border, which has been sampled already."""
-    model = RobotModel(load_robot(robot))
-    return Robot(model, load_border_data(model, progress=False))
-
-
 class Rollouts(NamedTuple):
-    """Simulated time over real time of some guided runs in worker processes; medians over rounds.
+    """Ratio of simulated to real time of guided runs in worker processes; medians over rounds.
 
     Attributes:
-        factors: [-] by the number of processes, of all of them together.
-        scaling: [-] that of the most processes over that of the fewest.
+        factors: [-] ratio of all processes together, by the number of processes.
+        scaling: [-] factor of the last number of processes divided by that of the first.
     """
 
     factors: dict[int, float]
@@ -49,20 +36,20 @@ class Rollouts(NamedTuple):
 def time_rollouts(
     robot: str, processes: Sequence[int], *, rounds: int = _ROUNDS, seconds: float | None = None
 ) -> Rollouts:
-    """Time rollouts with each number of processes in turn, so that a slow minute slows them all.
+    """Measure runs with each number of processes in turn, because the machine's speed varies.
 
-    The time to start the processes is not counted: each first takes a short run.
+    The start of the processes is not measured, because each process first executes short runs.
 
     Args:
-        robot: Its name.
-        processes: How many work at once, each on all of the runs.
-        rounds: How often each is timed.
-        seconds: [s] length of each run; that of its scenario if not given.
+        robot: Name of the robot.
+        processes: Numbers of parallel processes; each process executes all runs.
+        rounds: Number of measurements for each number of processes.
+        seconds: [s] duration of each run; None means the duration of the scenario.
     """
     jobs = [(name, seconds or LINES[name].duration) for name in _RUNS]
     simulated = sum(duration for _, duration in jobs)
-    # A single worker would be this process, full of other objects: never fewer than two.
-    with Workers(partial(load, robot), max(2, *processes)) as workers:
+    # At least two, because a single worker would be this process with its many other objects.
+    with Workers(partial(load_robot_and_border, robot), max(2, *processes)) as workers:
         list(workers.map(_run, [[("guiding-front", 0.5)]] * (4 * max(processes))))
         found = []
         for _ in range(rounds):
@@ -79,6 +66,6 @@ def _time(workers: Workers, jobs: Sequence[Sequence[tuple[str, float]]]) -> floa
     return perf_counter() - begin
 
 
-def _run(robot: Robot, jobs: Sequence[tuple[str, float]]) -> None:
+def _run(robot: tuple[RobotModel, BorderData], jobs: Sequence[tuple[str, float]]) -> None:
     for name, duration in jobs:
-        run_scenario(robot.model, robot.data, LINES[name].changed(duration=duration), Config())
+        run_scenario(*robot, LINES[name].changed(duration=duration), Config())

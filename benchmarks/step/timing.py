@@ -19,16 +19,16 @@ from benchmarks.step.paths import Moment, Path
 
 Array = np.ndarray
 
-_WARM_UP = 1000  # steps that are not counted
+_WARM_UP = 1000  # [-] steps before the measurement
 
 
 class Times(NamedTuple):
-    """One entry a control step.
+    """Measurements, with one entry for each control step.
 
     Attributes:
-        step: (N,) [µs] that it took.
-        mobile: (N,) how many pairs of L_m were active.
-        active: (N, pairs) which pairs were active.
+        step: (N,) [µs] duration.
+        mobile: (N,) number of active pairs of L_m.
+        active: (N, pairs) whether each pair was active.
         tracking: (N,) whether the end-effector had a reference.
     """
 
@@ -39,7 +39,7 @@ class Times(NamedTuple):
 
     @property
     def both(self) -> Array:
-        """(N,) whether two pairs of L_m, or all that there are, were active."""
+        """(N,) whether two pairs of L_m were active, or one if never two were active."""
         return self.mobile >= min(2, int(self.mobile.max()))
 
     @property
@@ -58,14 +58,14 @@ def time_steps(
     paths: Sequence[Path],
     after: Callable[[Moment, ControlStep], None] = lambda _, __: None,
 ) -> Times:
-    """Time every step of all paths; the first path is begun once more, unmeasured, to warm up.
+    """Measure each call of `ControlLoop.step` on all paths.
 
-    A step is a whole call of `ControlLoop.step`.
+    The first `_WARM_UP` steps of the first path run once before the measurement.
 
     Args:
-        loop: Starts anew at each path.
+        loop: The loop, which is reset at the start of each path.
         paths: Recorded inputs.
-        after: Called after each measured step, outside of its time.
+        after: Called after each measured step; its duration is not included.
     """
     loop.reset()
     for moment in paths[0][:_WARM_UP]:
@@ -88,14 +88,14 @@ def time_steps(
 
 
 class Stages:
-    """Adds up how long parts of a step take, by name, while they are wrapped."""
+    """Sums the durations of the parts of a step, by the names of the parts."""
 
     def __init__(self) -> None:
         self.spent: dict[str, float] = {}
 
     @contextmanager
     def timing(self, parts: Sequence[tuple[str, Any, str]]) -> Iterator[None]:
-        """Time functions within the block: of each the stage, its owner and its name there."""
+        """Measure functions during the `with`: for each its stage, its owner and its attribute."""
         plain = [getattr(owner, name) for _, owner, name in parts]
         for stage, owner, name in parts:
             self._wrap(owner, name, stage)
@@ -118,7 +118,7 @@ class Stages:
         setattr(owner, method, timed)
 
     def take(self) -> dict[str, float]:
-        """[s] by name since the last call."""
+        """[s] duration of each stage since the last call of this function."""
         spent, self.spent = self.spent, {}
         return spent
 
@@ -126,7 +126,7 @@ class Stages:
 def time_stages(loop: ControlLoop, paths: Sequence[Path]) -> dict[str, float]:
     """[µs] median of each stage over the steps with both pairs of L_m active.
 
-    In a run of its own, since the clocks take time too.
+    This needs a separate run, because the clocks take time too.
     """
     stages, spent = Stages(), list[dict[str, float]]()
     with stages.timing(_PARTS):

@@ -278,7 +278,7 @@ class Camera:
             self._set = None
 
 
-def first_view(snapshot: Snapshot) -> str:
+def first_view(snapshot: Snapshot) -> Literal["iso", "door"]:
     """Return the key of the first view in `PRESETS`: "door" in a scenario with a door."""
     return "iso" if snapshot.door is None else "door"
 

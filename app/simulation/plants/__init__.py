@@ -24,7 +24,7 @@ def default_plant() -> str:
 
 
 def chosen_plant(name: str | None) -> str:
-    """The present name of a plant with a present or former name; the default plant for None.
+    """The present name of a plant with a present or former name; None means the default plant.
 
     Raises:
         UnknownNameError: The plant does not exist.

@@ -9,7 +9,6 @@ Outcome = Literal["contact", "overlap", "no contact"]
 METHOD_WORDS = {
     "dbb": "with avoidance",
     "hqp": "hierarchy as printed",
-    "points": "with avoidance (sampled border)",
     "repulsive": "arm repulsion only",
     "barrier": "minimum distance only",
     "none": "without avoidance",

@@ -1,3 +1,1 @@
-"""A program for each library, which runs with its own interpreter and imports only this library and
-numpy.
-"""
+"""Programs that run the compared libraries and our controllers, each in its own environment."""

@@ -25,9 +25,7 @@ class Follower(Protocol):
     """A library that follows one path."""
 
     def distances(self) -> Sequence[float]:
-        """[m] distances of the plan's pairs in the library; empty if the library does not report
-        them.
-        """
+        """[m] distances of the plan's pairs; empty if the library reports none."""
         ...
 
     def step(self, target: Array) -> Array:
