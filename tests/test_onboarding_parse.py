@@ -566,7 +566,7 @@ def test_links_beside_the_arm_that_follow_it_cover_their_travel(
     low: float,
     high: float,
 ) -> None:
-    """Also in the new URDF, from which a check reads the robot again."""
+    """A check reads the robot again, from the new URDF, with the same result."""
     text = re.sub(
         r'(name="lift".*?<limit )lower="-2.5" upper="2.5"', rf"\1{limits}", TOY, flags=re.S
     )

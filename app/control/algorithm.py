@@ -71,7 +71,6 @@ from app.control.limits import (
 from app.control.qp import cholesky, solve_qp, solve_qp_step, times
 from app.control.quantities import STEP
 from app.control.readings import JUMP, LOCALISATION, take_readings
-from app.control.references import forget_reference
 from app.control.tasks import (
     add_base_rest_task,
     add_tracking,
@@ -113,6 +112,13 @@ FREE_BASE, ROOM, ARM, HIERARCHY = range(4)
 """The problems of a step, and their rows in `qp_tried` and `qp_x`."""
 
 _READING = types.Array(types.f8, 1, "A")
+
+
+@compiled()
+def forget_reference(w: Any) -> None:
+    """Forget all references, so that the next one counts as the first."""
+    fill(w.x_sent[3], math.nan)
+    w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
 
 
 @compiled(Signature(types.b1, (ROBOT.type, GAINS.type, STEP.type, *[_READING] * 5), None))

@@ -43,13 +43,6 @@ _VECTOR, _MATRIX = types.Array(types.f8, 1, "A"), types.Array(types.f8, 2, "A")
 
 
 @compiled()
-def forget_reference(w: Any) -> None:
-    """Forget all references, so that the next one counts as the first."""
-    fill(w.x_sent[3], math.nan)
-    w.way_time[()] = w.way_duration[()] = w.sample_interval[()] = w.since_sample[()] = 0.0
-
-
-@compiled()
 def _is_motion(R: Array, p: Array, v: Array, a: Array) -> bool:
     """Whether R (3, 3) is a rotation, p (3,) is finite, and v and a (6,) are within the limits."""
     if not math.isfinite(p.sum()):

@@ -129,8 +129,7 @@ def finish(
         )
         say("searching lines for guiding")
         lines = _lines(robot, data, workers, on_progress)
-        # Imported here: the worker processes import this module, and start faster without
-        # matplotlib.
+        # Imported here: worker processes import this module, and need no matplotlib.
         from app.onboarding.report import VIEW, draw, report_html
 
         pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
