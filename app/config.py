@@ -299,7 +299,7 @@ class Config(Strict):
     barrier: BarrierConfig = BarrierConfig()
     """Barrier"""
     ee_hold: EeHoldConfig = EeHoldConfig()
-    """Holding"""
+    """End-effector hold"""
     task: TaskConfig = TaskConfig()
     """Tasks"""
     limit: LimitConfig = LimitConfig()

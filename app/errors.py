@@ -32,7 +32,7 @@ class UnknownNameError(DbbError):
 
 
 def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
-    """Check that a name of a kind is one of the choices.
+    """Check that `name` is one of `choices`; `kind` (robot, scenario, …) is for the message.
 
     Raises:
         UnknownNameError: The name does not exist; the message lists the choices.
@@ -116,8 +116,11 @@ EXTRAS = {
         "viser",
         "websockets",
     ),
-    "onboarding": ("xacrodoc",),
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
+    "onboarding": (
+        *("collada", "fast_simplification", "jinja2", "matplotlib", "mpl_toolkits"),
+        "xacrodoc",
+    ),
     "sim": (
         *("foxglove", "google", "mujoco", "pyarrow", "pybullet", "pybullet_data", "rosbags"),
         *("scipy", "trimesh"),
@@ -129,20 +132,20 @@ to the package in `app` with the extra's name."""
 
 @contextmanager
 def extras_named() -> Iterator[None]:
-    """Replace an import error in the `with` by an error that names the missing extra.
+    """Replace the error of a missing module in the `with` block, if an extra installs the module.
 
     Raises:
-        MissingExtraError: The message states how to install the extra of the importing package.
+        MissingExtraError: The message states how to install the extra: that of the package of
+            `app` that imports the module, otherwise the first extra that installs the module.
     """
     try:
         yield
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         importers = [str(frame.f_globals["__name__"]) for frame, _ in walk_tb(error.__traceback__)]
-        for extra, modules in EXTRAS.items():
-            if missing in modules or (
-                missing in EXTRAS["sim"] and any(n.startswith(f"app.{extra}.") for n in importers)
-            ):
+        own = [extra for extra in EXTRAS if any(n.startswith(f"app.{extra}.") for n in importers)]
+        for extra in (*own, *EXTRAS):
+            if missing in (*EXTRAS[extra], *(EXTRAS["sim"] if extra in own else ())):
                 raise MissingExtraError(
                     f"this needs {missing}, which is not installed; "
                     f"try: pip install 'dbb-mobile-manipulator[{extra}]'"

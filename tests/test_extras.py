@@ -31,6 +31,7 @@ BASE = {
 """Modules that a plain installation brings."""
 
 NAMED_OTHERWISE = {
+    "collada": "pycollada",
     "fast_simplification": "fast-simplification",
     "foxglove": "foxglove-sdk",
     "google": "protobuf",
@@ -77,6 +78,23 @@ def test_an_extra_brings_what_is_said_of_it(extra: str, modules: tuple[str, ...]
     (packages,) = re.findall(rf"^{extra} = \[\n(.*?)^\]", text, re.M | re.S)
     named = set(re.findall(r'^    "([A-Za-z0-9-]+)', packages, re.M))
     assert {NAMED_OTHERWISE.get(module, module) for module in modules} <= named
+
+
+@pytest.mark.parametrize(
+    ("importer", "module", "extra"),
+    [
+        ("app.onboarding.report", "matplotlib", "onboarding"),
+        ("app.onboarding.read", "trimesh", "onboarding"),
+        ("app.dashboard.save", "matplotlib", "studies"),
+        ("app.robot.shapes", "trimesh", "sim"),
+    ],
+)
+def test_the_extra_is_that_of_the_importing_package_if_it_installs_the_module(
+    importer: str, module: str, extra: str
+) -> None:
+    wanted = rf"pip install 'dbb-mobile-manipulator\[{extra}\]'"
+    with pytest.raises(MissingExtraError, match=wanted), extras_named():
+        exec(f"raise ModuleNotFoundError(name={module!r})", {"__name__": importer})
 
 
 def test_a_missing_module_names_its_extra_and_any_other_stays_an_error() -> None:

@@ -11,7 +11,7 @@ import pytest
 from app.avoidance.closest_points import DistanceMonitor
 from app.cli.run_spec import spec_of_case
 from app.config import Config
-from app.errors import AssetError, CaseError, ConfigError, StudyError
+from app.errors import AssetError, CaseError, ConfigError, StudyError, TargetError
 from app.robot.state import Measurement, RobotState
 from app.simulation.case import RunCase, read_case
 from app.simulation.run import run_from_spec
@@ -218,7 +218,7 @@ def test_a_file_that_is_no_case_is_refused_by_name(tmp_path, content, words):
 
 def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, cases):
     short = {name: value for name, value in cases[0].items() if name != "q7_rad"}
-    with pytest.raises(CaseError, match=r"6 joints.*has 7"):
+    with pytest.raises(TargetError, match=r"6 joints.*has 7"):
         run_from_spec(spec_of(short, PARAMETERS), sources.model, sources.data)
     with pytest.raises(ConfigError, match="base_delay"):
         spec_of({**cases[0], "base_delay_s": 9.0}, PARAMETERS)

@@ -76,11 +76,11 @@ def find_acting_point(
         border: `BORDER` of the robot.
         pair: Number of the pair in L_m.
         score: (9,) coefficients of the score of the pair's body, as `ScoreField.coefficients`.
-        p_b: (3,) [m] closest point on the arm.
+        p_b: (3,) [m] closest point on the arm, in the base's frame.
         d: [m] distance of the pair.
         gain: [-] S_0 of `step_size`.
-        alpha_min: [m]
-        alpha_max: [m]
+        alpha_min: [m] lower bound of α.
+        alpha_max: [m] upper bound of α.
 
     Returns:
         p_n, p_t, p_act (3,) [m], the tangent (3,) and α [m]; NaN if l_m has no border.

@@ -193,9 +193,10 @@ def _search_edges(
 
 @compiled()
 def _search_corners(p: complex, best: Best, corners: list[Corner]) -> Best:
-    """Search the corners, where one ring ends and another continues, for a nearer point.
+    """Search the corners, where the visible part of one ring ends and that of another begins, for a
+    nearer point.
 
-    The two ends at a corner differ by the interpolation error; the segment between the ends belongs
+    These two points of a corner differ by the interpolation error; the segment between them belongs
     to the contour. At a corner the tangent is perpendicular to the line to p.
     """
     met = np.zeros(len(corners), np.bool_)

@@ -1,10 +1,10 @@
 """The border for the search of the acting point: as a surface, or as points as in the paper.
 
-The surface is the exact offset of l_m; the points are its samples. The nearest point of the
-surface moves continuously with the query point, and the time to find it does not depend on a number
-of points.
-The surface is closed, so it also covers regions that the arm never reaches. The arm is never there,
-and near such regions the reachability in the score leads away from them.
+The surface is the exact offset of l_m; the points are its samples. The nearest point of the surface
+moves continuously with the query point, except where two points of the surface are equally near,
+and the time to find it does not depend on how densely the border is sampled. The surface is closed,
+so it also covers regions that the arm never reaches. The arm is never there, and near such regions
+the reachability in the score leads away from them.
 """
 
 import math

@@ -142,7 +142,11 @@ def study(
     ranges: Annotated[Given, from_record(StudyRange)],
     setup: options.SetupOptions,
     inside: Annotated[
-        options.Flag, tyro.conf.arg(help="Narrow all ranges to the safety envelope.")
+        options.Flag,
+        tyro.conf.arg(
+            help="Narrow the ranges to the envelope that the project states "
+            "(docs/safety_study.md); a range completely outside is an error."
+        ),
     ] = False,
     scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,

@@ -144,8 +144,9 @@ def reach(
 
     Positions p form a lattice around the arm's mount. For the body lEE, p is the end-effector's
     origin and the pose is the end-effector's pose. For another body, p is the centre of the body's
-    first shape, and the pose is this point with the direction of the shape's axis. Few joints
-    determine a part of the pose only, such as the position. R is the density of inverse kinematics
+    first shape, and the pose is this point with the direction of the shape's axis. If too
+    few joints move the body for this, the pose has fewer coordinates: position and direction for
+    five joints, the position for three or four. R is the density of inverse kinematics
     solutions within the joint limits and without self-collision. It follows from random joint
     positions by the area formula: R is the sum of |det J| of the joint positions that lead to a
     cell of the lattice. J is the square Jacobian of the pose, without redundant joints. R is scaled

@@ -113,7 +113,7 @@ def check_no_others(options: Mapping[str, object], case: str = "--case") -> None
 
     Args:
         options: Values of options by name; None means that an option is not set.
-        case: Name of the case, for the message.
+        case: Origin of the case for the message: the option `--case`, or the case's file.
 
     Raises:
         ConfigError: An option is set; the message names the first such option.

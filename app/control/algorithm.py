@@ -4,31 +4,32 @@ Comments name the line of the paper's Algorithm 2; a number in brackets is an eq
 table of quantities (`app.control.quantities`): each formula takes arrays and returns arrays, and
 only this file connects them. With ``NUMBA_DISABLE_JIT=1`` the same code runs as plain Python.
 
-There are no strict levels. Each problem is one strictly convex QP: tasks have weights, and a row of
+There are no strict levels. Each QP is strictly convex: tasks have weights, and a row of
 T_sca is a spring with a stiffness that follows its activation β. A row with β = 0 has no effect, so
 lines 12 and 16 to 18, which leave out inactive rows, need no branch.
 
 From the arm's approach to the base's velocity: f (14), xdd_m (16), a_base_des (29), a_base_cmd, and
 v_cmd by the admittance law (§4.1, `update_command`).
 
-Two problems are solved, one after the other, because the base follows its commands late.
+Base and arm are computed one after the other, because the base follows its commands late.
 
 **The base** (`command_base`), with task gains slow enough for its 10 Hz:
 
-1. `set_up_free_base`: a_free minimises over q̈ of base and arm the posture and T_ee, with the rows
-   between links as springs, subject to the limits of joints, torques and base accelerations. A
-   guided base comes to rest instead, a_free = −k ν, without a QP.
+1. `set_up_free_base`: a_free is the base's part of the q̈ that minimises the costs of posture and
+   T_ee, with the rows between links as springs, subject to the limits of joints, torques and base
+   accelerations. A guided base comes to rest instead, a_free = −k ν, without a QP; the method
+   `barrier` always solves the QP.
 2. `blend_base`: the base's rows of T_sca blend ẍ_m with a_free,
    a_des = β_m ẍ_m + (1 − β_m) a_free, (29).
-3. `undragged`: the acceleration nearest to a_des, in the metric of the base's inertia, that does
-   not drag the end-effector along where the arm cannot compensate.
+3. `undragged`: an acceleration near a_des, in the metric of the base's inertia, that drags the
+   end-effector along as little as possible where the arm cannot compensate.
 4. `set_up_room`, only while tracking: the smallest change of this acceleration with which the arm
    fulfils T_ee within its limits: joints and torques, and for the method `dbb` the distances of L_m
    and the buffers of the arm's links.
 
-**The arm** (`accelerate_arm`) minimises the tasks with the rows of T_sca as springs against them,
-(29), subject to its limits, for the present acceleration of the base (`assume_base`). The torques
-follow from q̈, (26).
+**The arm** (`accelerate_arm`) minimises the errors of the tasks; the rows of T_sca are springs that
+compete with them, (29). It is subject to its limits, for the present acceleration of the base
+(`assume_base`). The torques follow from q̈, (26).
 
 The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
 `app.control.hqp` solves.
@@ -549,7 +550,7 @@ def set_up_free_base(robot: Any, gains: Any, slow: Any, w: Any) -> int:
 
 @compiled()
 def undragged(robot: Any, gains: Any, w: Any) -> Array:
-    """The base acceleration nearest to a_des that does not drag the end-effector along.
+    """A base acceleration near a_des that drags the end-effector along as little as possible.
 
     Minimise (a − a_des)ᵀ I (a − a_des) + β_m w m ‖D (a − a_hold)‖², `limit_ee_drag`, with a_des
     clipped to a_max before; at β_m = 0 it is a_des.
@@ -618,9 +619,9 @@ def solve(w: Any, which: int, m: int) -> tuple[Array, bool]:
     """Solve the prepared QP within the first m limits.
 
     FREE_BASE has no fixed entries, ROOM finds the smallest change of its fixed entries, ARM does
-    not change them. If the active sets find no solution, the QP is left open, in `w.qp_open`: the
-    caller lets ProxQP solve it and runs `algorithm_2` again from its first line, which then uses
-    that solution. This happens at most once for each QP of a step.
+    not change them. If the active-set method finds no solution, `w.qp_open` marks the QP as open:
+    `Controller` lets ProxQP solve it and calls `algorithm_2` again. In this second pass the result
+    is ProxQP's solution. This happens at most once for each QP of a step.
 
     Returns:
         (n,) the solution, and whether it exists.
@@ -689,8 +690,10 @@ def put_commands(robot: Any, gains: Any, w: Any, base_source: int) -> None:
 
 @compiled()
 def take_hierarchy(robot: Any, gains: Any, w: Any, base_source: int) -> None:
-    """Line 15 as printed: the first call leaves the problem to `app.control.hqp`, the second one
-    uses its q̈.
+    """Line 15 of Algorithm 2 as in the paper, for the method `hqp`.
+
+    With valid readings, the first pass of a step marks the problem as open (`w.qp_open`),
+    `app.control.hqp` solves it, and the second pass uses this q̈.
     """
     if w.valid[()] != 0.0 and w.qp_tried[HIERARCHY] == 0.0:
         w.qp_open[()] = HIERARCHY + 1.0

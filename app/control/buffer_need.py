@@ -70,7 +70,8 @@ def _bound(
     alpha_min: float,
     d_full: float,
 ) -> float:
-    """[m] the largest d_* - x(d_*) of the module; minus infinity without any.
+    """[m] the largest d_* - x(d_*), see the docstring of the module; minus infinity if the base
+    reaches the speed v at no d_*.
 
     Args:
         d_b: [m]
@@ -172,14 +173,14 @@ class Approach(NamedTuple):
 
 
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
-    """[m] the smallest d_b for which the arm stays away from the base by the reserve.
+    """[m] the smallest d_b with which the distance of arm and base stays at least the reserve.
 
-    The module lists the assumptions. The delay and the slip are those of the configuration; the
-    configured d_b has no influence.
+    The docstring of the module lists the assumptions. The delay and the slip are those of the
+    configuration; the configured d_b has no influence.
 
     Returns:
-        At least the reserve and d_full, so that β can rise; infinite if the base cannot retreat as
-        fast as the arm approaches, or only with a d_b above 2 m.
+        At least the reserve and d_full, so that β can rise. Infinite if no d_b up to 2 m suffices,
+        for example because the base cannot retreat as fast as the arm approaches.
     """
     least = max(RESERVE, config.activation.d_full)
     if approach.v <= 0.0:

@@ -44,8 +44,8 @@ class Drive:
         """(n_b,) [m/s² or rad/s²] present response of the drive to a command at a measured
         velocity.
 
-        `v_cmd` and `v` are (n_b,). Without a measured `state` (n_d,), or with an empty one, the
-        further states count as those at rest.
+        `v_cmd` and `v` are (n_b,). If `state` (n_d,), the drive's states other than the velocity,
+        is None or empty, its value at rest is used.
         """
         known = self._at_rest if state is None or not len(state) else state
         return self._base.drive_acceleration(v, known, v_cmd)

@@ -451,7 +451,10 @@ def take_readings(
     qd_m: Array,
     drive: Array,
 ) -> None:
-    """Estimate the present state of the robot from the readings, if they are valid (`w.valid`).
+    """Check the readings, and estimate the present state of the robot.
+
+    A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
+    the first usable reading, and if there has been no usable reading for 0.1 s.
 
     Paper: Algorithm 2, line 2, before the kinematics.
 

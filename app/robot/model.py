@@ -1,7 +1,8 @@
 """The compiled robot: pinocchio's model on a planar base, reduced to q̇ = (q̇_b, q̇_m).
 
 The planar joint of pinocchio has its velocity in the base's own frame. Thus the map from the
-reduced velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a term in Ṡ.
+reduced velocity to pinocchio's is the constant matrix S. The reduced terms are Sᵀ M S and Sᵀ h,
+without a term M Ṡ q̇.
 """
 
 from __future__ import annotations

@@ -122,7 +122,8 @@ class ConvexMesh(_Placed):
         """The hull, in the shape's own frame.
 
         Raises:
-            AssetError: The file is not there, or takes more than its budget to read.
+            AssetError: The file is missing, or reading it takes more time or memory than a valid
+                file of its size needs (`app.jobs.bounded`).
         """
         # Imported here: only this shape needs trimesh, which takes longer to import than all else.
         with extras_named():
@@ -235,7 +236,8 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
     """The surface of a shape, in its own frame: that of its `placement()`.
 
     Raises:
-        AssetError: The file of a convex mesh is missing, or takes more than its budget to read.
+        AssetError: The file of a convex mesh is missing, or reading it takes more time or memory
+            than a valid file of its size needs (`app.jobs.bounded`).
     """
     with extras_named():
         from trimesh import convex, creation

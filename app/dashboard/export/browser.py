@@ -120,10 +120,11 @@ def chromium() -> Iterator[Browser]:
 def new_context(
     browser: Browser, size: tuple[int, int], *, honest: bool = False, touch: bool = False
 ) -> BrowserContext:
-    """Open a window of `size` (width, height) [px], whose pages have the helpers `dbbPage`.
+    """Make a browser context, whose pages have `size` (width, height) [px] and the helpers
+    `dbbPage`.
 
     An `honest` page reports that it draws in software; other pages hide this, so that they get full
-    detail. With `touch`, the window has a touch screen.
+    detail. With `touch`, the pages have a touch screen.
     """
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch

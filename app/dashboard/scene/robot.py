@@ -166,7 +166,8 @@ def _visuals(robot: RobotModel) -> list[Visual]:
 def load_visuals(description: RobotDescription) -> list[Visual]:
     """Load the visual meshes of the URDF, decimated, in the URDF's colours.
 
-    Colours that are too dark for a dark page are brightened. Joints are those of `LinkPoses.model`.
+    Colours that are too dark for a dark page are brightened. `joint` of each result is the
+    index of a joint in `LinkPoses.model`.
 
     Raises:
         AssetError: The URDF or a mesh is missing.

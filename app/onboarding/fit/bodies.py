@@ -140,9 +140,13 @@ class ArmFitter:
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
     ) -> tuple[tuple[Fit, ...], int, Array] | None:
-        """The smallest fit in the frame of a joint, with this joint and the enclosed points.
+        """The smallest fit over the frames of the units' joints.
 
-        `masks` select the points of the units. The result is None if these have no volume.
+        `masks` select the points of each unit.
+
+        Returns:
+            The fit, the number of its joint, and the points (N, 3) [m] that it encloses; None if
+            the selected points sweep no volume.
         """
         pieces: dict[tuple[int, int], Array] = {}  # by joint and link
         for unit, mask in zip(units, masks, strict=True):

@@ -133,8 +133,9 @@ def moved(points: Array, T: pin.SE3) -> Array:
 def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     """Whether contacts of two units are allowed by design.
 
-    They are if the units are on the same joint, if a single joint separates them and neither is
-    beside the chain, or if only parallel prismatic joints separate them, as in a telescope.
+    They are if the units are on the same joint, if a single joint separates them and both belong to
+    the arm's chain (`beside` is False), or if only parallel prismatic joints separate them, as in a
+    telescope.
     """
     first, last = sorted((a.joint, b.joint))
     if last == first or (last - first == 1 and not (a.beside or b.beside)):

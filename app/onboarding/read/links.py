@@ -229,10 +229,10 @@ def is_foreign(path: Path) -> bool:
 
 
 def _lightened(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    """A mesh of at most about `MOST_FACES` triangles with the same outermost vertices.
+    """A mesh of at most about `MOST_FACES` triangles, with a hull that is at most `cell` smaller.
 
     `cell` is the edge of the cubic cells in which vertices are merged, in the unit of the mesh. A
-    mesh with few triangles does not change.
+    mesh with few triangles does not change. Extreme merged vertices are included (`_outermost`).
     """
     if len(mesh.faces) <= MOST_FACES:
         return mesh

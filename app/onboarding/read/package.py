@@ -157,8 +157,9 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     `file` is the path of the URDF in the zip; None is possible if the zip has only one URDF.
 
     Raises:
-        RobotFileError: As for `unpack`, the zip does not have that URDF, or the URDF refers to a
-            mesh that is not in the zip.
+        RobotFileError: One of the cases of `unpack`; or the zip does not have the URDF `file`, or,
+            without `file`, not exactly one URDF; or the URDF refers to a mesh that is not in the
+            zip.
     """
     root = (folder / FOLDER).resolve()
     path = root / _chosen_urdf(unpack(archive, root), archive.name, file)

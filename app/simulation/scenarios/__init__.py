@@ -69,7 +69,10 @@ def scenario_by_name(name: str) -> Scenario:
 
 
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
-    """The scenario with a name, on the robot's own line if the description has one.
+    """The scenario with a name.
+
+    If the description has a line (start and displacement of the end-effector) for this scenario,
+    the line replaces that of the scenario.
 
     Args:
         description: The robot.
@@ -78,7 +81,7 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 
     Raises:
         UnknownNameError: The scenario does not exist.
-        UnreachableError: The scenario needs a line of the robot, the robot has none, and `changes`
+        UnreachableError: The scenario needs a line of the description, there is none, and `changes`
             has no start.
         ConfigError: An option does not exist, or its value is invalid.
     """
@@ -125,7 +128,8 @@ def free_start(
 def _own_line(description: RobotDescription, name: str) -> dict[str, object]:
     """Start and move of a robot's own line for a scenario, as options of `Scenario.changed`.
 
-    Tracking without a line of its own uses the line of `guiding-lateral`.
+    Empty if the robot has no line. A robot without a line for `tracking` uses that of
+    `guiding-lateral`.
     """
     lines = description.lines
     place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))

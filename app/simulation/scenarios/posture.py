@@ -125,10 +125,12 @@ class PostureSearch:
         return best_posture(residual, jacobian, guess, bounds)
 
     def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
-        """The weighted error (k,) of the end-effector, and its derivative (k, n_m) by the joints.
+        """The weighted error (k,) of the end-effector, and its derivative (k, n_m) with respect to
+        the joint positions.
 
         For a pose, the error is the logarithm of the displacement in the end-effector's frame. For
-        a position with or without a direction, it consists of the errors of both.
+        a position it is the position's error, followed by the direction's error if the target has
+        a direction.
         """
         self.place(q_m)
         at, J = self.state.T_world_ee, self.J_hand

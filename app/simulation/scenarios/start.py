@@ -254,9 +254,10 @@ def find_grasp(
 ) -> tuple[Array, pin.SE3]:
     """Find a posture of the arm (n_m,), read-only, at a door's handle, and the end-effector's pose.
 
-    The end-effector is horizontal and points into the door; every pair is outside its buffer. The
-    best posture can follow the door through the largest angle while the base moves back. Among
-    equal postures the best one has the largest margins on the path. The result is cached.
+    The end-effector is horizontal and points into the door; every pair is outside its buffer. From
+    the best posture, the arm can follow the door over the largest range of further angles while the
+    base moves back. Among postures with the same range, the one with the largest margins (joint
+    limits, manipulability, buffers) is best. The result is cached.
 
     Args:
         model: The robot.
@@ -264,7 +265,7 @@ def find_grasp(
         d_b: [m] buffer distance.
         base_pose: (3,) x, y [m] and heading [rad] of the base.
         door: The door.
-        angle: [rad] opening angle of the door.
+        angle: [rad] opening angle of the door at the grasp.
         seed: Seed of the search.
 
     Raises:
@@ -327,7 +328,7 @@ class _GraspSearch:
         return room
 
     def _room_ahead(self, roll: float, q_start: Array, room: float) -> float:
-        """[-] number of further door angles that the arm can follow, plus the smallest margin.
+        """[-] number of further door angles that the arm can follow, plus the smallest `_room`.
 
         As in the controller, the arm stays near its starting posture in the task's null space.
         """

@@ -74,9 +74,10 @@ def kept(least: float, *, touched: bool) -> str:
 
 
 def number_text(value: Any, none: str = "–") -> str:
-    """A figure as text; `none` represents None.
+    """A result as text, also a list or dictionary of results; `none` is the text for None.
 
-    A number has three significant digits, or is an integer from 100 on. Rounding errors are 0.
+    Numbers have three significant digits; from 100 on they are rounded to integers. Numbers below
+    5e-7, which are rounding errors, become 0.
     """
     if isinstance(value, dict):
         return ", ".join(f"{name} {number_text(each)}" for name, each in value.items())

@@ -55,7 +55,8 @@ _NOT_STORED = {
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:
     """The run of a case, from the random quantities in its row.
 
-    Executing this run raises a `CaseError` if the robot's arm has another number of joints.
+    Executing this run raises a `TargetError` if the robot's arm does not have as many joints as the
+    row.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}

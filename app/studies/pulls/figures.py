@@ -128,7 +128,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
 def _by_kind(axes: Axes, rows: Sequence[Row], column: str, low: float = -np.inf) -> None:
     """Draw the cases of each kind as a row of points, which are spread vertically.
 
-    Values of the column below `low` are drawn at `low`.
+    A value below `low` is drawn at `low`.
     """
     kinds = sorted({row["kind"] for row in rows}, reverse=True)
     for y, kind in enumerate(kinds):

@@ -288,7 +288,8 @@ def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
     """Draw a path along the wheel axis as a dot.
 
-    The dots of one side are in the order of x of p_b, at equal angles.
+    The dots on each side of the base are in the order of x of p_b, with the same angle between
+    neighbours.
     """
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
