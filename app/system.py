@@ -304,11 +304,11 @@ def whole_file(path: Path) -> Iterator[Path]:
             file remains.
     """
     try:
-        if is_no_file(path):
+        real = own_path(path)
+        if is_no_file(real):
             raise OutputError(
                 f"cannot write {path}: it is a folder, a device, a pipe or a mount point"
             )
-        real = own_path(path)
         with begun_folder(real.parent) as folder:
             beside = folder / path.name
             yield beside

@@ -131,7 +131,7 @@ def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
     path = tmp_path / "case.json"
     path.write_text(case.text())
     for command in ("run", "serve"):
-        told = refused(capsys, command, "--case", str(path), "--config", str(mine))
+        told = refused(capsys, command, "--replay-case", str(path), "--config", str(mine))
         assert "--config" in told
 
 

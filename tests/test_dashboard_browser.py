@@ -223,7 +223,7 @@ def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, se
         pytest.fail(f"{text} is not reached")
 
     tab.open_tab("Why")
-    inside = tab.page.get_by_text("Nothing acts on the robot")
+    inside = tab.page.get_by_text("Avoidance does not act")
     reach("Details")
     keys.press("Enter")
     inside.wait_for()

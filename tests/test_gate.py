@@ -106,7 +106,7 @@ def camera(**changes):
     ],
 )
 def test_only_the_servers_own_page_is_allowed(of_page, host, allowed):
-    assert is_allowed(of_page, host, {"robot"}) is allowed
+    assert is_allowed(of_page, host, {"robot"}, {"robot"}) is allowed
 
 
 @contextmanager
@@ -145,12 +145,14 @@ def get(server, path, host=""):
     return answer.status, answer.headers, answer.read()
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "LOCALHOST", "::1", "robot.lan"])
 def test_pages_of_other_ports_need_the_option(host):
     shown = f"[{host}]" if ":" in host else host
     for allowed in ((), (host,)):
-        names = Gate(host, allowed, 0)._own_names
-        assert is_allowed(f"http://{shown}:9000", f"{shown}:8080", names) is bool(allowed)
+        gate = Gate(host, allowed, 0)
+        names = gate._own_names, gate._allowed
+        assert is_allowed(f"http://{shown}:8080", f"{shown}:8080", *names)
+        assert is_allowed(f"http://{shown}:9000", f"{shown}:8080", *names) is bool(allowed)
 
 
 def test_a_foreign_page_cannot_connect_and_the_own_one_can():

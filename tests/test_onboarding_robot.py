@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import shutil
+import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import combinations
@@ -183,6 +184,8 @@ def test_a_folder_of_the_current_directory_is_no_installed_package(
     mesh.parent.mkdir()
     mesh.write_bytes(b"solid")
     assert mesh_address(reference, tmp_path) == str(mesh)
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path)])  # installed for development
+    assert mesh_address(reference, tmp_path) == "package://src/m.stl"
 
 
 @pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])

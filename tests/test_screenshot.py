@@ -19,7 +19,7 @@ from PIL import Image
 from app.config import Config
 from app.dashboard.export import Look
 from app.dashboard.export.browser import VARIABLE, browser_path
-from app.dashboard.export.offscreen import RecordedLoop, choose_layer
+from app.dashboard.export.offscreen import RecordedLoop, apply_look
 from app.dashboard.export.screenshot import strip, take_pictures
 from app.dashboard.view import HIDDEN, View
 from app.errors import BrowserError
@@ -142,7 +142,7 @@ def test_a_layer_colours_the_border_of_the_shown_or_of_the_named_pair():
         ("none", "", [HIDDEN, HIDDEN]),
     ):
         view = View.first(["lm-lEE", "lm-l3"], [])
-        choose_layer(view, layer, pair)
+        apply_look(view, Look(layer=layer, pair=pair))
         assert [*view.borders.values()] == wanted
         assert view.slice == (layer != "none")
 

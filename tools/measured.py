@@ -362,12 +362,12 @@ def study_table(found: Figures) -> str:
     columns = (
         "cases",
         "in the buffer",
-        "overlaps",
+        "bodies met",
         "contact",
         "smallest distance",
         "largest speed",
     )
-    return grid(["force before two bodies were near", *columns], rows)
+    return grid(["force before 10 mm [N]", *columns], rows)
 
 
 def gallery_table(found: Figures) -> str:

@@ -123,10 +123,10 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once, together
+    from app.cli.options import check_once, in_present_words, together
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = together(words)
+    rest = together(in_present_words(words))
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()

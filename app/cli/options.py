@@ -236,8 +236,8 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
         return
     if path.suffix.lower() not in suffixes:
         raise OutputError(f"{option}: {path} must end in {' or '.join(suffixes)}")
-    if is_no_file(path):
-        raise OutputError(f"{option}: {path} is a folder, a device or a mount point")
+    if is_no_file(own_path(path)):
+        raise OutputError(f"{option}: {path} is a folder, a device, a pipe or a mount point")
     make_folder(own_path(path).parent, option)
 
 

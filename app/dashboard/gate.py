@@ -131,8 +131,8 @@ class Gate:
             allowed: Further names under which browsers may reach the server.
             largest_upload: [bytes] largest size of a file.
         """
-        host_name = () if _is_here(host, ()) else (host,)
-        self._own_names = {name.lower() for name in (*allowed, *host_name)}
+        self._allowed = {name.lower() for name in allowed}
+        self._own_names = self._allowed | ({host.lower()} if host else set())
         self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
@@ -206,10 +206,13 @@ class Gate:
         elif twice := [name for name in _SINGLE if len(headers.get_all(name)) > 1]:
             status = http.HTTPStatus.BAD_REQUEST
             why = f"the request has the header {twice[0]} twice"
-        elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_names):
+        elif not is_allowed(
+            headers.get("Origin"), headers.get("Host"), self._own_names, self._allowed
+        ):
             status = http.HTTPStatus.FORBIDDEN
             why = "this page is not allowed to connect to this server"
-            more = _WAY_OUT.format(name=escape(headers.get("Host", "NAME").partition(":")[0]))
+            name = re.match(r"[\w.-]+", headers.get("Host", ""))
+            more = _WAY_OUT.format(name=name[0] if name else "NAME")
         elif headers.get("Upgrade", "").lower() == "websocket":
             if len(self._uploads) < _MOST_VIEWERS:
                 return None
@@ -247,10 +250,11 @@ class Gate:
 
 
 class _Connection(ServerConnection):
-    """A connection that answers every HTTP request.
+    """A connection that also answers HTTP requests of other versions and methods.
 
-    websockets reads only GET requests of HTTP/1.1, and closes the connection without an answer
-    after others. Proxies send HTTP/1.0, and checks of a server's health send HEAD.
+    A request with content is not read beyond its first part. websockets reads only GET requests of
+    HTTP/1.1, and closes the connection without an answer after others. Proxies send HTTP/1.0, and
+    checks of a server's health send HEAD.
     """
 
     method = "GET"
@@ -258,6 +262,8 @@ class _Connection(ServerConnection):
 
     def data_received(self, data: bytes) -> None:
         """Read the first data of a request as those of a GET request of HTTP/1.1."""
+        if self.method not in _METHODS:  # the answer is on its way: ignore the request's content
+            return
         if self.request is None and (line := _REQUEST.match(data)):
             self.method, rest = line[1].decode(), data[line.end() :]
             # Content that follows the request would be an error, and its headers announce it.
@@ -312,13 +318,15 @@ def draws_in_software(request: Request | None) -> bool:
     return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
 
 
-def is_allowed(origin: str | None, host: str | None, own_names: Collection[str]) -> bool:
+def is_allowed(
+    origin: str | None, host: str | None, own_names: Collection[str], allowed: Collection[str]
+) -> bool:
     """Whether a request may be answered.
 
     A browser sends the page's origin with each websocket request. The origin must be the address of
     the request. This address must be an IP address, localhost, or a name of this server or machine.
     Otherwise another website could let its own name point to this machine, and would be accepted. A
-    proxy can change the address of a request; therefore each name in `own_names` is accepted as the
+    proxy can change the address of a request; therefore each name in `allowed` is accepted as the
     origin of every request.
 
     Args:
@@ -326,6 +334,7 @@ def is_allowed(origin: str | None, host: str | None, own_names: Collection[str])
         host: The request's header `Host`; None without this header.
         own_names: Names under which browsers may reach the server, in lower case, besides the names
             that every server has.
+        allowed: Those of the names whose pages may send every request.
     """
     if host is None:
         return origin is None
@@ -338,7 +347,7 @@ def is_allowed(origin: str | None, host: str | None, own_names: Collection[str])
         return False
     if not (whole and _is_here(here.hostname, own_names)):
         return False
-    return origin is None or same or (page.hostname or "").rstrip(".") in own_names
+    return origin is None or same or (page.hostname or "").rstrip(".") in allowed
 
 
 def _is_here(name: str | None, own_names: Collection[str]) -> bool:

@@ -41,7 +41,7 @@ class DashboardServer:
         self.viser, self.shared = viser_server, shared
         host = viser_server.get_host()
         # Browsers of some systems do not open the address that stands for all addresses.
-        host = "localhost" if host in ("0.0.0.0", "::") else host
+        host = {"0.0.0.0": "localhost", "::": "::1"}.get(host, host)
         host = f"[{host}]" if ":" in host else host  # IPv6
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}

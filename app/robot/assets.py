@@ -166,10 +166,19 @@ def package_roots(package: str) -> list[Path]:
     if package.isidentifier() and package != "__main__":  # which has no folder
         spec = importlib.util.find_spec(package)
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
-    roots = [root for root in roots if root.resolve().parent != Path.cwd()]
+    begun = _working_folder()  # also the first folder of `sys.path`, for `python -m`
+    if begun and begun not in map(Path, sys.path[1:]):  # otherwise installed, as in development
+        roots = [root for root in roots if root.resolve().parent != begun]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
         roots += [share / package for share in share_folders() if isdir(share / package)]
     return roots
+
+
+def _working_folder() -> Path | None:
+    try:
+        return Path.cwd()
+    except FileNotFoundError:  # it has been removed
+        return None
 
 
 def share_folders() -> list[Path]:
@@ -419,10 +428,12 @@ def _mesh(reference: str, folder: Path) -> Path:
         return path
     path = (folder / reference).resolve()
     if not isfile(path) or not path.is_relative_to(folder.resolve()):
-        raise AssetError(
-            f"{folder.name}: no mesh {reference!r}; a relative path must stay in the folder of the "
-            "URDF"
+        rule = (
+            ""
+            if Path(reference).is_absolute()
+            else ("; a relative path must stay in the folder of the URDF")
         )
+        raise AssetError(f"{folder.name}: no mesh {reference!r}{rule}")
     return path
 
 

@@ -6,7 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_type_hints
 
-from pydantic import Field, ValidationError, create_model, field_validator
+from pydantic import Field, ValidationError, create_model, field_validator, model_validator
 from typing_extensions import Self
 
 from app.config import Config, present_name, tunables
@@ -54,6 +54,12 @@ class RunCase(Strict):
     seed: int = Field(default=0, ge=0, le=MAX_SEEDS)
     parameters: dict[str, float | str] = Field(max_length=_MAX_ENTRIES)
     """All parameters, by their paths."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_figures(cls, data: Any) -> Any:
+        """Former files have results too."""
+        return {k: v for k, v in data.items() if k != "figures"} if isinstance(data, dict) else data
 
     @field_validator("parameters")
     @classmethod

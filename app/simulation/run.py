@@ -11,7 +11,7 @@ from app.robot.model import RobotModel
 from app.simulation.case import RunSpec
 from app.simulation.loop.pacing import gc_frozen
 from app.simulation.scenarios.leading import Scenario, Setting
-from app.simulation.session import DT, Session, Step
+from app.simulation.session import DT, Session, Step, check_posture
 from app.simulation.trace.metrics import metrics
 from app.simulation.trace.snapshot import EVERY, Snapshot, make_snapshot
 from app.simulation.trace.trace import Recorder, Trace
@@ -35,6 +35,7 @@ def begin(
         DbbError: The session or its plant cannot be made (`Session`, `make_physics`), or a joint is
             beyond its limits at the start.
     """
+    check_posture(setting.model, setting.q_m)  # before the plant loads
     session = Session(
         setting.model,
         setting.data,

@@ -136,8 +136,7 @@ class LabPanel(Panel):
                 "Play the case",
                 lambda _: sink.send(Play(case)),
                 viser.Icon.PLAYER_TRACK_NEXT,
-                hint=f"{case.about}. It starts at once."
-                + ("" if case.open else " A pull of the hand ends it."),
+                hint=f"{case.about}. It starts at once. A pull of the hand ends it.",
             )
         self._status = gui.add_html("")
 

@@ -6,6 +6,7 @@ the convex bodies, which are reported and cause no force. The plant is for tests
 independent check of the engines.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import compress, product
 
@@ -112,6 +113,8 @@ def _within_limits(
         (n,) [rad/s² or m/s²] accelerations.
     """
     n = len(u)
+    if not math.isfinite(u.sum() + M.sum()):  # a solver raises an error for these
+        return np.full(n, np.nan)
     A, b = M.copy(), u.copy()
     stopped = np.zeros(n, np.bool_)
     qdd = np.linalg.solve(A, b)
