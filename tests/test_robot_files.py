@@ -461,6 +461,42 @@ def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> N
         parsed(tmp_path, still)  # its end never moves
 
 
+@pytest.mark.parametrize(
+    ("axis", "multiplier", "travel"),
+    [
+        ("0 0 1", 1.0, 0.2),
+        ("0 0 -1", -1.0, 0.2),
+        ("0 0 1", 0.5, 0.15),
+        ("0 0 -1", 1.0, None),  # its end never moves
+        ("0 1 0", 1.0, None),  # not along one line
+    ],
+)
+def test_a_telescope_has_parallel_parts_and_its_followers_keep_their_relation(
+    tmp_path: Path, axis: str, multiplier: float, travel: float | None
+) -> None:
+    limit = 'lower="0" upper="0.1" effort="6" velocity="1"'
+    first = joint("slide", "prismatic", "fore", "middle", axis="0 0 1", limit=limit)
+    second = joint("follower", "prismatic", "middle", "end", axis=axis, limit=limit)
+    mimic = f'<mimic joint="slide" multiplier="{multiplier}"/></joint>'
+    text = first + second.replace("</joint>", mimic)
+    for name, leader in (("cover", "slide"), ("lid", "follower")):
+        beside = joint(name, "prismatic", "base", f"{name}_link", limit=limit)
+        mimic = f'<mimic joint="{leader}" multiplier="0.5" offset="0.01"/></joint>'
+        text += link(f"{name}_link") + beside.replace("</joint>", mimic)
+    text = TOY.replace("</robot>", link("middle") + link("end") + text + "</robot>")
+    text = text.replace('<parent link="fore"/>', '<parent link="end"/>', 1)
+    if travel is None:
+        with pytest.raises(RobotFileError, match="'follower' of the arm follows another joint"):
+            parsed(tmp_path, text)
+        return
+    joints = parsed(tmp_path, text).tree.joints
+    assert joints["slide"].upper == pytest.approx(travel)
+    for name, factor in (("cover", 0.05), ("lid", 0.05 * multiplier)):
+        leader, each, offset = joints[name].mimic
+        assert (leader, each * travel) == ("slide", pytest.approx(factor))
+        assert offset == pytest.approx(0.01)
+
+
 def test_of_a_mesh_of_very_many_triangles_a_light_one_with_the_same_hull_is_taken(
     tmp_path: Path,
 ) -> None:

@@ -211,7 +211,8 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     robot.extend(_colour_only(each) for each in tree.materials if rgba(each) is not None)
     _add_inertial(SubElement(robot, "link", name=ROOT), pin.Inertia.Zero())
     root = Joint(f"{ROOT}_joint", "fixed", ROOT, base, parsed.wheels.T_base_floor.inverse())
-    rest = {name: held_at(joint) for name, joint in tree.joints.items()}
+    below = [tree.joint_of[link] for link in tree.below(base) if link != base]
+    rest = {joint.name: held_at(joint) for joint in below}
     rest |= {joint.name: 0.0 for joint in parsed.arm.joints}
     robot.append(_joint(root, {}))
     for link in tree.below(base):

@@ -11,6 +11,8 @@ import pinocchio as pin
 
 from app.onboarding.read.tree import MOVING, Joint, Tree
 
+_PARALLEL = 0.999  # [-] smallest cosine of the angle between the axes of a telescope's parts
+
 
 def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     """A tree with joined telescopes between the links `base` and `tip`, and a sentence on each one.
@@ -29,6 +31,7 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     for parts in _telescopes(chain):
         run = chain[chain.index(parts[0]) : chain.index(parts[-1]) + 1]
         leader, *others = sorted(parts, key=lambda joint: joint.mimic is not None)
+        joints |= dict(_followers(tree, parts, leader.name, abs(_sums(run, parts)[-1])))
         joints |= {joint.name: joint for joint in _joined(run, parts, leader, others)}
         said.append(
             f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
@@ -44,9 +47,44 @@ def _telescopes(chain: Sequence[Joint]) -> Iterator[list[Joint]]:
         own = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
         first = moving.index(own[0])
         together = own == moving[first : first + len(own)]
-        extends = sum(joint.mimic[1] if joint.mimic else 1.0 for joint in own) != 0.0
-        if len(own) > 1 and together and extends and {j.kind for j in own} == {"prismatic"}:
-            yield own
+        if len(own) > 1 and together and {j.kind for j in own} == {"prismatic"}:
+            run = chain[chain.index(own[0]) : chain.index(own[-1]) + 1]
+            parallel = all(abs(share) > _PARALLEL for share in _directions(run, own))
+            if parallel and _sums(run, own)[-1] != 0.0:
+                yield own
+
+
+def _directions(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
+    """The cosines of the angles between the axis of the first part and those of all parts."""
+    found, R = [], np.eye(3)
+    for joint in run:
+        R = R @ joint.T_parent_child.rotation
+        if joint in parts:
+            found.append(R @ joint.axis)
+    return [float(found[0] @ axis) for axis in found]
+
+
+def _sums(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
+    """The travel of each part along the axis of the first part, for a unit travel of the leader."""
+    factors = (1.0 if joint.mimic is None else joint.mimic[1] for joint in parts)
+    directions = map(round, _directions(run, parts))
+    return [*accumulate(k * f for k, f in zip(directions, factors, strict=True))]
+
+
+def _followers(
+    tree: Tree, parts: Sequence[Joint], leader: str, total: float
+) -> Iterator[tuple[str, Joint]]:
+    """Joints outside a telescope that follow one of its parts, by name.
+
+    They follow the leader afterwards, whose new position is `total` times the former one.
+    """
+    own = {joint.name: joint.mimic or (leader, 1.0, 0.0) for joint in parts}
+    for joint in tree.joints.values():
+        if joint.name not in own and joint.mimic is not None and joint.mimic[0] in own:
+            name, factor, offset = joint.mimic
+            _, part_factor, part_offset = own[name]
+            mimic = leader, factor * part_factor / total, offset + factor * part_offset
+            yield joint.name, joint._replace(mimic=mimic)
 
 
 def _joined(
@@ -57,7 +95,7 @@ def _joined(
     `run` has all joints from the first part to the last, including fixed ones.
     """
     low, high = leader.lower or 0.0, leader.upper or 0.0
-    sums = [*accumulate(1.0 if joint.mimic is None else joint.mimic[1] for joint in parts)]
+    sums = _sums(run, parts)
     places, T = {}, pin.SE3.Identity()
     for joint in run:
         T = T * joint.motion(joint.mimic[2] if joint in parts and joint.mimic else 0.0)
@@ -77,7 +115,7 @@ def _joined(
     free = leader._replace(parent=last, effort=0.0, velocity=0.0)
     for joint, part, factor in zip(others, parts[:-1], sums[:-1], strict=True):
         place = places[part.name]
-        lower, upper = sorted((abs(factor) - total) * q for q in (low, high))
+        lower, upper = sorted((factor * np.sign(sums[-1]) - total) * q for q in (low, high))
         axis, T = place.rotation.T @ along, end.actInv(place)
         yield free._replace(
             name=joint.name, child=part.child, T_parent_child=T, axis=axis, lower=lower, upper=upper
