@@ -52,7 +52,7 @@ import numpy as np
 from app.errors import MeasurementError
 from app.robot.state import Measurement, checked
 
-shapes = [((3,),), ((2,),), ((2,),), ((2,),), ((0,),)]
+shapes = (((3,), (2,), (2,), (2,), (0,)),)
 two = SimpleNamespace(n_b=2, n_m=2, n_d=0, reading_shapes=shapes)
 taken = checked(Measurement([0, 0, 0], [0, 0], [0, 0], np.zeros(2, "f4")), two)
 print({each.dtype.name for each in taken[:4]})

@@ -118,10 +118,10 @@ def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     tab.set_slider("Buffer distance d_b [m]", 0.25)
     wait_for(lambda: any(isinstance(c, Configure) for c in served.loop.commands))
     assert served.loop.commands[-1].config.border.d_b == 0.25
-    tab.page.get_by_text("= 0.250 m").wait_for(timeout=40_000)
+    tab.page.get_by_text("= 0.250 m").first.wait_for(timeout=40_000)
     tab.wait_for_change(before, 5000)
     tab.set_slider("Buffer distance d_b [m]", 0.15)
-    tab.page.get_by_text("= 0.150 m").wait_for(timeout=40_000)
+    tab.page.get_by_text("= 0.150 m").first.wait_for(timeout=40_000)
     tab.open_tab("Run")
 
 

@@ -323,7 +323,7 @@ def make_toy(at: Path) -> None:
 )
 def test_all_meshes_of_a_strangers_robot_are_read_within_a_budget(read, tmp_path, monkeypatch):
     monkeypatch.setattr("app.simulation.plants.collision_shapes.is_own", lambda _: True)
-    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(9.0, 3 * 10**7))
+    monkeypatch.setattr("app.jobs.bounded.Budget.of", lambda _: Budget(9.0, 5 * 10**6))
     with pytest.raises(RobotFileError, match=f"its meshes: .*{BUDGET}"):
         read(tmp_path)
 
