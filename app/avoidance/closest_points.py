@@ -191,8 +191,7 @@ def _mean_nearest(
 ) -> None:
     """Write p_a, p_b, n and core of one row of `Nearest` into `found` (4, 3).
 
-    `a` are the shapes of l_a in this row: all, or a single convex part. `corners` are all nodes of
-    l_a, `b` and `nodes` all shapes and nodes of l_b.
+    `a` has all shapes of l_a, or one convex part; the other arrays all nodes or shapes of a body.
     """
     R_a, p_a, none = T_a[:3], T_a[3], np.zeros(3)
     R, p = _seen_by(T_a, T_b)

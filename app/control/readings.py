@@ -451,12 +451,10 @@ def take_readings(
     qd_m: Array,
     drive: Array,
 ) -> None:
-    """Check the readings, and estimate the present state of the robot.
+    """Check the readings, and estimate the present state of the robot (Algorithm 2, line 2).
 
     A prediction replaces unusable readings. `w.valid` becomes 0, and no state is estimated, before
     the first usable reading, and if there has been no usable reading for 0.1 s.
-
-    Paper: Algorithm 2, line 2, before the kinematics.
 
     Args:
         robot: `ROBOT`.
