@@ -37,7 +37,7 @@ class Files:
     Foxglove, Rerun and other viewers. The first two have one row per control step, and all
     displayed quantities in every 20th row."""
     ros: bool = False
-    """Write ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
+    """Write only the ROS 2 messages (CDR) into the .mcap file, for `ros2 bag play`."""
 
     def __post_init__(self) -> None:
         options.make_folder(self.out)
