@@ -32,10 +32,10 @@ def test_a_number_is_taken_within_its_bounds_and_by_its_kind_alone(field: str) -
 def test_what_does_not_go_together_is_refused() -> None:
     for words, fields in (
         ("--wheels: a holonomic base", {"kind": "holonomic", "wheels": ("l", "r")}),
-        ("--wheel-radius: give --half-track", {"wheel_radius": 0.1}),
+        ("--wheel-radius: needs --half-track", {"wheel_radius": 0.1}),
         ("--mount-xyz: places an arm with its own URDF", {"mount_xyz": (0.1, 0.0, 0.0)}),
         ("--mount-rpy: places an arm with its own URDF", {"mount_rpy": (0.0, 0.0, 0.1)}),
-        ("and no --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
+        ("and excludes --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
     ):
         with pytest.raises(ConfigError, match=words):
             check_request(asked(**fields))

@@ -175,7 +175,7 @@ def check_request(request: Request) -> None:
     if request.wheel_radius is not None and (
         request.half_track is None or request.wheels is not None
     ):
-        raise ConfigError("--wheel-radius needs --half-track, and excludes --wheels")
+        raise ConfigError("--wheel-radius: needs --half-track, and excludes --wheels")
 
 
 def package_folders(entries: Sequence[str]) -> dict[str, Path]:
