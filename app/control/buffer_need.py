@@ -32,6 +32,7 @@ drives the base along its own side, until the force has a lever.
 """
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -59,7 +60,7 @@ def _gain(v: float, a: float, T: float) -> float:
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
 
-@compiled()
+@compiled("f8(f8, f8[:,:], f8, f8, f8, f8, f8, f8)")
 def _bound(
     d_b: float,
     channels: Array,
@@ -118,49 +119,6 @@ def _bound(
     return found
 
 
-@compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
-def _bounds(
-    d_b: Array,
-    channels: Array,
-    v: float,
-    late: float,
-    kept: float,
-    f_max: float,
-    alpha_min: float,
-    d_full: float,
-) -> Array:
-    """`_bound` (k,) of each d_b (k,) [m]."""
-    found = np.empty(len(d_b))
-    for i in range(len(d_b)):
-        found[i] = _bound(d_b[i], channels, v, late, kept, f_max, alpha_min, d_full)
-    return found
-
-
-@compiled("i8(f8[:], f8[:,:], f8, f8, f8, f8, f8, f8)")
-def _first_sufficient(
-    d_b: Array,
-    channels: Array,
-    v: float,
-    late: float,
-    kept: float,
-    f_max: float,
-    alpha_min: float,
-    d_full: float,
-) -> int:
-    """Index of the smallest sufficient of some ascending d_b (k,) [m], or k; `_bound` grows with
-    d_b.
-    """
-    low, high = 0, len(d_b)
-    while low < high:
-        middle = (low + high) // 2
-        bound = _bound(d_b[middle], channels, v, late, kept, f_max, alpha_min, d_full)
-        if bound >= RESERVE:
-            high = middle
-        else:
-            low = middle + 1
-    return low
-
-
 class Approach(NamedTuple):
     """Approach of the arm to the base."""
 
@@ -190,13 +148,21 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 
 
 def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
-    """[m] the smallest sufficient d_b for one motion of the base; infinite without any."""
-    low = _first_sufficient(sizes, *way)
+    """[m] the smallest sufficient d_b for one motion of the base; infinite without any.
+
+    `sizes` (k,) [m] are ascending; the result is between two of them, because `_bound` grows with
+    d_b.
+    """
+
+    def first(ascending: Array) -> int:
+        return bisect_left(ascending, True, key=lambda d_b: _bound(d_b, *way) >= RESERVE)
+
+    low = first(sizes)
     if low == len(sizes):
         return math.inf
     if low > 0:
         sizes = np.linspace(sizes[low - 1], sizes[low], 20)
-        low = min(_first_sufficient(sizes, *way), len(sizes) - 1)
+        low = min(first(sizes), len(sizes) - 1)
     return float(sizes[low])
 
 
@@ -205,7 +171,8 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
 
     It is minus infinity if the base does not reach the approach speed at all.
     """
-    return np.max([_bounds(d_b, *way) for way in _ways(approach, base, config)], axis=0)
+    ways = list(_ways(approach, base, config))
+    return np.array([max(_bound(each, *way) for way in ways) for each in d_b])
 
 
 def _ways(approach: Approach, base: BaseKind, config: Config) -> Iterator[tuple[Any, ...]]:

@@ -132,7 +132,7 @@ class Gate:
             largest_upload: [bytes] largest size of a file.
         """
         self._allowed = {name.lower() for name in allowed}
-        self._own_names = self._allowed | ({host.lower()} if host else set())
+        self._own_names = {host.lower(), *self._allowed}
         self._largest_upload = largest_upload
         self._uploads: set[Uploads] = set()  # of each connected viewer
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None

@@ -126,7 +126,7 @@ def _unit(
 
 
 def moved(points: Array, T: pin.SE3) -> Array:
-    """The coordinates in frame A of points (N, 3) that are given in frame B; T is T_A_B."""
+    """The coordinates of points in frame A, from those in frame B (N, 3); T is T_A_B."""
     return points @ T.rotation.T + T.translation
 
 

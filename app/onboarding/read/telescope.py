@@ -9,9 +9,7 @@ from itertools import accumulate
 import numpy as np
 import pinocchio as pin
 
-from app.onboarding.read.tree import MOVING, Joint, Tree
-
-_PARALLEL = 0.999  # [-] smallest cosine of the angle between the axes of a telescope's parts
+from app.onboarding.read.tree import MOVING, PARALLEL, Joint, Tree
 
 
 def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
@@ -49,7 +47,7 @@ def _telescopes(chain: Sequence[Joint]) -> Iterator[list[Joint]]:
         together = own == moving[first : first + len(own)]
         if len(own) > 1 and together and {j.kind for j in own} == {"prismatic"}:
             run = chain[chain.index(own[0]) : chain.index(own[-1]) + 1]
-            parallel = all(abs(share) > _PARALLEL for share in _directions(run, own))
+            parallel = all(abs(share) > PARALLEL for share in _directions(run, own))
             if parallel and _sums(run, own)[-1] != 0.0:
                 yield own
 

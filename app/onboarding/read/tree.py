@@ -24,7 +24,7 @@ FREE = ("planar", "floating")
 _MAX_NAMES = 40  # [-] most names in a message
 _LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
 _X = np.array([1.0, 0.0, 0.0])
-_PARALLEL = 0.999  # [-] smallest cosine between parallel lines
+PARALLEL = 0.999  # [-] smallest cosine between parallel lines
 
 
 class Joint(NamedTuple):
@@ -342,7 +342,7 @@ def _beside(tree: Tree, segment: Sequence[str], chain: Sequence[Joint]) -> tuple
 def parallel(a: Joint, b: Joint) -> bool:
     """Whether both joints are prismatic with parallel axes; the parent of b is the child of a."""
     line = b.T_parent_child.rotation @ b.axis
-    return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > _PARALLEL
+    return a.kind == b.kind == "prismatic" and abs(float(a.axis @ line)) > PARALLEL
 
 
 def _nothing_above(tree: Tree, base: str) -> None:
