@@ -423,16 +423,11 @@ def _mesh(reference: str, folder: Path) -> Path:
     """
     if "://" in reference:
         return resolve_package_uri(reference)
-    path = Path(reference)
-    if path.is_absolute() and isfile(path):
-        return path
-    path = (folder / reference).resolve()
-    if not isfile(path) or not path.is_relative_to(folder.resolve()):
-        rule = (
-            ""
-            if Path(reference).is_absolute()
-            else ("; a relative path must stay in the folder of the URDF")
-        )
+    path, rule = Path(reference), ""
+    if not path.is_absolute():
+        path = (folder / reference).resolve()
+        rule = "; a relative path must stay in the folder of the URDF"
+    if not isfile(path) or (rule and not path.is_relative_to(folder.resolve())):
         raise AssetError(f"{folder.name}: no mesh {reference!r}{rule}")
     return path
 
