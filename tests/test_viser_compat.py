@@ -6,10 +6,11 @@ import ast
 import asyncio
 import logging
 import time
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 import viser
@@ -71,12 +72,29 @@ def test_viser_has_them() -> None:
             (gui.add_checkbox("box", False), OF_A_WIDGET),
             (server._websock_server, OF_CONNECTIONS),
             (asyncio.Event(), OF_AN_EVENT),
-            (viser, {"_messages"}),
+            (viser, {"_messages", "_gui_api", "_gui_handles", "_icons"}),
         ):
             assert [name for name in names if not hasattr(owner, name)] == []
             used -= names
         assert used
         assert [name for name in used if not hasattr(gui, name)] == []
+    finally:
+        close_server(server)
+
+
+def test_icons_and_type_hints_are_those_of_viser(monkeypatch: pytest.MonkeyPatch) -> None:
+    server = open_server("127.0.0.1", 0)
+    try:
+        original = viser._icons.svg_from_icon.__wrapped__
+        expected = {icon: original(icon) for icon in ("player-pause", "home")}
+        server.gui.add_button("first", icon="phone")
+        opened: list[object] = []
+        monkeypatch.setattr(zipfile.ZipFile, "__init__", lambda *_, **__: opened.append(_))
+        for icon, svg in expected.items():
+            button = server.gui.add_button("b", icon=icon)  # type: ignore[arg-type]
+            assert button._impl.props._icon_html == svg
+            assert button._prop_hints == get_type_hints(type(button._impl.props))
+        assert opened == []
     finally:
         close_server(server)
 
