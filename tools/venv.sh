@@ -48,7 +48,7 @@ if [ ! -x "$folder/bin/python" ]; then
 fi
 if [ -z "$extra" ]; then exit 0; fi
 if command -v uv >/dev/null; then
-    install=(uv pip install --quiet --python "$folder/bin/python")
+    install=(uv pip install --quiet --compile-bytecode --python "$folder/bin/python")
 else
     install=("$folder/bin/python" -m pip install --quiet --disable-pip-version-check)
 fi
@@ -59,3 +59,5 @@ if [ -f "requirements/$extra.txt" ]; then
 else
     "${install[@]}" -e ".[$extra]"
 fi
+# Where Python must not write bytecode, each start of a process would compile all modules again.
+"$folder/bin/python" -m compileall -q app
