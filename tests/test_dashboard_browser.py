@@ -61,7 +61,7 @@ def tab(opened, served):
 
 def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     assert tab.page.title() == f"{PRODUCT} · {served.server.shared.model.description.title}"
-    texts = "out of its own arm's way", "hand – base", "score S of (10)", "Nearest", "Pause"
+    texts = "out of its own arm's way", "hand – base", "score S, equation (10)", "Nearest", "Pause"
     for text in texts:
         tab.page.get_by_text(text).filter(visible=True).first.wait_for(timeout=10_000)
     assert tab.page.get_by_text("no explanation for this instant").first.is_visible()

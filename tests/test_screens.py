@@ -11,7 +11,7 @@ import pytest
 from app.dashboard import page
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.page import SHOWN
-from app.dashboard.panels.help import CARDS
+from app.dashboard.panels.help import CARDS, WATCH
 from app.dashboard.scene.borders import LIGHT_POINTS
 from app.dashboard.scene.robot import LIGHT_FACES, Visual
 from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset
@@ -174,3 +174,24 @@ def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, m
     del commands[:]
     tab.page.wait_for_timeout(2500)
     assert not any(isinstance(c, Play) for c in commands)
+
+
+def test_a_click_on_watch_it_counts_also_if_the_demonstration_begins_before(
+    browser, served, monkeypatch
+):
+    monkeypatch.setattr(page, "UNTOUCHED", 2.0)
+    served.begin_anew()
+    tab = DashboardTab(browser, served.server.address, (1000, 640), fresh=True, first_visit=True)
+    watch = tab.page.get_by_role("button", name=WATCH)
+    tab.page.get_by_role("heading", name=CARDS["welcome"].title).wait_for()
+    place = watch.bounding_box()
+    tab.page.get_by_role("heading", name=CARDS["demo"].title).wait_for()
+    assert watch.bounding_box() == pytest.approx(place, abs=2), "under the mouse is another button"
+    commands = served.loop.commands
+    del commands[:]
+    tab.page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
+    tab.page.get_by_role("heading", name=CARDS["watch"].title).wait_for()
+    wait_for(lambda: any(isinstance(c, Play) for c in commands), what="the scenario")
+    tab.page.wait_for_timeout(1500)
+    last = next(c for c in reversed(commands) if isinstance(c, Play | Reset))
+    assert isinstance(last, Play), "the end of the demonstration ended the scenario"

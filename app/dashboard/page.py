@@ -314,6 +314,8 @@ class Demonstration:
         alone = len(pages) == 1 and pages[0].untouched and newest.controller == "dbb"
         if self._plays and not alone:
             self._plays, self._due = False, None
+            if any(page.guide.state == "watch" for page in pages):
+                return  # the input has started the scenario again
             for page in pages:
                 if page.guide.state == "demo":
                     page.guide.go("")

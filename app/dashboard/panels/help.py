@@ -68,13 +68,13 @@ CARDS = {
         "The same pull on two robots",
         "Solid: with avoidance, the base gives way. Violet: without avoidance, the base stays "
         "and the arm runs into it.",
-        (PULL, CLOSE),
+        (WATCH, PULL, CLOSE),
     ),
     "demo": Card(
         "Demonstration",
         "It repeats until you click or press a key. Solid: with avoidance, the base gives way. "
         "Violet: the same pull without avoidance.",
-        (PULL, CLOSE),
+        (WATCH, PULL, CLOSE),
     ),
     "pull": Card(
         "Pull the robot",
@@ -113,7 +113,10 @@ CARDS = {
         "Compare",
     ),
 }
-"""Cards by the guide's state."""
+"""Cards by the guide's state.
+
+The first three have the same first buttons: a card can change while the viewer is about to click.
+"""
 SEEN = "dbb-tour-seen"
 """Key in the browser's storage after the first visit; later visits start without the guide."""
 
@@ -168,9 +171,13 @@ class Guide(Panel):
             self._channel.tell("open", place)
 
     def _press(self, label: str) -> None:
-        """Handle a click on a button of the card; ignore a label that the card does not have."""
+        """Handle a click on a button of the card.
+
+        Ignore a label that the card does not have, except for the labels of a card that the same
+        click has just closed (`Demonstration`).
+        """
         card = CARDS.get(self.state)
-        if card is None or label not in card.buttons:
+        if label not in (card.buttons if card else (WATCH, PULL)):
             return
         if label in (WATCH, SHOW):
             self._shows.get(self.state, self._shows["watch"])()

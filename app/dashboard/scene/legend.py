@@ -68,7 +68,7 @@ def title_of(quantity: str, kind: str) -> tuple[str, str]:
     return {
         "determinant": (measure.title, measure.unit),
         "reachability": ("Reachability by the arm, R (9)", ""),
-        "score": ("How well the base gives way: score S of (10)", measure.unit),
+        "score": ("How well the base can give way: score S, equation (10)", measure.unit),
     }[quantity]
 
 
@@ -124,8 +124,9 @@ def _bar_html(legend: Legend) -> str:
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
         '<div style="display:flex;justify-content:space-between">'
         f'{"".join(f"<span>{text}</span>" for text in texts)}</div><div style="{FAINT}">'
-        f"Border around the base for {legend.pair}, d<sub>b</sub> = {legend.d_b:.3f} m: {share} "
-        f"{legend.total:,} points{part}. Gaps: the arm cannot reach these points.</div>"
+        f"Coloured points: border around the base for {legend.pair}, d<sub>b</sub> = "
+        f"{legend.d_b:.3f} m ({share} {legend.total:,} points{part}). Closed line: the border at "
+        "the height of the arm's nearest point. Gaps: the arm cannot reach these points.</div>"
     )
 
 
