@@ -165,7 +165,7 @@ def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, l
 TITLES = {
     "determinant": "Mobility of the base",
     "reachability": "Reachability by the arm",
-    "score": "How well the base gives way",
+    "score": "How well the base can give way",
 }
 
 
