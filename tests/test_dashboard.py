@@ -916,8 +916,8 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
         for name, (least, contacts) in OUTCOMES.items()
     )
     assert outcomes_html(scores).split("<br>") == [
-        "<b>dbb</b>, with avoidance: no contact, least distance 104 mm",
-        "<b>none</b>, without avoidance: bodies overlap by 8 mm",
+        "<b>With avoidance</b> (dbb): no contact, least distance 104 mm",
+        "<b>Without avoidance</b> (none): bodies overlap by 8 mm",
         "<b>repulsive</b>, arm repulsion only: contact, least distance 50 mm",
         "<b>barrier</b>, minimum distance only: no contact, least distance 20 mm",
     ]

@@ -299,8 +299,10 @@ def test_a_first_visit_is_welcomed_by_one_card_that_changes_on_a_click_only(brow
     assert Compare(("none",)) in served.loop.commands
     wait_for_card("watch")
     served.loop.send(Pull((0.5, 0.0, 0.5), who=7))  # another viewer
+    del served.loop.commands[:]
     tab.click("Pull it yourself")
     wait_for_card("pull")
+    wait_for(lambda: Compare() in served.loop.commands, what="the ghost is removed")
     tab.click("Take the tour")
     for i in range(1, 5):
         wait_for_card(f"tour {i}")

@@ -39,6 +39,7 @@ from app.simulation.loop.commands import Compare, Play, Reset, Restart
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.line import LineScenario
+from app.simulation.session import SCENARIO_PERSON
 from app.simulation.trace.snapshot import Snapshot
 
 PanelType = TypeVar("PanelType", bound=Panel)
@@ -237,6 +238,7 @@ class Page:
         shared = self._shared
         return {
             "watch": lambda: play_with_ghost(shared.loop, shared.model.description),
+            "pull": lambda: end_demonstration(shared.loop, [self.grip]),
             **dict.fromkeys(("tour 1", "tour 2", "tour 3"), lambda: self._run.play(SHOWN)),
             "tour 4": lambda: self.timeline.step(-3.0),
         }
@@ -319,9 +321,7 @@ class Demonstration:
             for page in pages:
                 if page.guide.state == "demo":
                     page.guide.go("")
-            loop.send(Compare())
-            if not any(page.grip.holds_anything for page in pages):
-                loop.send(Reset())
+            end_demonstration(loop, [page.grip for page in pages])
             return
         led = newest.scenario or newest.paused or newest.busy
         others = newest.ghosts and not self._plays
@@ -336,6 +336,17 @@ class Demonstration:
                 pages[0].guide.go("demo")
             except DbbError:  # the robot cannot play the scenario
                 self._plays = False
+
+
+def end_demonstration(loop: LoopHandle, grips: Sequence[Grip]) -> None:
+    """Remove the ghost, and put the robot at the free start unless a viewer holds it.
+
+    `grips` are those of pages whose pull can be newer than the newest snapshot.
+    """
+    loop.send(Compare())
+    held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
+    if not (held or any(grip.holds_anything for grip in grips)):
+        loop.send(Reset())
 
 
 def hung_html(silence: float) -> str:

@@ -150,7 +150,10 @@ class Guide(Panel):
     """
 
     def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
-        """Start in a state; `shows` has the action of `SHOW` for each state, by default "watch"."""
+        """Start in a state; `shows` has the action of `SHOW` for each state, by default "watch".
+
+        `shows["pull"]` ends the demonstration that "watch" has begun.
+        """
         super().__init__(viewer)
         self.state, self._shown, self._shows = state, "", shows
         self._channel = viewer.channel
@@ -181,6 +184,8 @@ class Guide(Panel):
             return
         if label in (WATCH, SHOW):
             self._shows.get(self.state, self._shows["watch"])()
+        elif label == PULL and self.state == "watch":
+            self._shows["pull"]()
         if label == WATCH:
             self.go("watch")
         elif label == NEXT:

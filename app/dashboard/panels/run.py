@@ -246,9 +246,9 @@ def compared_html(shown: Snapshot, last: str) -> str:
 
 
 def outcomes_html(scores: Sequence[Score]) -> str:
-    """Return a line per robot, as in "dbb, with avoidance: no contact, least distance 72 mm"."""
+    """Return a line per robot, as in "With avoidance (dbb): no contact, least distance 72 mm"."""
     lines = (
-        f"<b>{score.controller}</b>, {METHOD_WORDS[score.controller]}: "
+        f"<b>{METHOD_WORDS[score.controller].capitalize()}</b> ({score.controller}): "
         f"{kept(score.clearance, touched=bool(score.contacts))}"
         for score in scores
     )

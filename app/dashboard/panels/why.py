@@ -30,6 +30,7 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
 """Label, hint, and names of the possible levels of each row."""
+_SLOW = 0.9  # [-] share of the desired speed below which the header states the cause
 _BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the base or beside it
 
 
@@ -92,9 +93,10 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
     """Return the content of the header: verdict, sentence, nearest pair, base speed and pace."""
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
-    pace = (
-        "paused" if snapshot.paused else "" if math.isnan(factor) else f"{factor:.2f} × real time"
-    )
+    pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
+    if factor < _SLOW * snapshot.speed:
+        pace += " (busy computer)"
+    pace = "paused" if snapshot.paused else pace
     hint = f"Nearest link pair; the mark is its buffer d_b = {millimetres(d_b)}"
     return (
         f'<div class="dbb-say">{verdict_chip(verdict)} {sentence(snapshot)}</div>'
