@@ -11,6 +11,7 @@ import pytest
 
 from app.dashboard.scene.camera import PRESETS, placed
 from app.dashboard.scene.canvas import METRES_PER_NEWTON, ROOT
+from app.simulation.loop.commands import Compare
 from app.simulation.trace.snapshot import Snapshot
 from tests.browser import DashboardTab, around, wait_for
 from tests.dashboards import Served, served_dashboard
@@ -251,3 +252,14 @@ def test_the_camera_goes_with_the_base_if_asked(tab, served):
     tab.render(3)
     np.testing.assert_allclose(tab.camera(), eye + step, atol=5e-3)
     tab.check("Follow the base", on=True)
+    served.loop.send(Compare(("none",)))
+    wait_for(lambda: served.loop.latest().ghosts)
+    tab.render(3)
+    stands = tab.camera()
+    served.loop.place(start + 0.2 * step)
+    wait_for(lambda: np.linalg.norm(tab.position(ROOT)[:2] - (start + 0.2 * step)[:2]) < 1e-3)
+    tab.render(3)
+    np.testing.assert_allclose(tab.camera(), stands, atol=5e-3)
+    served.loop.send(Compare())
+    served.loop.place(start)
+    wait_for(lambda: not served.loop.latest().ghosts)

@@ -144,7 +144,9 @@ class Page:
             self._camera.settle(shown, busy=self.grip.holds_anything)
             if texts and self.timeline.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
-            self._camera.follow(shown.base_pose[:2], on=self.view.follow)
+            # With ghosts the camera stands still, so that the motion of each robot is visible.
+            follows = self.view.follow and not shown.ghosts
+            self._camera.follow(shown.base_pose[:2], on=follows)
             if texts:
                 self._renew(Moment(newest, shown, judge(shown, spoken)))
 

@@ -72,11 +72,11 @@ def length(d: float) -> str:
 
 
 def borne(bound: float) -> str:
-    """Return an addition to a person's force, as in ", arm can hold 62 N"; empty if unknown.
+    """Return an addition to a person's force, as in " (arm resists up to 62 N)"; empty if unknown.
 
     `bound` [N] is `Snapshot.force_bound`, which is NaN if it is unknown.
     """
-    return "" if math.isnan(bound) else f", arm can hold {bound:.0f} N"
+    return "" if math.isnan(bound) else f" (arm resists up to {bound:.0f} N)"
 
 
 def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:

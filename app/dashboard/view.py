@@ -60,7 +60,12 @@ class View:
         LAYERS, "Forces", "Force of the person, and commanded acceleration of the base", first=True
     )
     trails: bool = _shown(LAYERS, "Trails", "Past paths of base and hand", first=True)
-    follow: bool = _shown(PAGE, "Follow the base", first=True)
+    follow: bool = _shown(
+        PAGE,
+        "Follow the base",
+        "With ghosts the camera moves only if a robot leaves the picture",
+        first=True,
+    )
     dark: bool = _shown(PAGE, "Dark theme", first=True)
     light: bool = _shown(
         PAGE,
