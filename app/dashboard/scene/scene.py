@@ -159,7 +159,7 @@ class RobotScene:
             position=position,
             wxyz=wxyz,
             cast_shadow=opacity is None and not light,
-            receive_shadow=opacity is None and not light,
+            receive_shadow=False,  # shadows would darken the whole base
         )
 
     def _node(self, joint: int) -> str:
@@ -221,7 +221,7 @@ class Scene:
             "/lights/sky",
             sky_color=(255, 255, 255),
             ground_color=(120, 125, 135),
-            intensity=1.2 if light else 0.35,
+            intensity=1.2 if light else 0.7,
         )
         dark = self._dark
         scene.add_grid(
