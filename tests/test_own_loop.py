@@ -200,6 +200,22 @@ def test_poor_readings_are_named_and_change_little(run, plain: Run, case: str) -
     np.testing.assert_allclose(found.base, plain.base, atol=0.04)
 
 
+def test_a_delay_that_begins_while_noise_hides_it_is_reported_within_a_tenth_of_a_second(
+    run,
+) -> None:
+    """Each half period of the oscillation that the delay causes, 25 ms, doubles the speeds."""
+    delayed = late(12)
+
+    def bend(k: int, m: Measurement) -> Measurement:
+        old = delayed(k, m)
+        return m if k < 300 else old
+
+    found = run(noisy(8e-5, bend), time=0.5)
+    assert set(found.faults) == {"lag"}
+    assert 0.3 < found.faults["lag"] < 0.4
+    assert found.share < 1.05
+
+
 def test_a_base_velocity_in_another_unit_is_named_and_causes_no_overlap(run) -> None:
     """Slow motions look like possible ones, so joints move faster than with right readings."""
     found = run(lambda k, m: m._replace(base_velocity=1000 * m.base_velocity))
