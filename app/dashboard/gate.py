@@ -388,7 +388,8 @@ class Uploads:
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
         """Create an empty list; `largest` is the largest size of a file [bytes].
 
-        `everyone` has the uploads of all viewers: together they have at most `_MOST_UPLOADS`.
+        `everyone` has the `Uploads` of all viewers, who together can have at most `_MOST_UPLOADS`
+        unfinished uploads.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}

@@ -1,4 +1,4 @@
-"""The departures from (26) to (29), measured for the printed form and for the project's form.
+"""Departures from equations (26)-(29), measured for the paper's form and for the project's form.
 
 Some rows compare the solutions q̈ of both forms at equal states, other rows compare runs. Smaller
 numbers are better.
