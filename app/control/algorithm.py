@@ -31,8 +31,8 @@ Base and arm are computed one after the other, because the base follows its comm
 compete with them, (29). It is subject to its limits, for the present acceleration of the base
 (`assume_base`). The torques follow from q̈, (26).
 
-The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
-`app.control.hqp` solves.
+The compared method `hqp` solves neither of these problems: its q̈ is that of the paper's hierarchy,
+which `app.control.hqp` solves.
 """
 
 import math

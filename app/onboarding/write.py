@@ -228,9 +228,9 @@ def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
     For a mesh in `home`, the folder of the new URDF, this is a relative path, because the folder
-    may be moved. Otherwise it is `address`; without `home` it always is. A mesh for which
-    `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the link in
-    an error.
+    may be moved. For other meshes, and without `home`, it is `address`. With `home`, a mesh for
+    which `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the
+    link in an error.
     """
     path = followed(mesh_path(address))
     if home is None:

@@ -29,7 +29,7 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 ALWAYS = 0.6
-"""[-] share of the free poses above which a pair inside its buffer counts as always near."""
+"""[-] share of the free poses inside the buffer above which a pair counts as always near."""
 MARGIN = 0.015
 """[m] distance below which a point of a surface counts as reached by another unit."""
 BUILT_IN = 0.5

@@ -513,8 +513,8 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts of lines towards the sides of the base: left before right.
 
-    They are beside the mount or near an end of the base, because a base without sideways motion
-    hardly avoids a line towards its axle.
+    Their x is that of the mount, or is near the front or the rear end of the base, because a base
+    without sideways motion hardly avoids a line towards its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
@@ -524,7 +524,9 @@ def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts of lines towards the front: beside the mount, near an edge, or ahead of the mount."""
+    """Starts of lines towards the front: 0.1 m to the left of the mount, near the right and the
+    left edge of the base, and straight ahead of the mount.
+    """
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

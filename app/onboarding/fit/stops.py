@@ -59,7 +59,8 @@ def with_stops(
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
-            # For adjacent links, which are always nearer, half of their largest distance is used.
+            # Adjacent links are always within `MARGIN`; for these, the threshold is half of their
+            # largest distance.
             for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:

@@ -43,7 +43,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     counts = table["points"][:-1]
     figure = style.new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
-    look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (printed)"}
+    look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (paper)"}
     name = "continuous surface (default)"
     for ax, column, label in (
         (jump, "jump_max_m", "largest jump in a control step [m]"),

@@ -41,7 +41,7 @@ Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 
 Departure = tuple[str, str, float, float]
 """The equation and the departure; the key of the measured number, which ends in the unit; the
-number of the printed form; the number of the project's form."""
+number of the paper's form; the number of the project's form."""
 
 
 @style.picture(
