@@ -394,11 +394,11 @@ class _Whole(NamedTuple):
     mount: str | None
     """The link of --mount, or None."""
     changes: tuple[str, ...]
-    """Sentences on differences from the URDF: removed shapes, joined telescopes."""
+    """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
 
 
 def _whole_robot(request: Request) -> _Whole:
-    """Read the robot from one or two files, with distinct names and joined telescopes."""
+    """Read the robot from one or two files, with distinct names and one joint per telescope."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
     trees, said = [], []

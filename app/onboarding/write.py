@@ -75,8 +75,8 @@ def _sources_text(robot: NewRobot) -> str:
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
         lines.append(
-            f"- Meshes in the folder `{MESH_FOLDER}`: they had another unit or format, or too many "
-            "triangles, and are converted to STL in metres"
+            f"- Meshes in the folder `{MESH_FOLDER}`: they had another unit, up axis or format, or "
+            "were larger than 4 MB, and are converted to STL in metres"
         )
         copied = "No other mesh is copied."
     licence = request.licence or (
@@ -111,7 +111,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
 
     Raises:
         DescriptionError: The result is not a valid description, or reading the present description
-            exceeds its budget.
+            takes more time or memory than `within_budget` allows.
         OutputError: `out` is another robot's folder, or cannot be written.
     """
     before = file_text(source / "robot.toml")

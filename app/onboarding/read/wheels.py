@@ -165,8 +165,8 @@ def _find_wheels(
         if not _mirrored([left, right]):
             raise RobotFileError(
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
-                f"{right.r:.4f} m are not two equal wheels across from each other: name one of "
-                "either side"
+                f"{right.r:.4f} m are not two equal wheels across from each other: name one "
+                "wheel on each side"
             )
     else:
         turn = ", ".join(found)
@@ -330,7 +330,9 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
         )
     wheelbase = request.wheelbase or float(np.mean(places))
     if wheelbase <= 0:
-        raise RobotFileError("--wheels: the steered wheels are behind them; give LEFT and RIGHT")
+        raise RobotFileError(
+            "--wheels: the steered wheels are behind the driven ones; give LEFT and RIGHT"
+        )
     limit = request.steering_limit or _tightest(found)
     speeds = [joint.velocity for joint in found if joint.velocity]
     rate = request.steering_rate or min(speeds, default=_STEERING_RATE)

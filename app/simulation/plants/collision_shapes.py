@@ -105,7 +105,8 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
     are cached, because the meshes take half of the time that a plant needs to start.
 
     Raises:
-        RobotFileError: Reading the meshes of a user's own robot exceeds the budget.
+        RobotFileError: Reading the meshes of a user's own robot takes more time or memory than
+            `within_budget` allows.
     """
     description = model.description
     try:
