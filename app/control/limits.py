@@ -71,7 +71,10 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
-    """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity."""
+    """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity.
+
+    If a lower bound exceeds the upper bound of the same joint, the two are exchanged.
+    """
     found = np.empty((2, len(q)))
     for i in range(len(q)):
         lower = max(
