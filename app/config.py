@@ -243,12 +243,13 @@ class AdmittanceConfig(Strict):
 
 
 class PersonConfig(Strict):
-    """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
+    """The hand of a person who holds a point of the arm: a spring and a damper with a force limit."""
 
     stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
-    """[N/m] stiffness of the spring between the person's hand and the end-effector."""
+    """[N/m] stiffness of the spring between the person's hand and the held point."""
     damping: Annotated[float, Shown("Pull damping")] = Field(default=25.0, ge=0.0, le=200.0)
-    """[N s/m] damping between the end-effector and the world."""
+    """[N s/m] damping against the world, of the held point or, if the hand has a mass, of this
+    mass."""
     f_max: Annotated[float, Shown("Largest pull force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
     mass: Annotated[float, Shown("Mass of the hand", advanced=True)] = Field(
