@@ -243,7 +243,7 @@ class AdmittanceConfig(Strict):
 
 
 class PersonConfig(Strict):
-    """The hand of a person who holds a point of the arm: a spring and a damper with a force limit."""
+    """The hand of a person who holds a point of the arm: a spring and damper with a force limit."""
 
     stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
     """[N/m] stiffness of the spring between the person's hand and the held point."""
