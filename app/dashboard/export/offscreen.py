@@ -347,9 +347,9 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """Describe a snapshot: method, task, distance of arm and base, displacement from `first`."""
+    """Describe a snapshot: method, task, clearance, displacement from `first`."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
-    near = nearness(shown)
+    near = nearness(shown, door=shown.door is not None)
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     task = "a person pulls the hand"
     if shown.mode == "tracking":
@@ -363,11 +363,12 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
 
 
 def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
-    """Draw scenario, time, and the arm's distance from the base of each robot into a picture."""
+    """Draw scenario, time, and the clearance of each robot into a picture."""
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
     robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *GHOSTS), strict=False)
+    door, words = snapshot.door is not None, METHOD_WORDS
     lines = [
-        (f"{METHOD_WORDS.get(robot.controller, robot.controller)}: {nearness(robot)}", colour)
+        (f"{words.get(robot.controller, robot.controller)}: {nearness(robot, door=door)}", colour)
         for robot, colour in robots
     ]
     return label(picture, [f"{title}t = {snapshot.t:.2f} s", *lines], dark=look.dark)

@@ -183,7 +183,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If a ghost is visible, label each robot with its controller and its arm's distance.
+    """If a ghost is visible, label each robot with its controller and its clearance.
 
     A label is at the position `at` (3,) [m] in the frame of the robot's base.
     """
@@ -193,13 +193,14 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
         x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
         name = METHOD_WORDS.get(robot.controller, robot.controller)
-        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {nearness(robot)}")
+        near = nearness(robot, door=snapshot.door is not None)
+        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")
 
 
-def nearness(robot: Snapshot | GhostReading) -> str:
-    """Return the present distance of a robot's arm from its base in words."""
-    d = robot.clearance
-    return "arm hits its base" if d < 0.0 else f"arm {millimetres(d)} from its base"
+def nearness(robot: Snapshot | GhostReading, *, door: bool) -> str:
+    """Return a robot's clearance in words; `door` means that its arm holds a door."""
+    d, part = robot.clearance, "arm or door" if door else "arm"
+    return f"{part} hits its base" if d < 0.0 else f"{part} {millimetres(d)} from its base"
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:
