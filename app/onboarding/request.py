@@ -97,8 +97,8 @@ class Request:
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
             raise RobotFileError(
-                f"--out: the folder's name {name!r} becomes the robot's name: use only letters, "
-                "digits and _"
+                f"--out: the folder's name {name!r} becomes the robot's name: use a letter, then "
+                "letters, digits and _"
             )
         return name
 
