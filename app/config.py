@@ -174,7 +174,8 @@ class LimitConfig(Strict):
     torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
         default=1000.0, ge=50.0, le=1e6
     )
-    """[N m/s] slew rate limit of the arm's torques; a Panda allows 1000 N m/s."""
+    """[N m/s] slew rate limit of the arm's torques; N/s for a prismatic joint. A Panda allows
+    1000 N m/s."""
 
 
 class EstimateConfig(Strict):
@@ -287,7 +288,7 @@ class DisturbanceConfig(Strict):
 
 
 class Config(Strict):
-    """All tunable parameters; the docstring of each section is its title."""
+    """All tunable parameters; the docstring of each field is the title of the section."""
 
     border: BorderConfig = BorderConfig()
     """Border"""

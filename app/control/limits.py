@@ -117,7 +117,7 @@ def torque_reachable_bounds(
         L_aa: (n_m, n_m) Cholesky factor of the arm's part of M.
         u_min: (n_m,) smallest torques of this step.
         u_max: (n_m,) largest torques.
-        torque_rate: [N m/s] r.
+        torque_rate: [N m/s or N/s] r.
         bounds: (2, n_m) bounds on q̈_m.
         room: (2, n_m) lower and upper velocity limit minus q̇_m.
         qdd_b: (n_b,) acceleration of the base's coordinates.
