@@ -66,7 +66,7 @@ def border(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Load or sample the distance buffer border of each pair (§2.2).
+    """Load or sample the distance buffer border of each pair of L_m (§2.2).
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
