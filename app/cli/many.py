@@ -153,7 +153,7 @@ def study(
     out: Path = Path("out/study"),
     json: options.Json = False,
 ) -> None:
-    """Pull the end-effector towards the base, or along it, in many random cases.
+    """Pull the end-effector towards or along the base in random cases.
 
     The pulls come from all sides, with noise, delay, slip and model errors. The force, stiffness
     and mass of the hand vary. In some cases the person releases the end-effector early, and in some

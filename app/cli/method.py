@@ -66,7 +66,7 @@ def border(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Load or sample the distance buffer border of each pair of L_m (§2.2).
+    """Load or sample the border of each pair of L_m (§2.2).
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
@@ -261,7 +261,7 @@ def bench(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Measure the duration of the control step, of its stages, and of the work with borders.
+    """Time the control step, its stages, and the work with borders.
 
     The command first simulates some paths and records the controller's inputs; the steps are then
     measured with these inputs. Durations depend on the machine and its other work; compare only
