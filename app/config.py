@@ -174,7 +174,8 @@ class LimitConfig(Strict):
     torque_rate: Annotated[float, Shown("Torque slew rate")] = Field(
         default=1000.0, ge=50.0, le=1e6
     )
-    """[N m/s] slew rate limit of the arm's torques; a Panda allows 1000 N m/s."""
+    """[N m/s] slew rate limit of the arm's torques; N/s for a prismatic joint. A Panda allows
+    1000 N m/s."""
 
 
 class EstimateConfig(Strict):
@@ -243,12 +244,13 @@ class AdmittanceConfig(Strict):
 
 
 class PersonConfig(Strict):
-    """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
+    """The hand of a person who holds a point of the arm: a spring and damper with a force limit."""
 
     stiffness: Annotated[float, Shown("Pull stiffness")] = Field(default=300.0, ge=10.0, le=3000.0)
-    """[N/m] stiffness of the spring between the person's hand and the end-effector."""
+    """[N/m] stiffness of the spring between the person's hand and the held point."""
     damping: Annotated[float, Shown("Pull damping")] = Field(default=25.0, ge=0.0, le=200.0)
-    """[N s/m] damping between the end-effector and the world."""
+    """[N s/m] damping against the world, of the held point or, if the hand has a mass, of this
+    mass."""
     f_max: Annotated[float, Shown("Largest pull force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
     mass: Annotated[float, Shown("Mass of the hand", advanced=True)] = Field(
@@ -286,7 +288,7 @@ class DisturbanceConfig(Strict):
 
 
 class Config(Strict):
-    """All tunable parameters; the docstring of each section is its title."""
+    """All tunable parameters; the docstring of each field is the title of the section."""
 
     border: BorderConfig = BorderConfig()
     """Border"""

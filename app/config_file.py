@@ -35,7 +35,7 @@ class NamedConfig(NamedTuple):
 def save_config(config: Config, name: str = "") -> str:
     """The text of a file with the value, unit, range and meaning of each parameter.
 
-    A comment marks each parameter that differs from its default.
+    A comment marks each parameter that differs from the program's default.
 
     Raises:
         ConfigError: The name is too long or has unprintable characters.
@@ -142,5 +142,5 @@ def _add(table: Table, about: Tunable, value: float | str) -> None:
     table.add(tomlkit.comment(f"{allowed}: {about.help}"))
     item = tomlkit.item(value)
     if value != about.default:
-        item.comment(f"changed, the default is {tomlkit.item(about.default).as_string()}")
+        item.comment(f"the program's default is {tomlkit.item(about.default).as_string()}")
     table.add(about.path.partition(".")[2], item)

@@ -206,7 +206,7 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
 
     Raises:
         ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
-            of digits, or takes more than its budget to read.
+            of digits, or takes more time or memory than `within_budget` allows.
     """
     return _read(loads, text, len(text))
 

@@ -116,7 +116,7 @@ def test_the_expected_acceleration_is_what_the_drive_then_does(kind: str) -> Non
     drive = Drive(base, dt)
     for _ in range(30):
         command, before = rng.normal(0, 0.6, base.n_b), drive.velocity
-        expected = drive.expected_acceleration(command, before, drive.state)
+        expected = base.drive_acceleration(before, drive.state, command)
         np.testing.assert_allclose(
             np.subtract(drive.step(command), before) / dt, expected, rtol=1e-3, atol=2e-3
         )

@@ -171,3 +171,18 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     with pytest.raises(SystemExit):
         main(["screenshot", str(file), "--at", "0.1", "--seed", "1", "--out", "x.png"])
     assert "--seed" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "option",
+    [["--robot", "husky_panda"], ["--seed", "1"], ["--start", "0.9", "0.1", "0.3"]],
+    ids=lambda option: option[0],
+)
+def test_the_dashboard_refuses_options_that_its_case_sets(option, tmp_path, capsys):
+    case = RunCase.of(RunSpec("husky_panda", PULL, Config(), "dbb", "kinematic"))
+    file = tmp_path / "mine.json"
+    file.write_text(case.text())
+    with pytest.raises(SystemExit) as end:
+        main(["serve", "--case", str(file), *option, "--port", "0"])
+    assert end.value.code == 2
+    assert f"{option[0]}: --case already sets this option" in capsys.readouterr().err

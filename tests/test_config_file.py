@@ -48,12 +48,12 @@ def test_a_configuration_survives_being_saved_and_read(config: Config, name: str
 
 def test_what_is_changed_is_marked_with_the_default_and_nothing_else_is() -> None:
     config = Config().replace("border.d_b", 0.2).replace("border.kind", "points")
-    marked = [line for line in save_config(config).splitlines() if "changed" in line]
+    marked = [line for line in save_config(config).splitlines() if "program's default" in line]
     assert marked == [
-        "d_b = 0.2 # changed, the default is 0.15",
-        'kind = "points" # changed, the default is "surface"',
+        "d_b = 0.2 # the program's default is 0.15",
+        'kind = "points" # the program\'s default is "surface"',
     ]
-    assert "changed" not in save_config(Config())
+    assert "program's default" not in save_config(Config())
 
 
 def test_every_parameter_stands_below_its_unit_range_and_meaning() -> None:

@@ -338,12 +338,12 @@ def test_it_opens_towards_where_the_hand_comes_from(side: float, wrong: float):
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_the_update_is_the_gradient_step_of_its_docstring(sense: float):
-    """At α_f f = -s v_d sin e and full speed, ė = -λ sin e; nothing without progress."""
+    """At α_f R = -s v_d tan e and full speed, ė = -λ tan e; nothing without progress."""
     gains = DoorOpeningGains()
     for e in np.linspace(-1, 1, 9):
-        force = -sense * gains.speed * math.sin(e) / gains.compliance
+        force = -sense * gains.speed * math.tan(e) / gains.compliance
         rate = radial_update(force, 1.0, sense, gains)
-        assert rate == pytest.approx(-gains.learning_rate * math.sin(e))
+        assert rate == pytest.approx(-gains.learning_rate * math.tan(e))
         assert radial_update(force, 0.5, sense, gains) == pytest.approx(rate / 2)
         assert radial_update(force, 0.0, sense, gains) == 0.0
 

@@ -47,7 +47,7 @@ def test_the_expected_acceleration_is_what_the_drive_then_does():
     drive, dt, rng = Drive(BASE, 1e-5), 1e-5, np.random.default_rng(1)
     for _ in range(50):
         command, before = rng.normal(0, 1, 2), drive.velocity
-        expected = drive.expected_acceleration(command, before)
+        expected = BASE.drive_acceleration(before, drive.state, command)
         np.testing.assert_allclose(
             np.subtract(drive.step(command), before) / dt, expected, rtol=2e-4
         )

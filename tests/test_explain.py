@@ -227,7 +227,7 @@ def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
 def test_the_arm_is_said_to_keep_its_distance_exactly_where_its_barrier_holds(blank, near, held):
     (pair,) = NEAR[near]
     text = said(blank, explanation((pair._replace(held=held),)))
-    assert ("the arm itself holds this distance" in text) == held
+    assert ("the arm itself limits the approach" in text) == held
 
 
 @pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])
@@ -246,14 +246,14 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("above", "dbb", "base's top (buffer 15 cm), where base motion cannot help"),
         ("high above", "dbb", "the arm itself will stop at 3 cm"),
         ("high above", "hqp", "the hierarchy as printed has no other constraint on the arm"),
-        ("last", "dbb", "and the arm itself holds this distance."),
+        ("last", "dbb", "and the arm itself limits the approach."),
         ("inside", "dbb", "The hand overlaps the base's front by 4 mm"),
         ("edge", "dbb", "The hand is 15 cm from the base's front (buffer 15 cm)"),
         ("links", "dbb", "is 9 cm from the shoulder (buffer 15 cm), so the arm pushes"),
         ("both", "dbb", "Hand and shoulder are also pushed apart."),
         ("base", "repulsive", "pushes the arm away and does not move the base"),
-        ("held", "barrier", "at the minimum distance of 3 cm"),
-        ("base", "barrier", "this method acts at its minimum distance of 3 cm only"),
+        ("held", "barrier", "the minimum distance of 3 cm limits the approach"),
+        ("base", "barrier", "this method acts near its minimum distance of 3 cm only"),
     ],
 )
 def test_each_state_has_its_reason(blank, near, controller, part):

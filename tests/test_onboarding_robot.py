@@ -791,7 +791,7 @@ def test_each_side_without_a_line_has_its_reason_and_one_that_both_share_is_said
         for each in warnings_of(replace(made, lacking=lacking, verdict=verdict))
         if "no line" in each
     }
-    both = ", ".join(lacking), "nearly always inside the buffer: lm-lEE"
+    both = ", ".join(lacking), "inside the buffer in most poses: lm-lEE"
     assert found == {*lacking.items(), both}
 
 

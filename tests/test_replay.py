@@ -80,7 +80,8 @@ def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
     write_trace(tmp_path / "long.csv", again)
     page = tmp_path / "long.html"
     capsys.readouterr()
-    main(["replay", str(tmp_path / "long.csv"), "--out", str(page), "--light", "--json"])
+    look = ("--light", "--layer", "reachability")
+    main(["replay", str(tmp_path / "long.csv"), "--out", str(page), *look, "--json"])
     told = json.loads(capsys.readouterr().out)
     assert told["duration_s"] == pytest.approx(10.48)
     assert told["size_bytes"] == page.stat().st_size
@@ -88,3 +89,5 @@ def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
     text = page.read_text(encoding="utf-8")
     assert "<title>husky_panda: guiding-front, " in text
     assert "darkMode:false" in text
+    assert "the arm reaches the point well" in text
+    assert "the base gives way well" in replay.read_text(encoding="utf-8")

@@ -12,7 +12,6 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.control.algorithm import BUFFER_RATE
 from app.control.controller import Controller
-from app.control.drive import Drive
 from app.errors import DescriptionError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
@@ -166,10 +165,10 @@ def test_the_controllers_answer_depends_on_its_sensors_alone(
 
 def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndarray]:
     """The known response of the base's own drive, from commands and measured velocities alone."""
-    drive = Drive(robot.description.base, DT)
+    base = robot.description.base
     commands = [np.zeros(2)] + [step.base_command for step in steps[:-1]]
     return [
-        drive.expected_acceleration(command, step.measurement.base_velocity)
+        base.drive_acceleration(step.measurement.base_velocity, base.drive_at_rest(), command)
         for command, step in zip(commands, steps, strict=True)
     ]
 

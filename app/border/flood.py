@@ -1,4 +1,4 @@
-"""Flood refinement: steps from each known pose to the empty voxels next to its closest point."""
+"""Flood: from known poses, the arm's closest point moves into empty neighbouring voxels."""
 
 from __future__ import annotations
 

@@ -129,7 +129,8 @@ def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
 def free_joints(chain: Chain) -> tuple[int, ...]:
     """Indices of the redundant joints: with these fixed, a pose determines the other joints.
 
-    Outer joints are preferred. The result is empty for a chain without redundancy.
+    If several choices are possible, the joints nearest to the body are fixed. The result is empty
+    for a chain without redundancy.
 
     Raises:
         DescriptionError: For each choice of fixed joints, the Jacobian of the others is singular.

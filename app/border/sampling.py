@@ -36,9 +36,10 @@ def sample_clouds(
 ) -> dict[str, Cloud]:
     """Sample P_i of Algorithm 1 for each pair: closest points on the arm's body, one per voxel.
 
-    Random sampling alone finds almost no points at the base's sides. Therefore a flood steps from
-    each known pose to the voxels next to its point. Only the joint limits and the pair's distance
-    restrict the poses. The result does not depend on the number of processes.
+    Random sampling alone finds almost no points at the base's sides. Therefore a flood follows:
+    from known poses, the arm moves such that its closest point enters an empty neighbouring voxel.
+    A pose must satisfy the joint limits, and its distance must be in the sampled range; collisions
+    of other pairs are allowed. The result does not depend on the number of processes.
 
     Args:
         model: The robot.

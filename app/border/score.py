@@ -71,10 +71,10 @@ class ScoreField:
         return self._fields(p)[..., 0]
 
     def score(self, p: Array) -> Array:
-        """(…) S, with its sign, in the unit of the base's measure.
+        """(…) S, with the sign and in the unit of the base's measure.
 
-        It is positive where the base moves the point well; for the paper's base in front of the
-        axis. A control step computes it with `score_at`.
+        For the paper's base it is positive in front of the wheel axis. A control step computes it
+        with `score_at`.
 
         Paper: Eq. (10).
         Paper: Eq. (11).

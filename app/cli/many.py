@@ -80,10 +80,10 @@ def sweep(
 ) -> None:
     """Move the end-effector towards the base from all sides; draw maps.
 
-    Each path starts at a posture outside all buffers, with the same distance between arm and base.
-    It leads straight towards the base's centre, along the wheel axis, or down onto the base. Starts
-    without such a posture are listed as unreachable. Paths along the wheel axis start with the
-    arm's closest point at x = 0, ±1, ±10 and ±50 mm.
+    Each path starts at a posture outside all buffers, with the same distance between arm and base
+    if the arm can reach it. The path leads straight towards the base's centre, along the wheel
+    axis, or down onto the base. Starts without such a posture are listed as unreachable. Paths
+    along the wheel axis start with the arm's closest point at x = 0, ±1, ±10 and ±50 mm.
 
     Args:
         out: Folder for `sweep.json`, `sweep.csv`, and a PNG for each height and speed.
@@ -153,7 +153,7 @@ def study(
     out: Path = Path("out/study"),
     json: options.Json = False,
 ) -> None:
-    """Pull the end-effector towards the base in many random cases.
+    """Pull the end-effector towards or along the base in random cases.
 
     The pulls come from all sides, with noise, delay, slip and model errors. The force, stiffness
     and mass of the hand vary. In some cases the person releases the end-effector early, and in some

@@ -66,7 +66,7 @@ def border(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Load or sample the distance buffer border of each pair (§2.2).
+    """Load or sample the border of each pair of L_m (§2.2).
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
@@ -261,14 +261,17 @@ def bench(
     seed: int = 0,
     json: options.Json = False,
 ) -> None:
-    """Measure the duration of the control step along recorded paths.
+    """Time the control step, its stages, and the work with borders.
 
-    Durations depend on the machine and its other work; compare only ratios within one run.
+    The command first simulates some paths and records the controller's inputs; the steps are then
+    measured with these inputs. Durations depend on the machine and its other work; compare only
+    ratios within one run.
 
     Args:
         robot: Name of the robot; `dbb robots` lists all names.
         no_border: Do not measure the sampling of a new border, which takes minutes.
-        seed: Seed of the plant and of the synthetic borders.
+        seed: Seed of all random numbers: of the simulated paths, the synthetic borders, and the QP
+            of the direct calls.
     """
     options.check_seed(seed)
     try:

@@ -36,8 +36,8 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
         config: File of parameters, or None.
 
     Raises:
-        DbbError: The scenario or case does not exist, or an option is set that the case already
-            sets.
+        DbbError: The scenario or case does not exist; or `robot`, `seed` or `config` is set
+            together with a case. A controller or plant in `setup` replaces that of the case.
     """
     # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
@@ -107,12 +107,11 @@ def read(path: Path) -> RunCase:
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Check that no option is set that a case already sets.
-
-    The buffer distance and the kind of border are exceptions: these options override the case.
+    """Check that none of some options, which a case already sets, is set by the user.
 
     Args:
-        options: Values of options by name; None means that an option is not set.
+        options: Values of options by name; None means that an option is not set. `border` and
+            `buffer_distance` are ignored, because these options override the case.
         case: Origin of the case for the message: the option `--case`, or the case's file.
 
     Raises:

@@ -66,7 +66,8 @@ def serve(
     case = None
     if asked.case is not None:
         case = read(asked.case)
-        check_no_others({"start": asked.start, "config": config, **parameters})
+        own = {"robot": setup.get("robot"), "seed": setup.get("seed")}
+        check_no_others({**own, "start": asked.start, "config": config, **parameters})
         of_case = {"controller": case.controller, "physics": case.physics}
         setup = {**of_case, **setup, "robot": case.robot, "seed": case.seed}
     chosen = options.Setup(**setup)

@@ -77,12 +77,12 @@ def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list
 def met(w: ControlStep) -> tuple[Array, Array]:
     """(m,) whether q̈ is at the lower, and (m,) at the upper limit of each row of the arm's QP.
 
-    An active soft row exceeds its limit by up to its share of the tasks' demand.
+    A row counts as at its limit if it is within `TOLERANCE` of the limit or beyond it. An active
+    soft row is beyond its limit by its slack (see `solve_qp`).
     """
     m = int(w.n_limits)
     reached = w.C[:m] @ w.qdd
-    room = TOLERANCE + w.slack_weight[:m]
-    return reached <= w.l[:m] + room, reached >= w.u[:m] - room
+    return reached <= w.l[:m] + TOLERANCE, reached >= w.u[:m] - TOLERANCE
 
 
 def _joint_kind(

@@ -31,8 +31,8 @@ Base and arm are computed one after the other, because the base follows its comm
 compete with them, (29). It is subject to its limits, for the present acceleration of the base
 (`assume_base`). The torques follow from q̈, (26).
 
-The compared method `hqp` solves neither: its q̈ is that of the printed hierarchy, which
-`app.control.hqp` solves.
+The compared method `hqp` solves neither of these problems: its q̈ is that of the paper's hierarchy,
+which `app.control.hqp` solves.
 """
 
 import math
@@ -460,11 +460,12 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
         robot: `ROBOT`.
         gains: `GAINS`, including the approach rates of the limits.
         w: `STEP`.
-        which: The problem. All have the limits of joints and torques. ARM: the torques of this
-            step, with external forces, and no joint demands more than its own torque can achieve;
-            and a barrier of each pair's distance. FREE_BASE: these barriers if the method's base
-            has them. ROOM: for methods with a lookahead (`dbb`), barriers of L_m and the buffers of
-            the arm's links.
+        which: The problem. All problems have the limits of torques and joints. ARM: the torques
+            are within w.u_min and w.u_max, the rows of joints and distances include external
+            forces, and a joint limit demands at most the acceleration that the joint's own torque
+            can achieve; if the method has barriers, each pair has one. FREE_BASE: if the base takes
+            part in the method's barriers, each pair has one. ROOM: if the method has a lookahead
+            (`dbb`), there are barriers of L_m and the buffers of the arm's links.
     """
     barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM

@@ -167,9 +167,10 @@ def _smallest(sizes: Array, way: tuple[Any, ...]) -> float:
 
 
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
-    """(k,) [m] lower bound of the arm's distance, for d_b (k,) [m] above d_full.
+    """(k,) [m] lower bound of the arm's smallest distance to the base, for each d_b (k,) [m].
 
-    It is minus infinity if the base does not reach the approach speed at all.
+    Each d_b must be larger than d_full. The bound is minus infinity if the base does not reach the
+    approach speed at any distance.
     """
     ways = list(_ways(approach, base, config))
     return np.array([max(_bound(each, *way) for way in ways) for each in d_b])

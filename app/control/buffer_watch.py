@@ -89,8 +89,10 @@ class BufferWatch:
         return self._reading
 
     def _sample(self, state: RobotState, control: ControlStep, i: int, *, look: bool) -> None:
-        """Record the speed of the i-th pair; with `look`, evaluate the mean: a tremor is no
-        approach.
+        """Record the speeds of the i-th pair.
+
+        With `look`, compute the required d_b if the mean of the recent speeds is an approach; the
+        mean excludes tremors.
         """
         pair, row = control.pairs[i], control.rows[i][0]
         speeds = self._speeds.setdefault(pair.name, deque(maxlen=_EVERY // _SAMPLE))

@@ -1,7 +1,7 @@
 """The controller: measurement in, one control step out, without simulator or display.
 
-Between the two compiled parts of a step are the calls of pinocchio, for kinematics, dynamics
-and distances.
+A step calls the compiled functions `update_estimate` and `run_algorithm_2`; between them pinocchio
+computes kinematics, dynamics and distances.
 """
 
 from collections.abc import Mapping
@@ -205,9 +205,9 @@ class Controller:
         return self._step(measurement, reference, BASE_MEASURED)
 
     def step_with_drive(self, measurement: Measurement, reference: Reference | None) -> ControlStep:
-        """`step` with the base's acceleration from the model of its drive and the last command.
+        """As `step`, but the base's acceleration is that of its drive's model for the last command.
 
-        `step.v_cmd` is the velocity command.
+        `v_cmd` of the returned step is the new velocity command.
         """
         if not self._own_drive:
             return self._step(measurement, reference, DRIVE_MODEL)

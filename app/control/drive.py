@@ -1,7 +1,6 @@
-"""The base's drive: its response to a velocity command.
+"""The base's drive in a plant: its response to velocity commands.
 
-Every plant and the controller use the same model; the controller assumes no more about the drive
-than `expected_acceleration`.
+The controller assumes the same response, as an acceleration (`BaseKind.drive_acceleration`).
 """
 
 from collections.abc import Sequence
@@ -37,15 +36,3 @@ class Drive:
         command = np.asarray(v_cmd).tolist()
         self.velocity, self.state = self._follow(self.velocity, self.state, command)
         return self.velocity
-
-    def expected_acceleration(
-        self, v_cmd: Sequence[float] | Array, v: Sequence[float] | Array, state: Array | None = None
-    ) -> Array:
-        """(n_b,) [m/s² or rad/s²] present response of the drive to a command at a measured
-        velocity.
-
-        `v_cmd` and `v` are (n_b,). If `state` (n_d,), the drive's states other than the velocity,
-        is None or empty, its value at rest is used.
-        """
-        known = self._at_rest if state is None or not len(state) else state
-        return self._base.drive_acceleration(v, known, v_cmd)

@@ -99,7 +99,8 @@ class Explanation(NamedTuple):
     chain: tuple[str, ...]
     """Names of all bodies, the mobile robot first, then outwards."""
     near: tuple[NearPair, ...]
-    """Pairs inside a buffer, the most active first."""
+    """Pairs inside a buffer or at the bound of their barrier: first those of L_m, each group with
+    the most active first."""
     nearest: tuple[str, str, float]
     """Body names and distance [m] of the nearest pair of L_m, inside a buffer or not."""
     axes: tuple[Axis, ...]

@@ -104,7 +104,7 @@ _GAINS: dict[str, Any] = {
     "barrier": _FLAG,  # distances have a barrier
     "base_in_barrier": _FLAG,  # the base takes part in these barriers
     "lookahead": _FLAG,  # the base makes room for the arm's distances
-    "hierarchy": _FLAG,  # q̈ solves the printed hierarchy, `app.control.hqp`
+    "hierarchy": _FLAG,  # q̈ solves the paper's hierarchy, `app.control.hqp`
 }
 _Gains: Any = NamedTuple("_Gains", [(each, Any) for each in _GAINS])  # type: ignore[misc]
 GAINS = struct_type("_Gains", _GAINS)

@@ -71,7 +71,10 @@ def barrier_bound(Jdqd: float, d_dot: float, h: float, rate: float, max_speed: f
 def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
 ) -> Array:
-    """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity."""
+    """(2, n_m) lower and upper bounds on q̈_m: the tighter ones of position and velocity.
+
+    If a lower bound exceeds the upper bound of the same joint, the two are exchanged.
+    """
     found = np.empty((2, len(q)))
     for i in range(len(q)):
         lower = max(
@@ -114,7 +117,7 @@ def torque_reachable_bounds(
         L_aa: (n_m, n_m) Cholesky factor of the arm's part of M.
         u_min: (n_m,) smallest torques of this step.
         u_max: (n_m,) largest torques.
-        torque_rate: [N m/s] r.
+        torque_rate: [N m/s or N/s] r.
         bounds: (2, n_m) bounds on q̈_m.
         room: (2, n_m) lower and upper velocity limit minus q̇_m.
         qdd_b: (n_b,) acceleration of the base's coordinates.

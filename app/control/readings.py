@@ -274,10 +274,10 @@ def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: floa
     """Update the evidence with one reading, and change the lag if the evidence is sufficient.
 
     Args:
-        w: `STEP`.
-        weights: (3,) of `_parabola`.
+        w: The quantities of the control step, `STEP`.
+        weights: (3,) weights of the three earlier readings, from `_parabola`.
         measured: (n_m,) [rad] deviation of the newest reading from the parabola.
-        ways: (k, n_m) [rad] of `_explained`.
+        ways: (k, n_m) [rad] predicted motion until 0, 1, ... periods ago, from `_explained`.
         size: [rad²] squared length of `measured`: the error without any prediction.
     """
     errors = np.zeros(len(w.evidence))

@@ -143,9 +143,10 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
 
 @compiled()
 def _continue_way(gains: Any, w: Any) -> None:
-    """Write the reference of this step on the polynomial.
+    """Evaluate the polynomial at this step, and write the result as the reference.
 
-    If no further sample arrives in time, a new polynomial comes to rest at the last sample.
+    If no further sample arrives in time, a new polynomial comes to rest at the last sample. After
+    the end of the polynomial nothing is written.
     """
     late = w.since_sample[()] > _LATE * w.sample_interval[()]
     if w.way_capped[()] != 0.0 or (w.way_continues[()] != 0.0 and late):

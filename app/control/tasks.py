@@ -174,9 +174,9 @@ def posture_objective(
     base_weight: float,
     base_damping: float,
 ) -> tuple[Array, Array]:
-    """Move the arm towards a posture and the base to rest, at a far higher cost of the base's
-    acceleration.
+    """Move the arm towards a posture, and bring the base to rest.
 
+    An acceleration of the base costs `base_weight` times as much as that of a joint.
     Without this task (26) does not determine the motion in the null space of T_2: the paper's robot
     has nine accelerations, and T_2 six rows. A joint also has a restoring acceleration proportional
     to s⁵, where s is 0 in the middle of its range and ±1 at a limit. This acceleration is small
@@ -191,7 +191,7 @@ def posture_objective(
         stiffness: [1/s²] stiffness towards the posture.
         damping: [1/s] damping of the joints.
         joint_centering: [1/s²] pull at a joint limit towards the middle.
-        base_weight: [-] cost of the base's acceleration.
+        base_weight: [-] cost of the base's acceleration relative to a joint's.
         base_damping: [1/s] damping of the base.
     """
     n, n_m = len(qd), len(q_m)

@@ -1,8 +1,8 @@
 """Continuous task transition (§3.4): rows of T_sca join the tasks below by their activations.
 
-The printed hierarchy of strict levels jumps where levels become dependent. Here the tasks below
-are one strictly convex objective, and each row of T_sca is a spring against its solution: the
-result is continuous in its data when rows enter or leave.
+The paper's hierarchy of strict levels jumps where levels become dependent. Here the tasks below are
+one strictly convex objective, and each row of T_sca is a spring against the solution of these
+tasks: the result is continuous in its data when rows enter or leave.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ def insert_rows(
         J_i q̈ = β_i b_i + (1 − β_i) J_i q̈*_∖i,
 
     the blend of (29). With other rows, row i has no effect at β_i = 0, and at β_i = 1 it is
-    satisfied up to `least`. The printed blend, of all rows with the solution without any of them,
+    satisfied up to `least`. The paper's blend, of all rows with the solution without any of them,
     jumps when a row enters while a different row is active. The computing time is proportional to
     the number of rows.
 

@@ -69,7 +69,7 @@ class Grip:
         self._sink.send(Pull((x, y, max(z, 0.0)), *self._held, who=self._who))
 
     def nudge(self, ahead: Array, snapshot: Snapshot, client: viser.ClientHandle) -> None:
-        """Pull the end-effector by `NUDGE` times `ahead` (3,), a vector in the base's frame."""
+        """Move the end-effector's target by `NUDGE` times `ahead` (3,), in the base's frame."""
         if not self.holds_hand:
             self.take()
             self._target, self._by_keys = np.array(snapshot.p_ee), True

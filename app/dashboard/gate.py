@@ -72,7 +72,7 @@ _ANSWER = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not pos
 body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
 <p>{why}.</p>{more}</html>
 """
-"""Page of a refused address."""
+"""Page of a refused request."""
 _WAY_OUT = """<p>To reach this server under this name, restart it with
 <code>--allow-host {name}</code>. Everybody who can open the page can move the robot.</p>"""
 _LONGEST_REASON = 400  # [characters] length of the reason for a refusal
@@ -113,7 +113,8 @@ class RefusedError(ValueError):
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
-        """The message if its types are valid, or None. Its sender gets the widget's value again."""
+        """The message if it is known, or None. If it sets a widget, the sender gets the widget's
+        value again."""
 
 
 class GarbageError(RefusedError):
@@ -138,7 +139,8 @@ class Gate:
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         """Returns a widget of a page, by the page's connection and the widget's name, or None."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-        """Called with the connection and the reason if a message is refused."""
+        """Called with the connection and the reason if a message is refused, but not after a
+        `GarbageError`."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:
@@ -252,9 +254,9 @@ class Gate:
 class _Connection(ServerConnection):
     """A connection that also answers HTTP requests of other versions and methods.
 
-    A request with content is not read beyond its first part. websockets reads only GET requests of
-    HTTP/1.1, and closes the connection without an answer after others. Proxies send HTTP/1.0, and
-    checks of a server's health send HEAD.
+    Of a request with another method than GET or HEAD, only the first line is read. websockets reads
+    only GET requests of HTTP/1.1, and closes the connection without an answer after others. Proxies
+    send HTTP/1.0, and checks of a server's health send HEAD.
     """
 
     method = "GET"
@@ -388,7 +390,8 @@ class Uploads:
     def __init__(self, largest: int, everyone: Collection[Uploads] = ()) -> None:
         """Create an empty list; `largest` is the largest size of a file [bytes].
 
-        `everyone` has the uploads of all viewers: together they have at most `_MOST_UPLOADS`.
+        `everyone` has the `Uploads` of all viewers, who together can have at most `_MOST_UPLOADS`
+        unfinished uploads.
         """
         self._largest, self._everyone = largest, everyone
         self.unfinished: dict[str, tuple[int, range]] = {}
@@ -431,7 +434,8 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
 
     Raises:
         GarbageError: The data are no message of the types `_TAKEN`, or a field has a wrong type.
-        RefusedError: A value does not match its widget, is too large, or is not finite.
+        RefusedError: A value does not match its widget, is too large, or is not finite; or an
+            upload is not allowed.
     """
     if not isinstance(data, bytes):
         raise GarbageError("this is not a message")

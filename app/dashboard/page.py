@@ -273,7 +273,7 @@ class Page:
         self._notifier.clear(self._client)
 
     def _nudge(self, x: float, y: float, z: float) -> None:
-        """Pull the end-effector by `NUDGE` times x, y, z from −1 to 1 in the base's frame."""
+        """Move the end-effector's target by `NUDGE` times x, y, z, from −1 to 1, as in `nudge`."""
         ahead = np.clip((x, y, z), -1.0, 1.0)
         self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
 
@@ -305,7 +305,8 @@ class Demonstration:
     """A repeated demonstration for a single viewer who has not touched the page.
 
     It shows a scenario with the controller dbb, and a ghost without avoidance. It starts after
-    `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first input ends it.
+    `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first input, or a second
+    viewer, ends it.
     """
 
     def __init__(self) -> None:

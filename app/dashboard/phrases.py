@@ -29,7 +29,7 @@ _BOUNDS: dict[BoundKind, str] = {
     "torque": "torque limit",
     "position": "joint limit",
     "velocity": "velocity limit",
-    "barrier": "minimum distance reached",
+    "barrier": "minimum distance",
     "torque rate": "torque rate limit",
     "acceleration": "acceleration limit",
     "angular acceleration": "turning acceleration limit",

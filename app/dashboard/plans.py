@@ -16,6 +16,10 @@ from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 _MOVES = "β_m ẍ_m: base acceleration commanded by avoidance along this axis, (16) to (18)"
 _ACTIVATION = "activation β_m of the pairs with the base: 0 at d_b, 1 at d_full, Figure 10, (28)"
 _THRESHOLD = "#98a0ab"
+_EFFORTS = {
+    "rad": "torque u_a divided by its limit of {:g} N m",
+    "m": "force u_a divided by its limit of {:g} N",
+}
 Value = Callable[[Snapshot], float]
 
 
@@ -61,9 +65,11 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
             f"{i + 1}",
             lambda s, i=i, limit=float(limit): s.u_a[i] / limit,
             _series(i),
-            f"{name}: torque u_a divided by its limit of {limit:g} N m, −1 to 1, (26)",
+            f"{name}: {_EFFORTS[unit].format(limit)}, −1 to 1, (26)",
         )
-        for i, (name, limit) in enumerate(zip(joints, model.tau_max, strict=True))
+        for i, (name, limit, unit) in enumerate(
+            zip(joints, model.tau_max, model.joint_units, strict=True)
+        )
     )
     beta = Curve("activation β_m", lambda s: s.beta_m, BETA, _ACTIVATION)
     about = "distance [mm] of the end-effector from its target"

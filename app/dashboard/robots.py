@@ -130,7 +130,7 @@ class RobotSwitch(Job):
         return found
 
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
-        """Start to prepare the robot `name`; the simulation `running` ends once it is shown.
+        """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
 
         The new robot gets the present controller and its own defaults with `changes`, or without
         `changes` if it cannot start with them.
@@ -235,7 +235,7 @@ class Package(NamedTuple):
     """An uploaded zip and its content."""
 
     archive: Path
-    """File of the zip, which is deleted after a successful build or at the next upload."""
+    """File of the zip; it is deleted after a build, before the next upload, and at the end."""
     urdfs: Mapping[str, Contents]
     """Contents of the zip's URDFs, by their path in the zip."""
 

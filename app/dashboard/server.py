@@ -74,9 +74,9 @@ class DashboardServer:
                 self._stopping.wait()
         finally:
             self.stop()
-        error = self.shared.loop.error or self.error
-        if error is not None:
-            raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
+        for part, error in (("simulation", self.shared.loop.error), ("drawing", self.error)):
+            if error is not None:
+                raise LoopError(f"the {part} ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
         """End the drawing thread, the pages, the background jobs, and the server.

@@ -79,7 +79,7 @@ class View:
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
         """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
 
-        If none of the shown borders exists there, its first border is shown by the score.
+        If the other robot has none of the shown borders, its first border is shown by the score.
         """
         borders = {pair: self.borders.get(pair, HIDDEN) for pair in pairs}
         if set(borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:

@@ -45,24 +45,25 @@ _KNOCKS = (
     "unexpected internal error",
     "socket.accept() out of system resource",
 )
-"""Log records of connections that fail; strangers can cause them."""
+"""Texts of the log records of failed connections, which any peer can cause."""
 _pictures = threading.BoundedSemaphore(2)  # [-] simultaneous screenshots
 STUCK = 20  # [checks] without an answer or a delivery, after which a connection is closed
 
 
 class _Knocks(logging.Filter):
-    """Limits log records that strangers can cause repeatedly to one of a kind per minute.
+    """Passes at most one log record of each kind per minute, because any peer can cause records.
 
     The websockets library would write a whole traceback for each wrong or excess connection, up to
-    a hundred times per second. If the peer's data can explain an error, the record has one line.
-    Other errors are defects of this program or of its libraries: the record has the traceback. Its
-    text is changed, because viser hides records with the texts of `_KNOCKS`.
+    a hundred times per second. If the peer or the connection can explain an error, the record is
+    one line without a traceback. Other errors are defects of this program or of its libraries:
+    their records keep the traceback. In both cases the text of the record is changed, because viser
+    hides records with the texts of `_KNOCKS`.
     """
 
     _said: ClassVar[dict[tuple[str, str], float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a record is written; a record that strangers can cause is shortened to a line."""
+        """Whether a record is written; records with the texts of `_KNOCKS` are changed."""
         text = record.getMessage().partition("\n")[0]
         error = record.exc_info[1] if record.exc_info else None
         kind = str(record.msg).partition("\n")[0], _place(error)

@@ -26,7 +26,7 @@ _limited = threading.Event()  # set in a reading child, which starts no further 
 
 
 class BudgetError(ValueError):
-    """Reading exceeded its budget."""
+    """Reading took more time or memory than its `Budget`."""
 
 
 class Budget(NamedTuple):

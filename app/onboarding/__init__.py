@@ -9,7 +9,7 @@ from app.system import usable_cores
 ROOT = "floor_point"
 """Link of the base's frame: its origin is on the floor, below the middle between the wheels."""
 SIDES = ("guiding-lateral", "guiding-front")
-"""Scenarios that move the end-effector towards the base."""
+"""Scenarios of guiding towards the side and towards the front of the base."""
 
 
 def helpers(processes: int | None = None) -> Workers:

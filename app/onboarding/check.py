@@ -303,7 +303,9 @@ def push_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """Check pairs: their bodies have a reachability, and no pair is always inside its buffer."""
+    """Check that bodies of pairs with l_m have a reachability, and that no pair is inside its
+    buffer in most free poses.
+    """
     pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})

@@ -266,10 +266,11 @@ def _embodied(
 ) -> _Embodied:
     """Fit bodies around groups of links, up to three times if the bodies miss a collision.
 
-    The result is the fit whose bodies miss the fewest collisions of links in new random poses.
+    The result is the fit with the fewest pairs that miss more than half of the collisions of their
+    links in new random poses, and among equals the one that misses the fewest collisions.
 
     Raises:
-        RobotFileError: The bodies of a pair miss more than half of their links' collisions.
+        RobotFileError: In each fit, a pair misses more than half of its links' collisions.
     """
     tell("sampling random poses")
     geometry = filled(parsed.tree, parsed.geometry, parsed.arm.joints)
@@ -394,11 +395,11 @@ class _Whole(NamedTuple):
     mount: str | None
     """The link of --mount, or None."""
     changes: tuple[str, ...]
-    """Sentences on differences from the URDF: removed shapes, joined telescopes."""
+    """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
 
 
 def _whole_robot(request: Request) -> _Whole:
-    """Read the robot from one or two files, with distinct names and joined telescopes."""
+    """Read the robot from one or two files, with distinct names and one joint per telescope."""
     packages = package_folders(request.package)
     arguments = named("--xacro", request.xacro, "VALUE")
     trees, said = [], []

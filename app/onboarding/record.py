@@ -29,7 +29,7 @@ class Parsed:
     limits: Limits
     steering: Steering | None = None
     changes: tuple[str, ...] = ()
-    """Sentences on differences from the URDF: removed shapes, joined telescopes."""
+    """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
 
 
 @dataclass(frozen=True)

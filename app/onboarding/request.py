@@ -77,9 +77,8 @@ class Request:
     source: str | None = None
     """Displayed source of the robot; default: `urdf`."""
     package: tuple[str, ...] = ()
-    """Folders of ROS packages, as NAME=FOLDER. The program searches for other packages in the
-    folders above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed
-    packages."""
+    """Folders of ROS packages, as NAME=FOLDER. The program searches for other packages beside
+    and above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed packages."""
     xacro: tuple[str, ...] = ()
     """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
 
@@ -98,8 +97,8 @@ class Request:
         name = self.out.resolve().name
         if not NAME.fullmatch(name):
             raise RobotFileError(
-                f"--out: the folder's name {name!r} becomes the robot's name: use only letters, "
-                "digits and _"
+                f"--out: the folder's name {name!r} becomes the robot's name: use a letter, then "
+                "letters, digits and _"
             )
         return name
 

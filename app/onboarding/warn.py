@@ -95,11 +95,11 @@ def _poses(robot: NewRobot) -> Iterator[str]:
     for name in robot.verdict.always:
         yield (
             f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of the free "
-            f"random poses (limit {ALWAYS:.0%}): its task is nearly always active; try a smaller "
+            f"random poses (limit {ALWAYS:.0%}): its task is active in most poses; try a smaller "
             "--buffer-distance, or another number of --bodies"
         )
     always = ", ".join(robot.verdict.always)
-    always = f"nearly always inside the buffer: {always}" if always else ""
+    always = f"inside the buffer in most poses: {always}" if always else ""
     whys = {name: always or why for name, why in robot.lacking.items()}
     for why in dict.fromkeys(whys.values()):
         names = ", ".join(name for name, each in whys.items() if each == why)

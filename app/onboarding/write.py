@@ -75,8 +75,8 @@ def _sources_text(robot: NewRobot) -> str:
         copied = "Meshes of installed packages are not copied."
     if MESH_FOLDER in folders:
         lines.append(
-            f"- Meshes in the folder `{MESH_FOLDER}`: they had another unit or format, or too many "
-            "triangles, and are converted to STL in metres"
+            f"- Meshes in the folder `{MESH_FOLDER}`: they had another unit, up axis or format, or "
+            "were larger than 4 MB, and are converted to STL in metres"
         )
         copied = "No other mesh is copied."
     licence = request.licence or (
@@ -111,7 +111,7 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
 
     Raises:
         DescriptionError: The result is not a valid description, or reading the present description
-            exceeds its budget.
+            takes more time or memory than `within_budget` allows.
         OutputError: `out` is another robot's folder, or cannot be written.
     """
     before = file_text(source / "robot.toml")
@@ -228,9 +228,9 @@ def mesh_name(address: str, home: Path | None, where: str = "a link") -> str:
     """The address of a mesh in the new URDF, from its `address` in the old one.
 
     For a mesh in `home`, the folder of the new URDF, this is a relative path, because the folder
-    may be moved. Otherwise it is `address`; without `home` it always is. A mesh for which
-    `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the link in
-    an error.
+    may be moved. For other meshes, and without `home`, it is `address`. With `home`, a mesh for
+    which `is_foreign` is true is converted to an STL file in metres in `home`. `where` names the
+    link in an error.
     """
     path = followed(mesh_path(address))
     if home is None:

@@ -142,8 +142,8 @@ class RobotDescription(Strict):
     reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
     """Reachability by the name of the body; every body that can come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
-    """Lines by the name of the scenario. A scenario that leads towards the base's sides needs a
-    line or a specified start."""
+    """Lines by the name of the scenario. `guiding-lateral`, `guiding-front` and `tracking` need a
+    line or a start from the user; `tracking` can use the line of `guiding-lateral`."""
     without_line: dict[str, str] = Field(default_factory=dict)
     """Reasons for missing lines, by the name of the scenario."""
     unwatched: dict[str, str] = Field(default_factory=dict)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import wraps
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, Literal, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -93,6 +93,12 @@ class RobotModel:
         outwards.
         """
         return [body.name for body in self.description.bodies]
+
+    @property
+    def joint_units(self) -> tuple[Literal["rad", "m"], ...]:
+        """(n_m,) unit of each joint position of the arm."""
+        kinds = (joint.shortname() for joint in self.pin.joints[2:])  # after the planar joint
+        return tuple("m" if "JointModelP" in kind else "rad" for kind in kinds)
 
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
         """Pinocchio's configuration from the base's pose (x, y, φ) and the arm's joints."""

@@ -246,7 +246,7 @@ def distance_motions(
     d̈.
 
     J_r = uᵀ(J_b − J_a) at the core of l_b, with u fixed to l_a. u is the signed normal out of l_a,
-    because the printed (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
+    because the paper's (p_b − p_a)/‖p_b − p_a‖ changes its sign in penetration. d̈ is exact for a
     round link near a face: the normal of the face is constant while the closest points slide along
     the face, and the point of the core does not move on the link. With the term |v_⊥|²/d, which
     belongs to the distance of two fixed points, the error of d̈ would be ten times as large.

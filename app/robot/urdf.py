@@ -134,7 +134,7 @@ def primitive(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None
     """Triangles [m] of a box, sphere, cylinder or capsule, and the radius [m] of a round one.
 
     Raises:
-        RobotFileError: It is none of these shapes, or one of its sizes is not above zero.
+        RobotFileError: It is none of these shapes, or a size is missing or not above zero.
     """
     from trimesh import creation  # takes long
 

@@ -104,6 +104,9 @@ class Session:
         Raises:
             UnknownNameError: The controller or plant does not exist.
             DescriptionError: No part of the arm can meet the base.
+            ConfigError: The plant does not suit the base or the door, or needs a library that is
+                not installed; or the stated control period is too long for a gain.
+            AssetError: A file of the robot is missing.
         """
         if not data.pairs.mobile:
             raise DescriptionError(
@@ -291,7 +294,7 @@ class Disturbances:
         Args:
             config: The disturbances.
             dt: [s] control step.
-            seed: Seed of the noise.
+            seed: Seed of the noise and of the lost readings.
         """
         self._dt = dt
         self._seed = seed

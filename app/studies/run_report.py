@@ -209,8 +209,8 @@ def torques_figure(run: Trace) -> Figure:
 
 @style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
-    """Paths of base and end-effector from above. A square marks the start, a circle the end, and an
-    arrow the base's heading there, which is grey at the start.
+    """Paths of base and end-effector from above. A square marks the start, and a circle the
+    end. Arrows show the base's heading, grey at the start.
     """
     figure = style.new_figure(5.0)
     ax = figure.subplots()

@@ -21,7 +21,7 @@ import viser
 from PIL import Image, ImageDraw, ImageFont
 
 from app.border.dbb import Cloud
-from app.dashboard.export import Look
+from app.dashboard.export import Layer, Look
 from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
 from app.dashboard.scene.canvas import Lens
@@ -56,6 +56,13 @@ BARRIER = "/sent"  # scene node whose x coordinate is the number of the last bar
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] timeout of a page or a picture
 RATE = 25.0  # [Hz] frame rate of a replay
+_MEANINGS: dict[Layer, str] = {
+    "score": "yellow: the base gives way well, purple: it cannot",
+    "determinant": "yellow: the base moves the point well, purple: it cannot",
+    "reachability": "yellow: the arm reaches the point well, purple: less well",
+    "none": "",
+}
+"""Colours of a border in words, by the quantity."""
 _TEXTS_EVERY = 5  # frames per update of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
 """Text colour on a dark and on a light background."""
@@ -226,16 +233,17 @@ def replay_html(
                 on_progress(k / RATE)
         recording.insert_sleep(1.0 / RATE)
         page = recording.as_html(dark_mode=look.dark)
-    return _titled(page, *_caption(log, model.body_names))
+    return _titled(page, *_caption(log, model.body_names, look.layer))
 
 
-def _caption(log: Trace, chain: Sequence[str]) -> tuple[str, str]:
+def _caption(log: Trace, chain: Sequence[str], layer: Layer) -> tuple[str, str]:
     """Return the title of a replay, and its verdict with the scene's legend."""
     controller = log.snapshots[0].controller
     title = f"{log.meta.scenario or 'Guiding by hand'}, {METHOD_WORDS.get(controller, controller)}"
+    border = f"Coloured points: border around the base; {_MEANINGS[layer]}. "
     legend = (
-        "Coloured points: border around the base; yellow: the base gives way well, purple: it "
-        "cannot. Lines: closest points, with distances inside the buffer. Pink: force on the base."
+        f"{border if _MEANINGS[layer] else ''}Lines: closest points, with distances inside the "
+        "buffer. Pink: force on the base."
     )
     return f"{log.meta.robot}: {title}", f"{verdict(metrics(log), chain)} {legend}"
 
@@ -339,9 +347,9 @@ def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
 
 
 def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
-    """Describe a snapshot: method, task, distance of arm and base, displacement from `first`."""
+    """Describe a snapshot: method, task, clearance, displacement from `first`."""
     method = METHOD_WORDS.get(shown.controller, shown.controller)
-    near = nearness(shown)
+    near = nearness(shown, door=shown.door is not None)
     moved = float(np.linalg.norm(shown.base_pose[:2] - first.base_pose[:2]))
     task = "a person pulls the hand"
     if shown.mode == "tracking":
@@ -355,11 +363,12 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
 
 
 def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
-    """Draw scenario, time, and the arm's distance from the base of each robot into a picture."""
+    """Draw scenario, time, and the clearance of each robot into a picture."""
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
     robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *GHOSTS), strict=False)
+    door, words = snapshot.door is not None, METHOD_WORDS
     lines = [
-        (f"{METHOD_WORDS.get(robot.controller, robot.controller)}: {nearness(robot)}", colour)
+        (f"{words.get(robot.controller, robot.controller)}: {nearness(robot, door=door)}", colour)
         for robot, colour in robots
     ]
     return label(picture, [f"{title}t = {snapshot.t:.2f} s", *lines], dark=look.dark)

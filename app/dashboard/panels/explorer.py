@@ -35,8 +35,7 @@ class ExplorerPanel(Panel):
         self._paused, self._since = False, viewer.shared.loop.latest()
         """Whether the pause has taken effect, and the newest snapshot when posing began."""
         model = viewer.shared.model
-        kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
-        self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
+        self._scale = np.array([1.0 if unit == "m" else _DEGREES for unit in model.joint_units])
         with self._gui.add_folder("Joint sliders", expand_by_default=False):
             self._text = self._gui.add_html("")
             self._begin = self.button("Pause and pose the arm", self._enter, viser.Icon.STRETCHING)

@@ -28,7 +28,7 @@ than d_b:
    base away from the arm, and turns the base so that it can move away better.
 3. A quadratic program gives avoidance priority over the end-effector's task. The activation β
    rises from 0 at d_b to 1 at d_full, so that no command jumps. The arm gets torques at 1 kHz,
-   the base gets velocities at 10 Hz.
+   the base gets velocities, by default at 10 Hz.
 
 **Tabs.** *Why* explains the current motion. *Plots* shows the last 20 s. *Compare* runs other
 controllers on the same pull. *Key* explains colours and arrows. *Run* has scenarios, *Lab* speed,

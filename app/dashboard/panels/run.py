@@ -52,7 +52,7 @@ _SCORES = (
     ("base travel [m]", "base_path", lambda d: f"{d:.2f}", None),
     ("acceleration jump v̇ [m/s²]", "acceleration_jump", lambda a: f"{a:.3f}", min),
     ("turning jump ω̇ [rad/s²]", "angular_jump", lambda a: f"{a:.3f}", min),
-    ("torque jump [N m]", "torque_jump", lambda u: f"{u:.2f}", min),
+    ("torque jump [N m or N]", "torque_jump", lambda u: f"{u:.2f}", min),
 )
 """Label with unit, field of `Score`, text of a value, and function for the best value, or None."""
 

@@ -171,7 +171,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
         if why.controller == "hqp":
             rest = ", and the hierarchy as printed has no other constraint on the arm"
         elif pair.held:
-            rest = f"; the arm itself holds this distance{_off_target(snapshot)}"
+            rest = f"; the arm itself limits the approach{_off_target(snapshot)}"
         else:
             least = words.length(snapshot.config.barrier.d_min)
             rest = f"; the arm itself will stop at {least}"
@@ -179,7 +179,7 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     moves = _base_moves(snapshot, why, pair)
     moved = "; the base does not need to move yet" if not moves else f", so {moves}"
     if pair.held:
-        return f"{cause}{moved}, and the arm itself holds this distance.{also}"
+        return f"{cause}{moved}, and the arm itself limits the approach.{also}"
     return f"{cause}{moved}; {_hand(why)}.{also}"
 
 
@@ -196,10 +196,10 @@ def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
     cause = _cause(shown, why, None)
     least = words.length(snapshot.config.barrier.d_min)
     if held is None:
-        return f"{cause}; this method acts at its minimum distance of {least} only."
+        return f"{cause}; this method acts near its minimum distance of {least} only."
     moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
     hand = _hand(why, held=True) + _off_target(snapshot)
-    return f"{cause}, at the minimum distance of {least}; {moves}; {hand}."
+    return f"{cause}; the minimum distance of {least} limits the approach; {moves}; {hand}."
 
 
 def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
@@ -284,7 +284,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
     name = words.pair(pair.a, pair.b, why.chain) + more
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
-    held = ", minimum distance reached" if pair.held else ""
+    held = ", approach limited" if pair.held else ""
     return [
         _row("pair", "the most active link pair", name),
         _row("distance d", "signed distance of its convex bodies", distance),

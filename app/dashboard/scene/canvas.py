@@ -129,8 +129,8 @@ class Canvas:
     def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Draw a picture; the texts of existing labels change only if `texts`.
 
-        With a lens, labels are placed without overlap. While the simulated time `t` [s] advances,
-        labels prefer their last spots; otherwise, they do not depend on earlier pictures.
+        With a lens, labels overlap only if there is no free place. While the simulated time `t` [s]
+        advances, labels prefer their last spots; otherwise, they do not depend on earlier pictures.
         """
         if not 0.0 < t - self._t < _SOON:
             self._spots = {}

@@ -34,7 +34,7 @@ _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] above a point, clear of the acti
 _LOOKS = ("solid", "violet", "teal")  # names for the robot and for the colours `colours.GHOSTS`
 _SAME = 0.01  # [m or rad] a ghost with smaller differences from the robot is hidden
 LEAST_STRETCH = 0.002  # [m] shorter lines of pulls are not drawn
-_LEAST_FORCE = 0.5  # [N] arrows of weaker forces would be shorter than their heads
+_LEAST_FORCE = 0.5  # [N] weaker forces are not drawn
 _FORCE_LIFT = 0.08  # [m] height of a force's arrow above the base's top
 _P_N: Rgb = (240, 240, 245)
 _P_T: Rgb = (32, 190, 200)
@@ -183,7 +183,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
 
 
 def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
-    """If a ghost is visible, label each robot with its controller and its arm's distance.
+    """If a ghost is visible, label each robot with its controller and its clearance.
 
     A label is at the position `at` (3,) [m] in the frame of the robot's base.
     """
@@ -193,13 +193,14 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
         x, y, phi = robot.base_pose
         place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
         name = METHOD_WORDS.get(robot.controller, robot.controller)
-        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {nearness(robot)}")
+        near = nearness(robot, door=snapshot.door is not None)
+        canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")
 
 
-def nearness(robot: Snapshot | GhostReading) -> str:
-    """Return the present distance of a robot's arm from its base in words."""
-    d = robot.clearance
-    return "arm hits its base" if d < 0.0 else f"arm {millimetres(d)} from its base"
+def nearness(robot: Snapshot | GhostReading, *, door: bool) -> str:
+    """Return a robot's clearance in words; `door` means that its arm holds a door."""
+    d, part = robot.clearance, "arm or door" if door else "arm"
+    return f"{part} hits its base" if d < 0.0 else f"{part} {millimetres(d)} from its base"
 
 
 def coincides(ghost: GhostReading, snapshot: Snapshot) -> bool:

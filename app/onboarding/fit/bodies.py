@@ -25,8 +25,8 @@ BASE_WEIGHTS = {"box": 1.0, "hull": 1.3}
 """[-] weights of volumes for the base."""
 _ONE_BOX = 1.6  # [-] largest volume of a single shape relative to the volume of its hulls
 _WORTH = 0.75  # [-] largest volume of several shapes relative to the volume of a single one
-_SPOT = 1e-6  # [m³] volume below which points need no body
-_MERGE = 1.15  # [-] largest growth of the volume when two shapes are merged
+_SPOT = 1e-6  # [m³] smallest swept volume of points around which a body is fitted
+_MERGE = 1.15  # [-] largest growth of the volume when two of at most four shapes are merged
 
 
 class FittedBody(NamedTuple):
@@ -66,7 +66,7 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
 
 
 def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
-    """The shape `one` around parts, or several shapes if `one` would be mostly empty."""
+    """The shape `one` around parts, or several shapes if these have a far smaller volume."""
     if len(corners) < 2 or one.volume <= _ONE_BOX * sum(hull_volume(c) for c in corners):
         return (one,)
     several = _merged(corners)
@@ -74,7 +74,9 @@ def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
 
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
-    """One shape for each part; shapes are merged while this adds little volume."""
+    """One shape for each part; shapes are merged while this adds little volume or more than four
+    remain.
+    """
     groups = {k: (c, fit_best(c, BASE_WEIGHTS)) for k, c in enumerate(corners)}
     known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # growth and fit of merged pairs
     new = len(groups)
@@ -146,7 +148,7 @@ class ArmFitter:
 
         Returns:
             The fit, the number of its joint, and the points (N, 3) [m] that it encloses; None if
-            the selected points sweep no volume.
+            no points are selected, or their swept volume is below `_SPOT`.
         """
         pieces: dict[tuple[int, int], Array] = {}  # by joint and link
         for unit, mask in zip(units, masks, strict=True):

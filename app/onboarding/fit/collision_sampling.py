@@ -29,7 +29,7 @@ from app.robot.model import RobotModel
 Array = np.ndarray
 
 ALWAYS = 0.6
-"""[-] share of the free poses above which a pair inside its buffer counts as always near."""
+"""[-] share of the free poses inside the buffer above which a pair counts as always near."""
 MARGIN = 0.015
 """[m] distance below which a point of a surface counts as reached by another unit."""
 BUILT_IN = 0.5
@@ -59,7 +59,8 @@ class Poses(NamedTuple):
     distances: Array
     """(N, pairs) [m] signed distances of hulls."""
     possible: Array
-    """(N,) whether no close pair touches, except nested ones; joint limits prevent other poses."""
+    """(N,) whether no close pair touches, except nested ones; joint limits have to prevent the
+    other poses."""
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,10 @@ class Meetings:
     """Pairs of units that are not neighbours, by the indices of the units."""
     close: frozenset[tuple[int, int]]
     """Pairs that no buffer can monitor: the units are within d_b in most free poses, or they are
-    units of the arm that never overlap by more than the accuracy of the meshes."""
+    units of the arm that touch, but overlap by at most 3 mm."""
     apart: frozenset[tuple[int, int]]
-    """Close pairs of the base and a link on it that overlap deeper than adjacent links: joint
-    limits have to prevent this."""
+    """Pairs of a unit on the base and a unit of the arm that are within d_b in most free poses and
+    overlap deeper than adjacent links: joint limits have to prevent this."""
     random: Poses
     rare: Poses
     """Colliding poses of pairs that rarely meet in random poses; see `_rare_poses`."""
@@ -89,7 +90,7 @@ class Meetings:
 
     @property
     def collides(self) -> Array:
-        """(N, pairs) whether the hulls overlap; always False for close pairs."""
+        """(N, pairs) whether the hulls overlap in a random pose; always False for close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
         return np.logical_and(self.random.distances <= 0.0, watched)
 

@@ -28,9 +28,9 @@ class Fit(NamedTuple):
     volume: float
     """[m³]"""
     over_cover: float
-    """[-] ratio of its volume to that of the points' hull."""
+    """[-] ratio of its volume to that of the points' hull; infinite for flat points."""
     protrusion: float
-    """[m] largest distance by which it extends beyond the points' hull, of 162 directions."""
+    """[m] largest distance by which it extends beyond the points' hull, along 162 directions."""
 
 
 def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
@@ -114,9 +114,9 @@ def fit_capsule(points: Array) -> Capsule:
 
 
 def fit_box(points: Array) -> Box:
-    """The smallest box that has an edge along an axis of the frame or a main axis of the points.
+    """A small box that has an edge along an axis of the frame or a main axis of the points.
 
-    A rotated box is used only if it saves a tenth of the volume.
+    A rotated box replaces the best box before it only if it saves a tenth of the volume.
     """
     straight = _box(points, np.zeros(3))
     main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]

@@ -2,9 +2,10 @@
 
 Like the paper's l_1 … l_EE, each body joins neighbouring links of the chain. A division of the
 chain into groups is judged mainly by the share of colliding poses in which no pair of its bodies
-overlaps, by the share of free poses in which a pair overlaps, and by the pairs that are nearly
-always inside their buffer. If the links of such a pair are that close by design, the pair is not
-monitored, like a pair of neighbours.
+overlaps, by the share of free poses in which a pair overlaps, and by the pairs that are inside
+their buffer in most free poses. Such a pair is not monitored, like a pair of neighbours, if its
+links are that close by design or if other pairs see its collisions. A pair sees a collision if its
+bodies overlap in this pose.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _BODY_COST = 0.03  # [-] cost of each body
 _MISSED_COST = 40.0  # [-] cost of missed collisions, per share above `_MISSED`
 _FALSE_COST = 2.0  # [-] cost of free poses in which bodies overlap, per share
 _SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links never do
-_ALWAYS_COST = 1.0  # [-] cost of a pair that is almost always inside its buffer
+_ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
 _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 
@@ -63,13 +64,13 @@ class Verdict(NamedTuple):
     spurious: tuple[str, ...]
     """Pairs of bodies that overlap although their links never do."""
     always: tuple[str, ...]
-    """Pairs that are almost always inside their buffer."""
+    """Monitored pairs that overlap in some pose and are inside their buffer in most free poses."""
     unwatched: dict[str, bool]
-    """Pairs that are not monitored because they are almost always inside their buffer; True if some
-    of their links are close by design, False if only the bodies are and other pairs see their
+    """Pairs that are not monitored because they are inside their buffer in most free poses; True if
+    some of their links are close by design, False if only the bodies are and other pairs see their
     collisions."""
     near: dict[str, float]
-    """[-] share of the free poses inside the buffer, by the pair's name."""
+    """[-] share of the free poses inside the buffer, by the name of the monitored pair."""
     cost: float
     """[-] total cost; the best grouping has the smallest."""
 
@@ -91,12 +92,12 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If no
-    pair of bodies sees some of its collisions, as for a mast, it belongs to l_m.
+    The unit that is fixed to the base below the arm belongs to l_1, like the paper's link 0. If the
+    pairs then miss more than 0.1 % of its collisions, as for a mast, it belongs to l_m.
 
     `count` is the number of bodies of the arm. None means four as in the paper or, if four are not
-    sufficient, the best number from two to six. They are not sufficient if a pair is almost always
-    inside its buffer, if bodies meet whose links never do, or if too many collisions are missed.
+    sufficient, the best number from two to six. Four are not sufficient if `Verdict.always` or
+    `Verdict.spurious` has a pair, or if more than 0.1 % of all collisions are missed.
     `on_progress` is called with the finished share of the judged groupings.
 
     Raises:
@@ -246,11 +247,11 @@ class Unseen(NamedTuple):
     blind: tuple[str, ...]
     """Pairs of bodies that miss more than half of their links' random and searched collisions."""
     worst: str
-    """The two links that meet most often in the unseen poses, with their share of all random poses;
-    `none` without unseen poses."""
+    """The first links of the two units that meet most often in the unseen poses, with their share
+    of all random poses; `none` without unseen poses."""
     left_out: int
-    """Number of poses that a rule excludes: no pair of bodies overlaps, and only links meet that
-    are neighbours or close by design. It is extrapolated if more than 300 poses qualify."""
+    """Number of poses that a rule excludes: no pair of bodies overlaps, but links meet that are
+    neighbours or close by design. It is extrapolated if more than 300 poses qualify."""
     rule: str
     """Up to four pairs of links of these poses, with their shares of all random poses; the most
     frequent ones are first."""

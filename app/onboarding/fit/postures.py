@@ -50,7 +50,10 @@ class Ready(NamedTuple):
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
-    """The best of random poses according to `RULE`, for monitored pairs, rounded to 0.01."""
+    """The best of random poses according to `RULE`, with joint positions rounded to 0.01 rad or m.
+
+    `pairs` are the monitored pairs.
+    """
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
     span = np.minimum(search.span, 2 * np.pi)  # no joint of the ready pose exceeds one turn
@@ -168,13 +171,14 @@ def find_place(
 ) -> Place | str:
     """A line towards the side or the front of the base, or the reason why there is no line.
 
-    A line starts 0.425 m beside l_m, or nearer for a short arm, and ends 0.125 m beside l_m, as for
-    the paper's robot, or nearer. Without avoidance, the arm on this line touches the base or comes
-    nearer than `INNER` d_b. The order of preference is:
+    A line starts at most 0.425 m from l_m and ends at most 0.125 m from l_m; these are the values
+    of the paper's robot. If the end-effector follows the line without avoidance, the arm touches
+    the base or comes nearer than `INNER` d_b. The order of preference is:
 
     1. lines on which the arm would touch the base, then lines on which it would come nearest;
     2. lines on which the arm best holds its end-effector while the base moves;
-    3. far starts before near starts, and heights near 0.8 times the height of a part of l_m.
+    3. the order of `_front` or `_lateral`, with far starts before near starts; then heights near
+       0.8 times the height of a part of l_m.
 
     Args:
         model: The robot.
@@ -251,8 +255,8 @@ def gives_way(
 
     The base has to move by `GIVES_WAY`, and the arm to stay `CLEARANCE` away from the base and
     `_LOWEST` from the floor. This fails if another part of the arm than the end-effector meets the
-    base first, or if the arm cannot hold its end-effector while the base moves. `on_progress` is
-    called with the finished share of the run.
+    base first, if the arm cannot hold its end-effector while the base moves, or if the run cannot
+    start. `on_progress` is called with the finished share of the run.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     run = RunSpec(model.description.name, line, model.description.config, physics="kinematic")
@@ -309,7 +313,7 @@ class _Candidate(NamedTuple):
     """[m] smallest distance of the arm to a base at rest."""
     carried: float
     """[-] mean share of the base's motion that the arm does not compensate, on the part of the line
-    inside the buffers; 0 without one."""
+    inside the buffers; 0 without such a part."""
 
     @property
     def move(self) -> Point:
@@ -345,10 +349,10 @@ class _Guide:
     ) -> Iterator[Place]:
         """Lines from starts at heights [m]; the most promising lines are first.
 
-        A quick first step moves the arm to each start from a known posture. A second step searches
-        the posture with which a run starts; it follows only when the caller requests the next line.
-        No two lines have nearly the same end. Lines on which the arm does not come nearer than
-        `INNER` d_b follow only if there is no other line.
+        A quick first step moves the arm to each start from a known posture. A second, slow step
+        searches for the posture with which a run starts; it runs only when the caller requests the
+        next line. No two lines have nearly the same end. If the arm comes nearer than `INNER` d_b
+        on no line, only the best line is yielded.
         """
         found: list[_Candidate] = []
         most = len(tried) + _MAX_STARTS
@@ -509,8 +513,8 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
     """Starts of lines towards the sides of the base: left before right.
 
-    They are beside the mount or near an end of the base, because a base without sideways motion
-    hardly avoids a line towards its axle.
+    Their x is that of the mount, or is near the front or the rear end of the base, because a base
+    without sideways motion hardly avoids a line towards its axle.
     """
     low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
     for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
@@ -520,7 +524,9 @@ def _lateral(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[
 
 
 def _front(body: MobileBody, mount: Array, outs: Sequence[float]) -> Iterator[_Start]:
-    """Starts of lines towards the front: beside the mount, near an edge, or ahead of the mount."""
+    """Starts of lines towards the front: 0.1 m to the left of the mount, near the right and the
+    left edge of the base, and straight ahead of the mount.
+    """
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05, float(mount[1])):

@@ -1,7 +1,7 @@
-"""Stops: joint limits that prevent collisions of links that are always within d_b of the base.
+"""Stops: joint limits that prevent collisions of links that are close to the base by design.
 
-Avoidance cannot move these links away from the base. An example is the upper arm of a UR: a limit
-of its shoulder lift joint alone prevents its collision with the base.
+These links are within d_b of the base in most poses, so their pairs are not monitored. An example
+is the upper arm of a UR: a limit of the shoulder lift joint prevents its collision with the base.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def with_stops(
 ) -> Limits:
     """Joint limits with which no link that is close to the base by design can reach the base.
 
-    For each of these links, one joint between the base and the link gets narrower limits: the joint
-    that retains the largest share of its range. If no limit of a single joint prevents the contact,
-    the limits do not change, and the check of the bodies counts the collisions. `ready` (n_m,) is a
-    ready pose that stays within the limits, or None.
+    For each of these links that reaches the base in a sampled pose, one joint between the base and
+    the link gets narrower limits: the joint that retains the largest share of its range. If no
+    limit of a single joint prevents the contact, the link causes no change, and the check of the
+    bodies counts the collisions. `ready` (n_m,) is a pose that the limits have to include, or None.
 
     Raises:
         RobotFileError: No limits that include the pose `ready` prevent the contact.
@@ -59,7 +59,8 @@ def with_stops(
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
-            # For adjacent links, which are always nearer, half of their largest distance is used.
+            # Adjacent links are always within `MARGIN`; for these, the threshold is half of their
+            # largest distance.
             for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:

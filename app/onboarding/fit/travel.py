@@ -19,10 +19,11 @@ _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which shapes of the end-effector, of telescopes, and of links that follow the arm
-    cover their whole motion.
+    """Geometry in which shapes of moving links outside of the arm's chain cover their motion.
 
-    `chain` are the joints of the arm. The shapes are in the frames of the links at rest.
+    These are the links beyond the chain's last link (fingers), the other parts of telescopes, and
+    the links on joints that mimic a joint of the arm. `chain` has the joints of the arm. The shapes
+    are in the frames of the links at rest.
     """
     found = with_travel(tree, geometry, chain[-1].child)
     own = [joint.name for joint in chain]
@@ -69,11 +70,12 @@ def with_travel(
     without: Sequence[str] = (),
     motors: Sequence[Joint] | None = None,
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which the shapes of each descendant of `carrier` cover its whole motion.
+    """Geometry in which the shapes of each descendant of `carrier` cover its motion.
 
-    The motion is that over the ranges of `motors`; default: all motors between `carrier` and the
-    link. Mimic joints move with their leaders. The shapes are in the frames of the links at rest,
-    see `held_at`. Links beyond the joints in `without` do not change.
+    `motors` move through their ranges: first one at a time with the others at rest, then all
+    together; default: all motors below `carrier`. Mimic joints move with their leaders. The shapes
+    are in the frames of the links at rest, see `held_at`. Links beyond the joints in `without` do
+    not change.
     """
     links = tree.below(carrier, without=without)[1:]
     joints = [tree.joint_of[link] for link in links]
@@ -111,7 +113,10 @@ def _positions(joints: Sequence[Joint], motors: Sequence[Joint]) -> Iterator[Pos
 
 
 def _range(joint: Joint) -> list[float]:
-    """Positions of a joint through its range; without limits, at zero or through a whole turn."""
+    """Positions of a joint through its range: both ends of a prismatic joint, or steps of an angle.
+
+    Without a range, a prismatic joint stays at zero, and other joints make a whole turn.
+    """
     low, high = joint.lower, joint.upper
     if low is None or high is None or low >= high:
         low, high = (0.0, 0.0) if joint.kind == "prismatic" else (-np.pi, np.pi)

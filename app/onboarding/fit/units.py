@@ -41,8 +41,8 @@ class Unit(NamedTuple):
     """Links that move as one rigid body."""
 
     index: int
-    """0 for the base, 1 for links that are fixed to the base below the arm, then one or two for
-    each joint of the arm: the unit beside the arm, if any, then the unit of the arm."""
+    """In `make_units`: 0 for the base, 1 for links that are fixed to the base below the arm, then
+    one or two for each joint of the arm: the unit beside the arm, if any, then that of the arm."""
     frame: str
     """Link whose frame is that of the joint; the floor point for the first two units."""
     links: tuple[str, ...]

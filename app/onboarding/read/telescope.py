@@ -13,11 +13,12 @@ from app.onboarding.read.tree import MOVING, PARALLEL, Joint, Tree
 
 
 def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
-    """A tree with joined telescopes between the links `base` and `tip`, and a sentence on each one.
+    """A tree in which each telescope between two links has one joint, and a sentence on each one.
 
-    A telescope has one independent joint and other joints that follow it (`<mimic>`). Afterwards
-    this independent joint alone moves the last part, by the sum of all positions. The parts before
-    the last one become its children, on prismatic joints whose limits include all their positions.
+    The links are `base` and `tip`. A telescope has one independent joint and other joints that
+    follow it (`<mimic>`). In the new tree, this independent joint alone moves the last part, by the
+    sum of all positions. The parts before the last one become children of the last one, on
+    prismatic joints whose limits include all their positions.
 
     Raises:
         RobotFileError: `tip` is not a descendant of `base`.

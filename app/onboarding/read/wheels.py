@@ -147,8 +147,9 @@ def _find_wheels(
 ) -> Wheels:
     """The driven wheels: the wheels with the names `given`, or the lowest pair.
 
-    All wheels of the same radius beside these two are included. A wheel is a round link that turns
-    without limits about a level axle; only a rigid link of the base can carry it.
+    Further wheels of the same radius on the floor, in line in front of or behind one of these two,
+    are included. A wheel is a round link that turns without limits about a level axle; only a rigid
+    link of the base can carry it.
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
@@ -164,8 +165,8 @@ def _find_wheels(
         if not _mirrored([left, right]):
             raise RobotFileError(
                 f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
-                f"{right.r:.4f} m are not two equal wheels across from each other: name one of "
-                "either side"
+                f"{right.r:.4f} m are not two equal wheels across from each other: name one "
+                "wheel on each side"
             )
     else:
         turn = ", ".join(found)
@@ -196,7 +197,7 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
 
 
 def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
-    """The drive of a left and a right wheel, with all similar wheels of each side."""
+    """The drive of a left and a right wheel, with all similar wheels in line with one of them."""
     across = (left.centre - right.centre) * [1.0, 1.0, 0.0]
     sideways = across / np.linalg.norm(across)
     forward = np.cross(sideways, [0.0, 0.0, 1.0])
@@ -243,7 +244,7 @@ def _named(
 
 
 def turns_round(joint: Joint) -> bool:
-    """Whether a joint turns without limits, or by more than two turns."""
+    """Whether the range of a joint has no limits, or is more than two turns."""
     span = (joint.upper or 0.0) - (joint.lower or 0.0)
     return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
 
@@ -329,7 +330,9 @@ def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3
         )
     wheelbase = request.wheelbase or float(np.mean(places))
     if wheelbase <= 0:
-        raise RobotFileError("--wheels: the steered wheels are behind them; give LEFT and RIGHT")
+        raise RobotFileError(
+            "--wheels: the steered wheels are behind the driven ones; give LEFT and RIGHT"
+        )
     limit = request.steering_limit or _tightest(found)
     speeds = [joint.velocity for joint in found if joint.velocity]
     rate = request.steering_rate or min(speeds, default=_STEERING_RATE)

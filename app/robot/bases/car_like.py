@@ -7,9 +7,9 @@ curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cann
 
 Let (v, ω) be the velocity that the force would give a differential base. A car-like base takes the
 velocity in the cone that is nearest to (v, ω) in the metric of kinetic energy, m v² + I ω². If
-(v, ω) is outside of the cone, the nearest velocity is on an edge of the cone and has the speed
-(m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia m + I κ² under a
-force F_x + κ τ, ahead with κ towards τ, or backwards with -κ.
+(v, ω) is outside of the cone, the nearest velocity is on an edge of the cone, κ = ±κ_max, and has
+the speed (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc like an inertia m + I κ²
+under a force F_x + κ τ. It moves ahead if κ has the sign of ω, and backwards on the other edge.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class CollisionShapes(NamedTuple):
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
     """Pairs of bodies between which contacts are computed.
 
-    A body with a reachability map has a pair with l_m and a pair with the floor. Two bodies of the
+    A body in `reachability` has a pair with l_m and a pair with the floor. Two bodies of the
     arm are a pair if they are not neighbours in the chain and the pair is not in `unwatched`.
     """
     mobile, *arm = [body.name for body in description.bodies]
@@ -105,7 +105,8 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
     are cached, because the meshes take half of the time that a plant needs to start.
 
     Raises:
-        RobotFileError: Reading the meshes of a user's own robot exceeds the budget.
+        RobotFileError: Reading the meshes of a user's own robot takes more time or memory than
+            `within_budget` allows.
     """
     description = model.description
     try:

@@ -180,8 +180,8 @@ def with_door(
     """The robot that holds a door: the door is the arm's last body, and ⟨l_m, door⟩ is in L_m.
 
     The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link because the
-    grasp is rigid. The door has the reachability map of the end-effector, and no sampled border;
-    its acting point is found on the exact offset surface of l_m.
+    grasp is rigid. The door has the reachability coefficients of the end-effector's body, and no
+    sampled border; its acting point is found on the exact offset surface of l_m.
 
     Args:
         model: The robot without the door.

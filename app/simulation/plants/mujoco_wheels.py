@@ -34,10 +34,11 @@ _TREAD = 0.25  # [-] half width of a wheel in radii; the ellipsoid touches the f
 _LOAD_RESERVE = 2.0
 """[-] factor of the friction of two wheels, because casters carry a part of the weight. With more
 wheels, ratio of each motor's torque limit to an equal share of the traction limit's torque."""
-_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and skidding tyres
+_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters and sliding tyres
 _TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
-"""A tyre that deforms by a millimetre and whose drag builds up within 0.1 s. With stiffer contacts
-and faster friction, MuJoCo lifts sliding parts: firm wheels would hop and turn in jerks."""
+"""A tyre that deforms by about a millimetre, and whose friction has a time constant of 0.2 s. With
+stiffer contacts and faster friction, MuJoCo lifts sliding parts: the wheels would hop, and the base
+would turn in jerks."""
 _AT_FLOOR = 0.01  # [m] height below which a part of the base touches the floor
 _GEOM = mujoco.mjtGeom
 _MIN_MASS = 0.005  # [-] mass of a wheel that has none in the URDF, relative to the base's mass

@@ -35,7 +35,7 @@ _LINES = (
     LineScenario(
         "tracking",
         30.0,
-        "the end-effector tracks a line of 0.2 m towards the base's side at constant orientation",
+        "the end-effector tracks a line towards the base's side at constant orientation",
         "tracking",
         (0.30, 0.68, 0.30),
         (0.0, -0.2, 0.0),
@@ -51,8 +51,8 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
-"""Scenarios with a path towards a side of the base; each needs the robot's own line or a start
-from the user."""
+"""Scenarios with a path towards the side or the front of the base; each needs the robot's own line
+or a start from the user."""
 _FREE = "guiding-front"  # scenario whose start is also the start of the free motion
 _SAME_LINE = {"tracking": "guiding-lateral"}
 """A scenario for which a robot has no line, and the scenario whose line is used instead."""

@@ -63,12 +63,14 @@ def radial_update(
 ) -> float:
     """Rotation rate [rad/s] of the estimated radial direction about the vertical.
 
-    If the estimated tangent t̂ deviates by the angle e from the true tangent, motion along t̂
-    causes a radial force f_r with α_f (f_r - f_d) = -s v_d sin e in the steady state. The rate is
-    λ s (v/v_d) α_f (f_r - f_d) / v_d; at full speed the error then decreases by ė = -λ sin e.
+    If the estimated tangent t̂ deviates by the angle e from the true tangent, the door stops the
+    radial part of the motion along t̂. In the steady state at full speed, the force's PI regulator
+    then has the output R with α_f R = -s v_d tan e. The rate is λ s (v/v_d) α_f R / v_d; the error
+    thus decreases by ė = -λ tan e.
 
     Args:
-        regulated: [N] sum of the force error f_r - f_d and its integral.
+        regulated: [N] R = (f_r - f_d) + ∫(f_r - f_d) dt / T_i, with the radial force f_r and the
+            integral time T_i.
         progress: [-] v/v_d, ratio of measured to desired speed along t̂.
         sense: [-] s, sense of opening, ±1.
         gains: The gains λ, α_f and v_d.

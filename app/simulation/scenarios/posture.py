@@ -22,7 +22,7 @@ _TO_MIDDLE = 1e-5  # [-] weight of the middle of the joints' ranges
 
 Judge = Callable[[Array], float | str]
 """A function that returns the quality [-] of a posture (n_m,), which is better if larger; if the
-posture is invalid, it returns zero or the reason."""
+posture is invalid, it returns zero or less, or the reason."""
 
 
 class Target(NamedTuple):
@@ -165,7 +165,7 @@ class PostureSearch:
         return self.monitor.distances()
 
     def above_floor(self) -> float:
-        """[m] smallest distance between the arm and the floor."""
+        """[m] smallest signed distance between the arm and the floor."""
         return self._floor.smallest()
 
     def joint_room(self, q_m: Array) -> float:

@@ -345,7 +345,7 @@ class _GraspSearch:
         return followed + room
 
     def _backed_off(self, angle: float) -> Array:
-        """(3,) pose of the base, moved back until the door's free edge is d_b ahead of the base."""
+        """(3,) pose of the base, moved back if the door's free edge is within d_b of its front."""
         door = self._door
         edge = door.pose(angle).act(np.array([0.0, -door.side * door.width, 0.0]))
         x, y, heading = self._base_pose

@@ -26,7 +26,8 @@ def read_arrow(path: Path) -> tuple[str, pa.Table]:
     """Read the header and the columns of an untrusted file.
 
     Raises:
-        LogError: The file does not exist or is damaged, or reading exceeds the budget.
+        LogError: The file does not exist or is damaged, or reading takes more time or memory than
+            `within_budget` allows.
     """
     try:
         # A small Parquet file can contain millions of equal rows.

@@ -93,11 +93,10 @@ class TraceMeta(Strict):
         """
         arm, base = model.description.arm, model.description.base
         velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
-        kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
         return cls(
             robot=model.description.name,
             joints=tuple(arm.joints),
-            joint_units=tuple("m" if "JointModelP" in kind else "rad" for kind in kinds),
+            joint_units=model.joint_units,
             joint_speeds=tuple(model.qd_max.tolist()),
             velocities=velocities,
             accelerations=accelerations,

@@ -440,7 +440,7 @@ class Snapshot:
     """[µs] real time of the controller in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
     """[N] smallest upper bound of a person's force that the arm resists; not-a-number without a
-    person."""
+    bound."""
     run: int = 0
     """Number of the run since the start of the loop."""
     busy: str = ""
@@ -478,7 +478,9 @@ class Snapshot:
 
     @property
     def clearance(self) -> float:
-        """[m] smallest distance of the arm from the base; infinite without a pair of L_m."""
+        """[m] smallest distance of the arm, and of a door that it holds, from the base; infinite
+        without a pair of L_m.
+        """
         return min((pair.d for pair in self.pairs if pair.mobile), default=math.inf)
 
     @property

@@ -95,9 +95,9 @@ def deepest(sources: Sources) -> int:
 
 
 def turning(sources: Sources) -> Force:
-    """The force at the instant of the run near the wheel axis that shows both components best.
+    """The force at the instant of the run along the wheel axis that shows both components best.
 
-    This is the instant in the buffer at which the smaller component is largest.
+    Of every 20th row in the buffer, this is the row in which the smaller component is largest.
     """
     distance = sources.distances(WHEEL_AXIS)
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]

@@ -43,7 +43,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
     counts = table["points"][:-1]
     figure = style.new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
-    look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (printed)"}
+    look = {"color": style.METHOD_COLOURS["points"], "label": "border of points (paper)"}
     name = "continuous surface (default)"
     for ax, column, label in (
         (jump, "jump_max_m", "largest jump in a control step [m]"),
@@ -182,11 +182,11 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
 
 
 def smooth_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
-    """Times (N,) [s], every `dt` [s], and closest points during the longest stay in the buffer.
+    """Times (N,) [s], every `dt` [s], and closest points of L_m(1) in the lateral guiding.
 
-    The stay of L_m(1) is cut to `LONGEST` [s]. The points are on a spline through the points of the
-    run's rows. Points from the collision library at each step would have errors of about 0.3 mm,
-    which is more than the motion in a step.
+    They are those of the longest stay of L_m(1) in its buffer, cut to `LONGEST` [s]. The points are
+    on a spline through the closest points of the recorded rows. Points from the collision library
+    at each step would have errors of about 0.3 mm, which is more than the motion in a step.
     """
     run = sources.runs[LATERAL].trace
     outside = sources.distances(LATERAL) >= sources.config.border.d_b
@@ -233,10 +233,12 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """The measured numbers of both borders, and the ratios of their accelerations' changes.
+    """Numbers of the border of points and of the surface, and two ratios of points to surface.
 
-    For each border these are the largest step of the acting point on the path and on the finer
-    path, the ratio of these steps, and the largest changes of the base's acceleration in a step.
+    The ratios are those of the largest changes of the base's linear and angular acceleration. For
+    each border these are the largest displacement of the acting point between two rows of the
+    path, the same for the finer path, the ratio of these two, and the largest linear and angular
+    change of the base's acceleration between two rows of the path.
     """
     result: dict[str, Any] = {}
     for kind, along in found.items():

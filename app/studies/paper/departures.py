@@ -1,4 +1,4 @@
-"""The departures from (26) to (29), measured for the printed form and for the project's form.
+"""Departures from equations (26)-(29), measured for the paper's form and for the project's form.
 
 Some rows compare the solutions q̈ of both forms at equal states, other rows compare runs. Smaller
 numbers are better.
@@ -41,7 +41,7 @@ Solver = Callable[[ControlStep, Array, TaskConfig], Array]
 
 Departure = tuple[str, str, float, float]
 """The equation and the departure; the key of the measured number, which ends in the unit; the
-number of the printed form; the number of the project's form."""
+number of the paper's form; the number of the project's form."""
 
 
 @style.picture(

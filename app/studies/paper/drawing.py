@@ -44,7 +44,7 @@ class Drawing:
     tables: dict[str, Table]
     """The plotted data, by the suffix of the CSV file's name; one suffix is empty."""
     measured: dict[str, Any] = field(default_factory=dict)
-    """Measured numbers, or such mappings by the name of a case; keys end in the unit."""
+    """Measured numbers by key, or one such mapping for each case; keys end in the unit."""
     remarks: Sequence[str] = ()
     """Remarks on the measured numbers."""
 

@@ -38,8 +38,8 @@ class Experiment(RunSpec):
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
         """The run of a scenario, by the names of scenario and controller.
 
-        With `points` the border consists of points, as in the paper. `line` may have the options
-        `start` and `move` (3,) [m] of the scenario.
+        With `points` the border consists of points, as in the paper. The keyword arguments `start`
+        and `move` (3,) [m] replace those of a scenario on a line.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)

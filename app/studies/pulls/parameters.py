@@ -135,7 +135,7 @@ class StudyParameters(Strict):
     """The parameters that determine each case of a study; the number of cases is not one."""
 
     seed: int = 0
-    """Seed of the random quantities; those of case k depend only on the seed, k and the ranges."""
+    """Seed of the random quantities; those of case k depend only on seed, k, robot and ranges."""
     robot: str = "husky_panda"
     """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"

@@ -136,8 +136,9 @@ class StartFinder:
         """Find joint positions (n_m,) for which the arm's closest point p_b has the coordinate x.
 
         Args:
-            p_ee: (3,) [m] present position of the end-effector, which moves along the x axis.
-            q_m: (n_m,) [rad or m] present joint positions.
+            p_ee: (3,) [m] position of the end-effector at `q_m`. The search shifts this position
+                along the base's x axis, and makes the last small correction by the joints alone.
+            q_m: (n_m,) [rad or m] joint positions at the start of the search.
             x: [m] desired x coordinate of p_b in the base's frame.
 
         Raises:
