@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from app.cli.main import main
 from app.config import Config
-from app.simulation.trace.log_file import write_trace
+from app.simulation.trace.log_file import read_trace, write_trace
+from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import Trace
 from app.studies.run_report import config_changes, key_numbers, run_report, spans
 from tests.logs import random_snapshots, trace_of
@@ -117,3 +120,22 @@ def test_dbb_report_of_no_log_is_one_clear_line(tmp_path, capsys):
         err = capsys.readouterr().err
         assert err.startswith("dbb: error: ")
         assert words in err
+
+
+def test_an_older_log_without_newer_quantities_has_numbers_and_a_report(tmp_path: Path):
+    log, path = moving_log(), tmp_path / "log.parquet"
+    write_trace(path, log)
+    table, known = pq.read_table(path), key_numbers(log)
+    newer = {each.name for each in fields(Snapshot) if each.default is not MISSING}
+    columns = {
+        name: [column.name for column in QUANTITIES[name].columns(log.meta)]
+        for name in newer & QUANTITIES.keys()
+    }
+    for dropped in [*columns.values(), [name for names in columns.values() for name in names]]:
+        pq.write_table(table.drop_columns(dropped), path)
+        older = read_trace(path)
+        numbers = key_numbers(older)
+        assert numbers.keys() == known.keys(), dropped
+        assert all(value in (None, known[key]) for key, value in numbers.items()), dropped
+    assert numbers["floor_contacts"] is None
+    assert "Key numbers" in run_report(older)

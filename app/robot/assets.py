@@ -36,7 +36,7 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the delivered borders; read only."""
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
-_MAX_ELEMENTS = 100_000  # [-] most elements of an XML file; large URDFs have some thousands
+_MAX_ELEMENTS = 30_000  # [-] most elements of an XML file; large URDFs have some thousands
 _MAX_JOINTS = 200  # [-] most moving joints of a robot; large ones have 60
 _MAX_ATTRIBUTES = 100  # [-] most attributes of an element; some parsers compare each with all
 _DEEPEST = 100  # [-] deepest nesting of elements

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.errors import LogError
 from app.simulation.plants.door import BODY
 from app.simulation.trace.trace import Trace
 from app.simulation.trace.words import outcome, spoken
@@ -35,15 +36,24 @@ def metrics(run: Trace) -> dict[str, Any]:
     """Compute all figures of a run; the key of a figure with a unit ends in the unit.
 
     The figures of `DOOR` are included only if the run has the opening of a door. Figures of changes
-    between control steps are None if the trace does not have a row for each control step.
+    between control steps are None if the trace does not have a row for each control step. Figures
+    of a quantity that an older log does not have are None.
     """
-    figures = {key: figure.of(run) for key, figure in FIGURES.items()}
+    figures = {key: _value(figure, run) for key, figure in FIGURES.items()}
     if not run.each_step:
         figures |= dict.fromkeys(k for k in figures if k.endswith(("_jump_max", "_sign_changes")))
         figures["torque_jump_max_nm"] = None
-    opening = run.rows(~np.isnan(run["radial_error_rad"]))
+    estimated = ~np.isnan(run["radial_error_rad"]) if "radial_error_rad" in run.index else []
+    opening = run.rows(np.flatnonzero(estimated))
     of_door = len(opening) and any(pair.endswith(BODY) for pair in run.meta.pairs)
     return figures | ({key: figure.of(opening) for key, figure in DOOR.items()} if of_door else {})
+
+
+def _value(figure: Figure, run: Trace) -> Any:
+    try:
+        return figure.of(run)
+    except LogError:
+        return None
 
 
 def touches(figures: dict[str, Any]) -> list[str]:

@@ -117,7 +117,13 @@ class Trace:
         return self.table[:, self._layout.index[column]]
 
     def of(self, quantity: str) -> Array:
-        """(N,) or (N, k) a quantity of the table by its name, which is a field of `Snapshot`."""
+        """(N,) or (N, k) a quantity of the table by its name, which is a field of `Snapshot`.
+
+        Raises:
+            LogError: The run is from an older log, which does not have this quantity.
+        """
+        if quantity not in self._layout.slices:
+            raise LogError(f"the log does not have {quantity!r}")
         return self.table[:, self._layout.slices[quantity]]
 
     def names(self, quantity: str) -> list[str]:
