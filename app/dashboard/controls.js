@@ -27,6 +27,7 @@ window.dbbControls = (box, ranges) => {
   };
   const head = make("header", document.body, "dbb-head");
   const name = make("div", head, "dbb-name");
+  name.title = "dbb: distance buffer border, the coloured points around the base";
   make("h1", name, "", "dbb").append(Object.assign(document.createElement("span"), { textContent: " self-collision avoidance" }));
   make("p", name, "", "Moves a robot's base out of its own arm's way");
   const live_ = make("div", head, "dbb-live");
