@@ -302,10 +302,11 @@ def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: floa
 
 
 @compiled()
-def _measure_from(w: Any, q: Array) -> None:
-    """Restart the measurement of the period at the positions q (n_m,)."""
+def _measure_from(w: Any, q: Array, qd: Array) -> None:
+    """Restart the measurement of the period at the positions q and velocities qd (n_m,)."""
     put(w.travel[0], q)
     fill(w.travel[1], 0.0)
+    put(w.travel[2], qd)
     w.since[()] = 0.0
 
 
@@ -315,12 +316,14 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     The joint is the one with the largest displacement. If the ratio is outside of 0.1 to 10, no
     plausible period explains it: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Three
-    successive ratios that agree and are outside of 0.8 to 1.25 set the fault `period`.
+    successive ratios that agree and are outside of 0.8 to 1.25 set the fault `period`. A velocity
+    is that at a reading, or the mean since the reading before it; a ratio between the two results
+    counts as 1.
     """
     irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
     if w.known[()] == 0.0 or irregular:  # a gap, or lost readings
         w.agreed[()] = 0.0
-        _measure_from(w, q)
+        _measure_from(w, q, qd)
         return
     far, most = -1, 1.0
     w.since[()] += 1.0
@@ -333,7 +336,10 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     if far < 0 or w.since[()] < 4.0:
         return
     integral, way = w.travel[1, far], q[far] - w.travel[0, far]
+    rounding = 0.5 * steps * gains.dt * abs(qd[far] - w.travel[2, far])
     ratio = way / integral if integral != 0.0 else math.inf
+    if abs(way - integral) <= rounding:
+        ratio = 1.0
     if not 0.1 < ratio < 10.0:  # NaN too
         w.no_velocity[()] = 1.0
         ratio = 1.0
@@ -345,16 +351,16 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = ratio
-    _measure_from(w, q)
+    _measure_from(w, q, qd)
 
 
 @compiled()
-def _begin(gains: Any, w: Any, q: Array) -> None:
+def _begin(gains: Any, w: Any, q: Array, qd: Array) -> None:
     """Initialise the memory with the first valid reading."""
     put(w.q_posture, q)
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 1.0
-    _measure_from(w, q)
+    _measure_from(w, q, qd)
     for k in range(3):
         w.read_ages[k] = HISTORY * (k + 1.0)  # no earlier readings exist
 
@@ -508,7 +514,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     """Update the estimate with new readings q and qd (n_m,); unusable velocities become NaN."""
     age = int(w.age[()])
     if first:
-        _begin(gains, w, q)
+        _begin(gains, w, q, qd)
     else:
         _find_lag(w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
@@ -533,7 +539,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
         put(w.q_posture, q)
-        _measure_from(w, q)
+        _measure_from(w, q, qd)
     put_rows(w.x_est, w.x_read)
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)
