@@ -145,5 +145,6 @@ def no_motion(reference: Reference) -> MeasurementError:
                 f"reference.{name}: {worst:g} is beyond {most:g}; send metres, radians and seconds"
             )
     return MeasurementError(
-        "reference.pose: its rotation is no rotation matrix (orthogonal, with determinant 1)"
+        "reference.pose: its rotation is no rotation matrix (orthogonal, with determinant 1); "
+        "normalise a quaternion first"
     )
