@@ -419,7 +419,7 @@ def stack_tasks(robot: Any, gains: Any, w: Any, tracking: bool) -> None:
     if not tracking and w.tracking[()] != 0.0:
         forget_reference(w)
     w.tracking[()] = tracking
-    put(w.u_free, free_arm_torque(w.g, w.qd, robot.joint_damping))
+    put(w.u_free, free_arm_torque(w.g, w.qd, gains.joint_damping))
     last = w.u_free if math.isnan(w.u_a[0]) else w.u_a
     u_min, u_max = torque_range(last, robot.tau_max, gains.torque_rate * gains.dt)
     put(w.u_min, u_min)

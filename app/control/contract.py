@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
 
 import numpy as np
@@ -14,7 +14,7 @@ from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError, did_you_mean
 from app.parameters import Parameter
 from app.robot.model import RobotModel
-from app.robot.state import numbers
+from app.robot.state import numbers, velocities
 from app.strict import Array
 
 SHORTEST, LONGEST = 1e-4, 0.02  # [s] range of control periods
@@ -80,6 +80,10 @@ class JointOrder:
         Raises:
             MeasurementError: Names missing or duplicate joints.
         """
+        if isinstance(names, str) or not isinstance(names, Iterable):
+            raise MeasurementError(
+                f"joint states: the names must be a list of the driver's joints, were {names!r}"
+            )
         wanted, names = model.description.arm.joints, [str(each) for each in names]
         for fault, count in (("does not name", 0), ("names more than once", 2)):
             if wrong := [each for each in wanted if min(names.count(each), 2) == count]:
@@ -101,10 +105,9 @@ class JointOrder:
             MeasurementError: The number of values differs from the number of names.
         """
         q = numbers("joint states: position", position, self._size)
-        no_velocity = np.empty(0) if velocity is None else velocity
-        qd = numbers("joint states: velocity", no_velocity, self._size, 0)
-        places = self._places
-        return q[places], qd[places] if qd.size else np.full(len(places), np.nan)
+        return q[self._places], velocities("joint states: velocity", velocity, self._size)[
+            self._places
+        ]
 
 
 def checked_reference(reference: Reference) -> Reference:
@@ -142,5 +145,6 @@ def no_motion(reference: Reference) -> MeasurementError:
                 f"reference.{name}: {worst:g} is beyond {most:g}; send metres, radians and seconds"
             )
     return MeasurementError(
-        "reference.pose: its rotation is no rotation matrix (orthogonal, with determinant 1)"
+        "reference.pose: its rotation is no rotation matrix (orthogonal, with determinant 1); "
+        "normalise a quaternion first"
     )

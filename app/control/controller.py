@@ -144,9 +144,9 @@ class Controller:
         self._largest_command = largest_command(self._base, config.admittance)
 
     def _set_gains(self) -> None:
-        config, base = self._config, self._base
-        self._gains = gains_struct(config, base, self.name, self._dt)
-        self._slow = gains_struct(slowed(config), base, self.name, self._dt)
+        config, model = self._config, self._model
+        self._gains = gains_struct(config, model, self.name, self._dt)
+        self._slow = gains_struct(slowed(config), model, self.name, self._dt)
 
     @property
     def config(self) -> Config:

@@ -26,7 +26,9 @@ from app.compiled import compiled
 from app.control.qp import backward, forward, times
 from app.strict import Array
 
-_FEWEST = 8  # samples of the noise before the filter starts
+FEWEST = 8
+"""Samples of the noise before the filter starts."""
+_CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
 
@@ -65,8 +67,8 @@ def estimate_arm(
     """Update the estimate (x, P) by one reading of positions and velocities.
 
     After a gap, or if the arm cannot have moved to the reading, the filter restarts at the reading.
-    Until the noise has enough samples, the position and velocity are those of the reading, and the
-    external acceleration does not change.
+    Until the noise has enough samples, the position and velocity are those of the reading, and only
+    a clear change of the velocity changes the external acceleration.
 
     Args:
         x: (3, n_m) position, velocity and external acceleration at the last reading; updated.
@@ -98,11 +100,16 @@ def estimate_arm(
             last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
             last[2, i] = math.nan
     trusted = _at_least(variances, gains.least_noise, gains.velocity_noise, max(steps, 1) * dt)
-    if continued and samples[()] >= _FEWEST:
+    if continued and samples[()] >= FEWEST:
         _follow(x, P, known, q, qd, trusted, gains.external_drift, dt)
         return jumped
     for i in range(len(q)):
-        x[0, i], x[1, i] = q[i], last[0, i] if math.isnan(qd[i]) else qd[i]
+        speed = last[0, i] if math.isnan(qd[i]) else qd[i]
+        if continued:
+            gained = speed - x[1, i] - steps * dt * x[2, i] - dt * known[:, i].sum()
+            if abs(gained) > _CLEAR * qd_max[i]:
+                x[2, i] += gained / (FEWEST * steps * dt)
+        x[0, i], x[1, i] = q[i], speed
         for j in range(3):
             for k in range(3):
                 P[i, j, k] = 0.0

@@ -13,7 +13,6 @@ from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import Config
 from app.control.admittance import largest_command, response, virtual_damping, virtual_mass
-from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.structs import struct_type
 
@@ -39,7 +38,6 @@ _ROBOT: dict[str, Any] = {
     "qd_max": _VECTOR,  # (n_m,)
     "tau_max": _VECTOR,  # (n_m,) [N m, N]
     "tau_limits": _MATRIX,  # (2, n_m)
-    "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
     "R_tip": _MATRIX,  # (3, 3) rotation of the end-effector in the frame of the last joint
     "p_tip": _VECTOR,  # (3,) [m] origin of the end-effector in the frame of the last joint
     "shapes": _MATRIX,  # (P, 16) of `Shapes`
@@ -59,6 +57,7 @@ ROBOT = struct_type("_Robot", _ROBOT)
 
 _GAINS: dict[str, Any] = {
     "dt": _FLOAT,  # [s] control period
+    "joint_damping": _VECTOR,  # (n_m,) [N m s/rad, N s/m]
     "d_b": _FLOAT,
     "f_max": _FLOAT,
     "f_arm": _FLOAT,
@@ -155,12 +154,13 @@ def robot_struct(model: RobotModel, data: BorderData, smooth: SmoothPoints) -> A
     return ROBOT.made_of(_contiguous(values, _ROBOT))
 
 
-def gains_struct(config: Config, base: BaseKind, name: str, dt: float) -> Any:
+def gains_struct(config: Config, model: RobotModel, name: str, dt: float) -> Any:
     """`GAINS` of a configuration for a controller in `METHODS`; `dt` [s] is the control period."""
-    c, method = config, METHODS[name]
+    c, method, base = config, METHODS[name], model.description.base
     gain, drag = response(base, c.admittance)
     values = _Gains(
         dt=dt,
+        joint_damping=model.stable_damping(dt),
         d_b=c.border.d_b,
         f_max=c.force.f_max,
         f_arm=c.force.f_arm if method.get("reaction") else 0.0,

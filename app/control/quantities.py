@@ -110,8 +110,9 @@ read_before | | 3 n_m | rad | joints | readings | memory: positions of the last 
 read_ages | | 3 | 1 | | readings | memory: age of the last three readings in periods
 evidence | | 26 | 1 | | readings |
     memory: evidence for each lag from 0 to 24 periods, and for a longer one
-travel | | 2 n_m | rad | joints | readings |
-    memory: start positions for the measurement of the period, and the integral of the velocities
+travel | | 3 n_m | rad, rad/s | joints | readings |
+    memory: start positions for the measurement of the period, the integral of the velocities, and
+    the velocities at the start
 since | | | 1 | | readings | memory: number of readings in the integral of `travel`
 load | m | | kg | | readings |
     memory: mass at the end-effector whose weight best explains the external torques

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.estimate import advance, estimate_arm, predicted_joint_acceleration
+from app.control.estimate import FEWEST, advance, estimate_arm, predicted_joint_acceleration
 from app.control.qp import times
 from app.strict import Array
 from app.structs import fill, put, put_rows
@@ -40,7 +40,8 @@ FAULTS = {
     "lag": "the readings are older than stated: an age of up to 24 periods is compensated",
     "period": "the loop does not run at its stated period: it uses the measured period from now on",
     "localisation": "the base's pose has jumped: use a frame without jumps, such as odom",
-    "load": "a constant downward force acts on the end-effector: set `payload.mass` for a load",
+    "load": "a constant vertical force acts on the end-effector: set `payload.mass` to the mass of "
+    "the load",
 }
 """The possible faults of readings, by name, in the order of `ControlStep.faults`."""
 
@@ -302,10 +303,11 @@ def _weigh_lags(w: Any, weights: Array, measured: Array, ways: Array, size: floa
 
 
 @compiled()
-def _measure_from(w: Any, q: Array) -> None:
-    """Restart the measurement of the period at the positions q (n_m,)."""
+def _measure_from(w: Any, q: Array, qd: Array) -> None:
+    """Restart the measurement of the period at the positions q and velocities qd (n_m,)."""
     put(w.travel[0], q)
     fill(w.travel[1], 0.0)
+    put(w.travel[2], qd)
     w.since[()] = 0.0
 
 
@@ -315,12 +317,13 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
 
     The joint is the one with the largest displacement. If the ratio is outside of 0.1 to 10, no
     plausible period explains it: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Three
-    successive ratios that agree and are outside of 0.8 to 1.25 set the fault `period`.
+    successive ratios that agree and are outside of 0.8 to 1.25 set the fault `period`. A ratio
+    counts as 1 if velocities that are up to one reading old explain it.
     """
     irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
     if w.known[()] == 0.0 or irregular:  # a gap, or lost readings
         w.agreed[()] = 0.0
-        _measure_from(w, q)
+        _measure_from(w, q, qd)
         return
     far, most = -1, 1.0
     w.since[()] += 1.0
@@ -333,7 +336,10 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     if far < 0 or w.since[()] < 4.0:
         return
     integral, way = w.travel[1, far], q[far] - w.travel[0, far]
+    rounding = steps * gains.dt * abs(qd[far] - w.travel[2, far])
     ratio = way / integral if integral != 0.0 else math.inf
+    if abs(way - integral) <= rounding:
+        ratio = 1.0
     if not 0.1 < ratio < 10.0:  # NaN too
         w.no_velocity[()] = 1.0
         ratio = 1.0
@@ -345,16 +351,16 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = ratio
-    _measure_from(w, q)
+    _measure_from(w, q, qd)
 
 
 @compiled()
-def _begin(gains: Any, w: Any, q: Array) -> None:
+def _begin(gains: Any, w: Any, q: Array, qd: Array) -> None:
     """Initialise the memory with the first valid reading."""
     put(w.q_posture, q)
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
     w.ratio[()] = 1.0
-    _measure_from(w, q)
+    _measure_from(w, q, qd)
     for k in range(3):
         w.read_ages[k] = HISTORY * (k + 1.0)  # no earlier readings exist
 
@@ -391,7 +397,8 @@ def _take_base(robot: Any, gains: Any, w: Any, pose: Array, velocity: Array, fir
 def _estimate_load(gains: Any, w: Any) -> None:
     """Estimate the mass at the end-effector whose weight best explains the external torques.
 
-    The fault `load` reports a mass that appears within 0.03 s and then stays constant until 0.15 s.
+    The fault `load` reports a mass that appears within 0.03 s, or a stated mass that disappears
+    within 0.03 s, and then stays constant until 0.15 s.
     A person's force, in contrast, grows slowly and changes while the hand moves.
     """
     n_b = len(w.g) - len(w.q_m)
@@ -404,15 +411,17 @@ def _estimate_load(gains: Any, w: Any) -> None:
     if size == 0.0:
         return
     w.load[()] = -along / size / _GRAVITY
-    if not (along**2 > 0.8 * total * size and w.load[()] > _LEAST_LOAD):
+    sign = math.copysign(1.0, w.load[()])
+    if not (along**2 > 0.8 * total * size and sign * w.load[()] > _LEAST_LOAD):
         w.loaded[()], w.load_first[()] = 0.0, w.load[()]
         return
     began = w.loaded[()] > _LOAD_BEGINS
     w.loaded[()] += gains.dt
     if began:
-        changed = abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * w.load_first[()]
+        changed = abs(w.load[()] - w.load_first[()]) > _LOAD_CHANGES * abs(w.load_first[()])
     elif w.loaded[()] > _LOAD_BEGINS:
-        changed = w.load[()] < 2.0 * w.load_first[()]  # an earlier or slowly growing force
+        # An earlier or slowly growing force is a person's.
+        changed = sign * w.load[()] < 2.0 * sign * w.load_first[()]
         w.load_first[()] = w.load[()]
     else:
         changed = False
@@ -496,7 +505,8 @@ def take_readings(
         put(w.v_read, base_velocity)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
-    _estimate_load(gains, w)
+    if w.samples[()] >= FEWEST:
+        _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
     put(w.base_pose, w.pose_last)
@@ -508,7 +518,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     """Update the estimate with new readings q and qd (n_m,); unusable velocities become NaN."""
     age = int(w.age[()])
     if first:
-        _begin(gains, w, q)
+        _begin(gains, w, q, qd)
     else:
         _find_lag(w, q, age, gains)
         _find_period(w, q, qd, age + 1, gains)
@@ -533,7 +543,7 @@ def _take_new(robot: Any, gains: Any, w: Any, q: Array, qd: Array, first: bool) 
     w.faults[JUMP] = 1.0 if jumped else 0.0
     if jumped:
         put(w.q_posture, q)
-        _measure_from(w, q)
+        _measure_from(w, q, qd)
     put_rows(w.x_est, w.x_read)
     if lag > 0:
         advance(w.x_est, _recall(w, 0, min(lag, int(w.known[()]))), gains.dt)

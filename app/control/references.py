@@ -122,14 +122,18 @@ def _aim(gains: Any, w: Any, v_end: Array) -> None:
     at, v, a = _state(w.way, w.way_time[()])
     _put_moved(w.x_origin, w.x_origin.copy(), at)
     goal = pose_error(w.x_origin[3], w.x_origin[:3].T, w.x_sent[3], w.x_sent[:3].T)
-    far, rising = _largest(goal), _largest(v_end - v)
-    duration = 2.0 * max(w.sample_interval[()], gains.dt)
+    steady = 2.0 * max(w.sample_interval[()], gains.dt)
+    far, error = _largest(goal), _largest(goal - 0.5 * steady * (v + v_end))
+    needed = _STEEPEST * _largest(v_end - v) / _LEAP + math.sqrt(2.0 * _STEEPEST * error / _LEAP)
+    duration = max(steady, needed)
+    goal += (duration - steady) * v_end
     top = gains.ee_speed
-    rests = _PEAK * far > 2.0 * duration * top or _largest(v_end) > _PEAK * top
-    rests = rests or _STEEPEST * rising > duration * _LEAP or not (v_end**2).sum() > 0.0
+    rests = _PEAK * _largest(goal) > 2.0 * duration * top or _largest(v_end) > _PEAK * top
+    rests = rests or not (v_end**2).sum() > 0.0
     w.way_capped[()] = 0.0
     if rests:
-        slowest = _STEEPEST * top / _LEAP
+        goal -= (duration - steady) * v_end
+        duration, slowest = steady, _STEEPEST * top / _LEAP
         duration = max(
             duration, min(math.sqrt(6.0 * far / _LEAP), slowest), _STEEPEST * _largest(v) / _LEAP
         )

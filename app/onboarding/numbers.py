@@ -16,7 +16,7 @@ from app.jobs.pool import Workers
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Steering, Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
-from app.robot.model import RobotModel
+from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
 
 Array = np.ndarray
@@ -34,7 +34,7 @@ _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity l
 _MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N] smallest assumed effort
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] smallest effort of a strong joint
-_STABLE = 3e-3  # [s] smallest stable ratio of a joint's inertia to its damping: three steps
+_STEP = 1e-3  # [s] time step for which the damping is stable
 _SAMPLES = 400  # [-] number of random poses for gravity loads and inertias
 
 
@@ -111,18 +111,15 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     It is the damping of the paper's robot, but at most m/(3 dt), which pybullet simulates stably. m
     is the smallest inertia of the joint in random poses, with the other joints free, and dt = 1 ms.
     """
-
-    def lightness(q: Array) -> Array:
-        M = pin.crba(model.pin, model.pin.createData(), q)
-        M = np.triu(M) + np.triu(M, 1).T
-        return np.diag(np.linalg.inv(M))[3:]  # 1/m
-
-    least = 1.0 / largest_of_poses(model, lightness)
+    least = 1.0 / largest_of_poses(model, lambda q: 1.0 / model.joint_inertia(q))
     wanted = [
         _DAMPING["prismatic" if _kind(j) == "prismatic" else "strong" if e >= _STRONG else "weak"]
         for j, e in zip(arm.joints, limits.effort, strict=True)
     ]
-    return tuple(float(f"{min(d, m / _STABLE):.2g}") for d, m in zip(wanted, least, strict=True))
+    return tuple(
+        float(f"{min(d, m / (STABLE_STEPS * _STEP)):.2g}")
+        for d, m in zip(wanted, least, strict=True)
+    )
 
 
 def gravity_load(model: RobotModel) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import wraps
+from functools import cached_property, wraps
 from typing import Concatenate, Literal, ParamSpec, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -21,6 +21,7 @@ from app.robot.assets import bare_urdf
 from app.robot.description import RobotDescription
 
 Array = np.ndarray
+STABLE_STEPS = 3.0  # [-] smallest stable ratio of a joint's inertia to its damping, in time steps
 Options = ParamSpec("Options")
 Result = TypeVar("Result")
 
@@ -117,6 +118,25 @@ class RobotModel:
         signs = self._wheel_signs
         pairs = zip(self.description.base.wheels, angles, strict=True)
         return {name: signs[name] * float(a) for wheels, a in pairs for name in wheels.joints}
+
+    def joint_inertia(self, q: Array) -> Array:
+        """(n_m,) [kg m² or kg] inertia of each joint, with all others and the base free, at
+        pinocchio's configuration q.
+        """
+        M = pin.crba(self.pin, self.pin.createData(), q)
+        M = np.triu(M) + np.triu(M, 1).T
+        return 1.0 / np.diag(np.linalg.inv(M))[3:]
+
+    def stable_damping(self, dt: float) -> Array:
+        """(n_m,) [N m s/rad or N s/m] `joint_damping`, but at most m/(3 dt), which is stable in
+        steps of dt [s]; m is the inertia of the joint in the ready pose.
+        """
+        return np.minimum(self.joint_damping, self._ready_inertia / (STABLE_STEPS * dt))
+
+    @cached_property
+    def _ready_inertia(self) -> Array:
+        ready = np.array(self.description.arm.ready_position)
+        return self.joint_inertia(self.configuration((0.0, 0.0, 0.0), ready))
 
     def p_base(self) -> Array:
         """(3,) [m] position of the arm's mount in the base's frame: p_base of (9)."""

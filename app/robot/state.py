@@ -31,11 +31,12 @@ class Measurement(NamedTuple):
     base_pose: Array
     """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
     base_velocity: Array
-    """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base."""
+    """(n_b,) [m/s or rad/s] velocity along the base's axes: v and ω for a differential base; NaN or
+    None if it is not measured."""
     q_m: Array
     """(n_m,) [rad or m] the arm's joint positions."""
     qd_m: Array
-    """(n_m,) [rad/s or m/s] the arm's joint velocities."""
+    """(n_m,) [rad/s or m/s] the arm's joint velocities; NaN or None if they are not measured."""
     drive: Array = np.zeros(0)
     """(n_d,) further states of the base's drive, such as a steering angle [rad]; the default is the
     state at rest."""
@@ -57,6 +58,16 @@ def numbers(name: str, values: Any, *sizes: int) -> Array:
     return found
 
 
+def velocities(name: str, values: Any, size: int) -> Array:
+    """`numbers` of velocities; None or no values become NaN.
+
+    Raises:
+        MeasurementError: They are no real numbers, or not as many as `size`.
+    """
+    found = numbers(name, () if values is None else values, size, 0)
+    return found if found.size == size else np.full(size, np.nan)
+
+
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """The measurement with arrays of floats.
 
@@ -75,14 +86,12 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         floats = pose.dtype is v.dtype is q.dtype is qd.dtype is drive.dtype is _FLOAT
         if floats and shapes in model.reading_shapes:
             return measurement
-    fields = zip(
-        Measurement._fields, measurement, zip(*model.reading_shapes, strict=True), strict=True
-    )
     return Measurement(
-        *[
-            numbers(f"measurement.{name}", each, *dict.fromkeys(size for (size,) in shapes))
-            for name, each, shapes in fields
-        ]
+        numbers("measurement.base_pose", pose, 3),
+        velocities("measurement.base_velocity", v, model.n_b),
+        numbers("measurement.q_m", q, model.n_m),
+        velocities("measurement.qd_m", qd, model.n_m),
+        numbers("measurement.drive", drive, *dict.fromkeys((model.n_d, 0))),
     )
 
 
