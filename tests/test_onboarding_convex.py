@@ -188,7 +188,7 @@ def test_pieces_of_a_mesh_fill_little_more_than_the_mesh() -> None:
     whole, solid = hull_volume(tower.vertices), sum(box.volume for box in boxes)
     pieces = convex_pieces(tower)
     assert whole > 2.0 * solid
-    assert sum(hull_volume(piece.vertices) for piece in pieces) < 1.2 * solid
+    assert sum(hull_volume(piece.vertices) for piece in pieces) < 1.4 * solid
     assert sum(piece.area for piece in pieces) == pytest.approx(tower.area)
     assert len(convex_pieces(boxes[0])) == 1
 
