@@ -23,7 +23,7 @@ ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points
 on a capsule do not jump."""
 _MOST = 4  # [-] largest number of shapes of a body
-_SAVES = 0.015  # [-] number of contacts per free pose that one more shape of l_m saves, at least
+_SAVES = 0.03  # [-] number of contacts per free pose that one more shape of l_m saves, at least
 _LEFT = 0.85  # [-] largest volume of an arm's body that one more shape leaves
 _SPOT = 1e-6  # [m³] volume below which points need no body
 
