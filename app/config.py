@@ -34,7 +34,7 @@ FORMER_NAMES = {
 class BorderConfig(Strict):
     """§2.2: the distance buffer border."""
 
-    d_b: Annotated[float, Shown("Buffer distance d_b")] = Field(default=0.15, ge=0.06, le=0.30)
+    d_b: Annotated[float, Shown("Buffer distance d_b")] = Field(default=0.15, ge=0.05, le=0.30)
     """[m] buffer distance."""
     eps: Annotated[float, Shown("Border tolerance ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] ε of (3): tolerance of the distance of border points from d_b."""

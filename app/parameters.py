@@ -46,7 +46,7 @@ class Parameter(_Tuned):
 
     @property
     def allowed(self) -> str:
-        """The range, such as `0.06 to 0.3 m`."""
+        """The range, such as `0.05 to 0.3 m`."""
         return f"{self.low:.15g} to {self.high:.15g} {self.unit}".removesuffix(" -")
 
     @property

@@ -7,16 +7,18 @@ import sys
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from scipy.spatial import ConvexHull
 
 from app.onboarding.fit import bodies
 from app.onboarding.fit.bodies import swept
 from app.onboarding.fit.convex import (
-    Fit,
+    convex_pieces,
     fit_best,
     fit_box,
     fit_capsule,
     fit_hull,
+    hull,
     hull_corners,
     hull_volume,
     lean_corners,
@@ -154,20 +156,41 @@ def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between()
             assert (seen @ planes[:, :3].T + planes[:, 3]).max() < 1e-6
 
 
-def test_two_parts_of_a_base_are_fitted_together_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each merge fitted all pairs anew: Centauro's 25 parts took more than a minute."""
+def test_parts_of_a_base_are_merged_where_this_adds_the_least_volume(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No hull is computed twice: Centauro's 25 parts took more than a minute."""
     seen: list[bytes] = []
 
-    def counted(points: np.ndarray, weights: dict[str, float]) -> Fit:
-        if len(weights) == 1:
-            seen.append(points.tobytes())
-        return fit_best(points, weights)
+    def counted(points: np.ndarray) -> tuple[np.ndarray, float]:
+        seen.append(points.tobytes())
+        return hull(points)
 
-    monkeypatch.setattr(bodies, "fit_best", counted)
+    monkeypatch.setattr(bodies, "hull", counted)
     rng = np.random.default_rng(0)
-    parts = [rng.uniform(-0.1, 0.1, (20, 3)) + rng.uniform(-1.0, 1.0, 3) for _ in range(7)]
-    assert len(bodies._merged(parts)) == 4
-    assert len(seen) == len(set(seen)) == 21 + 5 + 4 + 3
+    places = np.repeat([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 3.0, 3.0]], [3, 2, 2], axis=0)
+    parts = [rng.uniform(-0.1, 0.1, (20, 3)) + place for place in places]
+    divisions = bodies._divided(parts)
+    assert [len(groups) for groups in divisions] == [1, 2, 3, 4]
+    centres = [points.mean(axis=0) for points in divisions[2]]
+    for place in np.unique(places, axis=0):
+        assert min(np.abs(centre - place).max() for centre in centres) < 0.1
+    assert len(seen) == len(set(seen)) == 7 + 21 + 5 + 4 + 3 + 2 + 1
+
+
+def test_pieces_of_a_mesh_fill_little_more_than_the_mesh() -> None:
+    """A hull around three posts on a plate contains the space between the posts."""
+    boxes = [trimesh.creation.box((0.3, 0.3, 0.1))]
+    for x, y in ((-0.13, -0.13), (0.13, -0.13), (0.0, 0.13)):
+        post = trimesh.creation.box((0.02, 0.02, 0.4))
+        boxes.append(post.apply_translation((x, y, 0.25)))
+    tower = trimesh.util.concatenate(boxes)
+    whole, solid = hull_volume(tower.vertices), sum(box.volume for box in boxes)
+    pieces = convex_pieces(tower)
+    assert whole > 2.0 * solid
+    assert sum(hull_volume(piece.vertices) for piece in pieces) < 1.4 * solid
+    assert sum(piece.area for piece in pieces) == pytest.approx(tower.area)
+    assert len(convex_pieces(boxes[0])) == 1
 
 
 def test_a_hull_has_its_volume_inside_and_a_plate_needs_no_other_library(

@@ -463,6 +463,30 @@ def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
         )
 
 
+def test_materials_of_one_name_keep_their_colours(tmp_path: Path) -> None:
+    """Two files have a material `grey` each, and their links refer to it by its name."""
+
+    def painted(parts: list[str], link: str, rgba: str) -> str:
+        visual = f'<visual><geometry>{BOX}</geometry><material name="grey"/></visual>'
+        text = robot([*parts, f'<material name="grey"><color rgba="{rgba}"/></material>'])
+        return text.replace(f'<link name="{link}">', f'<link name="{link}">{visual}')
+
+    alone = [part for part in arm() if 'name="mount"' not in part]
+    base = write(tmp_path, painted(cart(), "base", "0.2 0.2 0.2 1"), "cart.urdf")
+    arm_urdf = str(write(tmp_path, painted(alone, "hand", "0.7 0.7 0.7 1"), "arm.urdf"))
+    asked = Request(str(base), "base", "hand", tmp_path / "made", arm_urdf=arm_urdf)
+    written = ElementTree.fromstring(rebased_urdf(parse(asked), name="toy", header=""))
+    assert written.find("material") is None
+    colours = {
+        link.get("name"): colour.get("rgba")
+        for link in written.iterfind("link")
+        for colour in link.iterfind("visual/material/color")
+    }
+    assert colours == {"base": "0.2 0.2 0.2 1", "hand": "0.7 0.7 0.7 1"}
+    names = [each.get("name") for each in written.iter("material")]
+    assert len(set(names)) == 2
+
+
 def test_names_of_an_arm_are_distinct_from_all_others(tmp_path: Path) -> None:
     """Also with a name that has the prefix already, and with a joint of our own joint's name."""
     plate = [link("plate"), joint("arm_on_base", "fixed", "base", "plate")]

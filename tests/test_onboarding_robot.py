@@ -39,7 +39,7 @@ from app.onboarding.check import (
 )
 from app.onboarding.fit import grouping, stops
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import Meetings, Poses, sample_meetings
+from app.onboarding.fit.collision_sampling import Meetings, Poses, _close_pairs, sample_meetings
 from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
 from app.onboarding.fit.stops import with_stops
@@ -368,7 +368,7 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
         few_samples(tmp_path),
         pytest.raises(RobotFileError, match=r"l1-lEE do not enclose .*--bodies other than"),
     ):
-        new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("too late"), ALONE)
+        finish(request)
 
 
 @pytest.mark.parametrize(
@@ -672,7 +672,10 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
     monkeypatch.setattr(stops, "MARGIN", 1.0)  # as of a UR's upper arm, 12 mm beside its foot
     beside = with_stops(parsed.limits, bare, parsed.arm, meetings)
     assert limits.lower[k] < beside.lower[k] < beside.upper[k] < limits.upper[k]
-    bodies = [fit_base(units), *ArmFitter(bare, meetings).bodies([[1, 2, 3], [4], [5, 6, 7]])]
+    bodies = [
+        fit_base(bare, meetings),
+        *ArmFitter(bare, meetings).bodies([[1, 2, 3], [4], [5, 6, 7]]),
+    ]
     free, stopped = (
         compiled(description(request, each, bodies), path)
         for each in (parsed, replace(parsed, limits=limits))
@@ -683,6 +686,14 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(
     ready[k] = 2.4
     with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
+    assert stops.watching_buffer(limits, meetings, 0.15) == (0.15, "")
+    monkeypatch.setattr(stops, "_LEAST", 1.0)  # no limit may take any of a joint's range
+    assert with_stops(parsed.limits, bare, parsed.arm, meetings) is parsed.limits
+    smaller, why = stops.watching_buffer(parsed.limits, meetings, 0.15)
+    assert "upper is nearer than 0.15 m to base" in why
+    pair = (base.index, upper.index)
+    for d_b, close in ((smaller, False), (smaller + 0.02, True)):
+        assert (pair in _close_pairs(meetings.random.distances, meetings.pairs, d_b)) == close
 
 
 def test_what_a_fixed_part_meets_is_seen_where_bodies_of_a_watched_pair_meet() -> None:

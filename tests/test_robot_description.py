@@ -104,7 +104,7 @@ REFUSED = {
     ),
     "parameter out of range": (
         lambda d: d.update(config={"border": {"d_b": 0.5}}),
-        ["config.border.d_b: must be within 0.06 to 0.3 m (was 0.5)"],
+        ["config.border.d_b: must be within 0.05 to 0.3 m (was 0.5)"],
     ),
     "no such parameter": (
         lambda d: d.update(config={"border": {"d_bb": 0.1}}),

@@ -473,7 +473,7 @@ def test_a_file_is_read_in_a_thread_that_serves_nobody(desk):
     [
         (b"#" * (MAX_BYTES + 1), "at most 65536"),
         (b"\xff\xff", "UTF-8"),
-        (b"[border]\nd_b = 1", "border.d_b: must be within 0.06 to 0.3 m"),
+        (b"[border]\nd_b = 1", "border.d_b: must be within 0.05 to 0.3 m"),
         (b"[border]\nd_bb = 1", "did you mean 'd_b'"),
     ],
 )

@@ -66,7 +66,7 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
         second.page.keyboard.type(wrong)
         second.page.keyboard.press("Tab")
         named = f"“{wrong}”" if wrong else "nothing"
-        range_ = "needs a number from 0.06 to 0.3"
+        range_ = "needs a number from 0.05 to 0.3"
         line = f"Buffer distance d_b [m] {range_}, not {named}; the value stays 0.225."
         wait_for(lambda line=line: said[-1:] == [line], what=line)
         assert box(second, "Buffer distance d_b [m]").input_value() == "0.225"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import print_json, print_table, say, show
+from app.cli.common import print_json, say, show
 from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
 from app.errors import DbbError
@@ -97,14 +97,16 @@ def check_robot(
     from app.onboarding import check
 
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
-    rows = list(check.check_robot(description, runs=runs, tell=say, **coarse))
+    rows = []
+    for row in check.check_robot(description, runs=runs, tell=say, **coarse):
+        rows.append(row)
+        if not json:  # at once, so that an interrupted check has shown its results
+            show(f"{_MARKS[row.outcome]} {row.name:16} {row.outcome}: {row.text}")
+            sys.stdout.flush()
     failed = any(row.outcome == "failed" for row in rows)
     if json:
         checks = [row._asdict() for row in rows]
         print_json({"robot": name, "passed": not failed, "checks": checks})
-    else:
-        table = [(_MARKS[row.outcome], row.name, f"{row.outcome}: {row.text}") for row in rows]
-        print_table(("", "check", "result"), table, description.title)
     if failed:
         sys.exit(1)
 
@@ -130,16 +132,16 @@ def new_robot(
     asked = Request(**request)
     check_request(asked)
     # Imported here: the import would delay the start of every other command.
-    from app.onboarding.read.source import locate
+    from app.onboarding.whole import whole_robot
 
-    for source in filter(None, (asked.urdf, asked.arm_urdf)):
-        locate(source)  # reports missing files before a process starts
     begin = perf_counter()
-    with helpers() as workers, ExitStack() as step:
-        # Imported here: matplotlib, scipy and trimesh would delay the start of every other command.
-        from app.border.config import QUICK
-        from app.onboarding.new_robot import finish
+    zipped = asked.urdf.lower().endswith(".zip")
+    whole = None if zipped else whole_robot(asked)  # refuses a wrong file before slow imports
+    # Imported here: matplotlib, scipy and trimesh would delay a refusal.
+    from app.border.config import QUICK
+    from app.onboarding.new_robot import finish
 
+    with ExitStack() as step:
         share: Callable[[float], None] = lambda _: None  # noqa: E731
 
         def tell(text: str) -> None:
@@ -150,7 +152,8 @@ def new_robot(
 
         robot, data = finish(
             asked,
-            workers,
+            helpers,
+            whole=whole,
             tell=tell,
             sampling=QUICK if quick else None,
             on_progress=lambda part: share(part),
@@ -200,7 +203,7 @@ def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
     return {
         "robot": robot.request.name,
         "folder": str(robot.request.out),
-        "buffer_distance_m": robot.request.d_b,
+        "buffer_distance_m": robot.request.buffer,
         "arm_joints": len(robot.parsed.arm.joints),
         "base": base["kind"],
         **{key: base[key] for key in _GEOMETRY if key in base},

@@ -191,16 +191,15 @@ def build_robot(report: Report, request: Request) -> None:
         text = step
         report(text, -1.0)
 
-    with helpers(_CORES) as workers:
-        from app.onboarding.new_robot import finish
+    from app.onboarding.new_robot import finish
 
-        finish(
-            request,
-            workers,
-            tell=say,
-            processes=_CORES,
-            on_progress=lambda share: report(text, share),
-        )
+    finish(
+        request,
+        lambda: helpers(_CORES),
+        tell=say,
+        processes=_CORES,
+        on_progress=lambda share: report(text, share),
+    )
 
 
 def write_report(report: Report, log: Path, page: Path) -> None:

@@ -16,8 +16,7 @@ def helpers(processes: int | None = None) -> Workers:
     """Worker processes for `app.onboarding.new_robot.finish`.
 
     Their number is `processes`, or that of the usable cores, but not more than one for each side.
-    The workers import that module when the `with` statement begins, which takes seconds. Enter the
-    `with` statement before this process imports the module.
+    The workers import that module when the `with` statement begins, which takes seconds.
     """
     prepare = partial(import_module, "app.onboarding.new_robot")
     return Workers(prepare, min(processes or usable_cores(), len(SIDES)))

@@ -34,13 +34,8 @@ def with_arm(tree: Tree, arm: Tree, base: str, tip: str, T: pin.SE3) -> tuple[Tr
     )
     arm = _renamed(arm, links, joints)
     joint = Joint(ARM_ON_BASE, "fixed", base, arm.root, T)
-    known = {material.get("name") for material in tree.materials}
-    more = (material for material in arm.materials if material.get("name") not in known)
-    return Tree(
-        tree.links | arm.links,
-        tree.joints | arm.joints | {ARM_ON_BASE: joint},
-        (*tree.materials, *more),
-    ), links.get(tip, tip)
+    joints_of_both = tree.joints | arm.joints | {ARM_ON_BASE: joint}
+    return Tree(tree.links | arm.links, joints_of_both), links.get(tip, tip)
 
 
 def with_distinct_names(tree: Tree) -> tuple[Tree, dict[str, str]]:

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
-from app.errors import DbbError, RobotFileError
+from app.errors import RobotFileError
 from app.jobs.bounded import BudgetError, within_budget
 from app.jobs.pool import ALONE, Workers
 from app.jobs.progress import OnProgress
 from app.onboarding import SIDES
-from app.onboarding.compose import with_arm, with_distinct_names
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import (
@@ -31,7 +28,7 @@ from app.onboarding.fit.postures import (
     judge_ready,
     line_from,
 )
-from app.onboarding.fit.stops import with_stops
+from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import make_units
 from app.onboarding.numbers import (
@@ -45,16 +42,15 @@ from app.onboarding.numbers import (
 )
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
-from app.onboarding.read.source import locate, read_robot
-from app.onboarding.read.telescope import as_one_slide
-from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
+from app.onboarding.read.source import locate
+from app.onboarding.read.tree import Arm, find_arm
 from app.onboarding.read.wheels import (
     find_drive,
     stands_on_floor,
     with_rigid_suspensions,
 )
 from app.onboarding.record import NewRobot, Parsed
-from app.onboarding.request import Request, named, package_folders
+from app.onboarding.request import Request
 from app.onboarding.warn import (
     borne_push,
     carried_hand,
@@ -62,6 +58,7 @@ from app.onboarding.warn import (
     push_warning,
     warnings_of,
 )
+from app.onboarding.whole import Whole, one_message, whole_robot
 from app.onboarding.write import (
     compiled,
     description,
@@ -72,8 +69,6 @@ from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
 
-_log = logging.getLogger(__name__)
-
 MEETING_SAMPLES = 6000
 """[-] smallest number of random poses in which the distances between hulls are computed."""
 _MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random poses
@@ -82,8 +77,9 @@ _URDF = "robot.urdf"  # name of the new URDF in the robot's folder
 
 def finish(
     request: Request,
-    workers: Workers = ALONE,
+    helpers: Callable[[], AbstractContextManager[Workers]] = lambda: nullcontext(ALONE),
     *,
+    whole: Whole | None = None,
     tell: Callable[[str], None] = lambda _: None,
     processes: int | None = None,
     sampling: SamplingConfig | None = None,
@@ -91,11 +87,12 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, and write the complete folder or nothing.
 
-    `workers` do all parallel work except sampling the border. The border is sampled by `processes`,
-    by default one for each usable core; with `sampling`, the parameters of a coarse border, this
-    process samples it alone, because starting others would take longer. `tell` is called with the
-    name of each step, and `on_progress` with the finished share, 0 to 1, of a long step: bodies,
-    border, lines.
+    `helpers` starts workers after the meshes are read; they do all parallel work except sampling
+    the border. The border is sampled by `processes`, by default one for each usable core; with
+    `sampling`, the parameters of a coarse border, this process samples it alone, because starting
+    others would take longer. `whole` is the result of `whole_robot`; it is read if it is None.
+    `tell` is called with the name of each step, and `on_progress` with the finished share, 0 to 1,
+    of a long step: bodies, border, lines.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library refuses it.
@@ -111,7 +108,11 @@ def finish(
         doing = what
         tell(what)
 
-    with whole_folder(request.out) as folder, _one_message(lambda: doing):
+    with (
+        whole_folder(request.out) as folder,
+        one_message(lambda: doing),
+        ExitStack() as started,
+    ):
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
             path = open_package(locate(request.urdf), folder, request.file)
@@ -124,8 +125,11 @@ def finish(
             progress=False,
             on_progress=on_progress,
         )
+        say("reading the URDF")
+        parsed, urdf = _read_whole(request, whole or whole_robot(request), folder)
+        workers = started.enter_context(helpers())
         robot, data = make_robot(
-            request, folder, border, workers, tell=say, on_progress=on_progress
+            request, parsed, urdf, folder, border, workers, tell=say, on_progress=on_progress
         )
         say("searching lines for guiding")
         lines = _lines(robot, data, workers, on_progress)
@@ -142,22 +146,6 @@ def finish(
     return robot, data
 
 
-@contextmanager
-def _one_message(doing: Callable[[], str]) -> Iterator[None]:
-    """Convert any exception of a library to a `RobotFileError` of one line that names the step."""
-    try:
-        yield
-    except DbbError:
-        raise
-    except Exception as error:  # pinocchio, coal, qhull, trimesh: without a common base class
-        _log.debug("%s", doing(), exc_info=True)
-        why = " ".join(str(error).split())[:300] or "no reason stated"
-        raise RobotFileError(
-            f"{doing()}: a library cannot read this robot: {type(error).__name__}: {why}; check "
-            "the file with check_urdf; if it is valid, report this error together with the URDF"
-        ) from error
-
-
 _UNWATCHED = {
     True: "chosen: some of its links are nearer than d_b by design",
     False: "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions",
@@ -167,6 +155,8 @@ _UNWATCHED = {
 
 def make_robot(
     request: Request,
+    parsed: Parsed,
+    urdf: str,
     folder: Path,
     border: Callable[[RobotModel], BorderData],
     workers: Workers,
@@ -176,25 +166,18 @@ def make_robot(
 ) -> tuple[NewRobot, BorderData]:
     """Create a robot and its border, without lines for guiding and warnings, which `finish` adds.
 
-    The new URDF and converted meshes are written into `folder`. `border` returns the pairs and the
+    The new URDF, with the text `urdf`, is written into `folder`. `border` returns the pairs and the
     clouds of border points of a model. `workers` compute random poses and reachability maps.
 
     Raises:
         DbbError: As in `finish`, except `OutputError` for an existing folder.
     """
-    tell("reading the URDF")
-    whole = _whole_robot(request)
-    size = mesh_bytes(whole.tree.links.values())
-    try:
-        parsed, urdf = within_budget(_read, request, whole, folder, size=size)
-    except BudgetError as error:
-        raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
     path = folder / _URDF
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
     fitted = _embodied(request, parsed, bare, path, workers, tell, on_progress)
-    parsed, model, meetings, (bodies, verdict), unwatched, unseen = fitted
+    request, parsed, model, meetings, (bodies, verdict), unwatched, unseen = fitted
     counted = find_reach(model, workers)
     tell("sampling the border")
     data = border(model)
@@ -244,8 +227,9 @@ def _with_lines(
 
 
 class _Embodied(NamedTuple):
-    """A robot with its bodies and the limits that these need."""
+    """A robot with its bodies, and the buffer distance and the limits that these need."""
 
+    request: Request
     parsed: Parsed
     model: RobotModel
     meetings: Meetings
@@ -284,23 +268,29 @@ def _embodied(
             units,
             samples=MEETING_SAMPLES,
             seed=request.seed + len(found),
-            d_b=request.d_b,
+            d_b=request.buffer,
             enough=ENOUGH,
             workers=workers,
         )
+        limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
+        d_b, why = watching_buffer(limits, meetings, request.buffer)
+        if why and request.d_b is None:
+            request = replace(request, d_b=d_b)
+            said = f"the buffer distance is {request.d_b:g} m, because {why} (--buffer-distance)"
+            parsed = replace(parsed, changes=(*parsed.changes, said))
+            continue
         tell("fitting bodies")
         grouping = find_grouping(
-            bare, meetings, d_b=request.d_b, count=request.bodies, on_progress=on_progress
+            bare, meetings, d_b=request.buffer, count=request.bodies, on_progress=on_progress
         )
-        limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
         limited = replace(parsed, limits=limits)
         unwatched = {
             name: _UNWATCHED[by_links] for name, by_links in grouping.verdict.unwatched.items()
         }
         content = description(request, limited, grouping.bodies, unwatched=unwatched)
         model = compiled(content, path)
-        unseen = unseen_collisions(model, geometry, request.d_b, workers)
-        found.append(_Embodied(limited, model, meetings, grouping, unwatched, unseen))
+        unseen = unseen_collisions(model, geometry, request.buffer, workers)
+        found.append(_Embodied(request, limited, model, meetings, grouping, unwatched, unseen))
     best = min(found, key=lambda each: (len(each.unseen.blind), each.unseen.unseen))
     if best.unseen.blind:
         raise RobotFileError(
@@ -334,10 +324,19 @@ def parse(request: Request) -> Parsed:
             that helps.
         AssetError: A package is not installed.
     """
-    return _parsed(request, _whole_robot(request))
+    return _parsed(request, whole_robot(request))
 
 
-def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
+def _read_whole(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
+    """The result of `_read` within the budget of time and memory for the robot's meshes."""
+    size = mesh_bytes(whole.tree.links.values())
+    try:
+        return within_budget(_read, request, whole, folder, size=size)
+    except BudgetError as error:
+        raise RobotFileError(f"{request.shown_source}: its meshes: {error}") from None
+
+
+def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
     """The checked robot and the text of its new URDF; some meshes are converted into `folder`."""
     parsed = _parsed(request, whole)
     header = (
@@ -346,7 +345,7 @@ def _read(request: Request, whole: _Whole, folder: Path) -> tuple[Parsed, str]:
     return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
 
 
-def _parsed(request: Request, whole: _Whole) -> Parsed:
+def _parsed(request: Request, whole: Whole) -> Parsed:
     tree, base, tip, mount, changes = whole
     arm = find_arm(tree, base, tip, mount)
     limits = read_limits(arm)
@@ -382,38 +381,3 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
             raise RobotFileError(
                 f"--ready: {joint.name} at {q:g} is outside of its limits, {low:g} to {high:g}"
             )
-
-
-class _Whole(NamedTuple):
-    """A robot with its arm, before the shapes are read."""
-
-    tree: Tree
-    base: str
-    """The link of --base."""
-    tip: str
-    """The link of --tip."""
-    mount: str | None
-    """The link of --mount, or None."""
-    changes: tuple[str, ...]
-    """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
-
-
-def _whole_robot(request: Request) -> _Whole:
-    """Read the robot from one or two files, with distinct names and one joint per telescope."""
-    packages = package_folders(request.package)
-    arguments = named("--xacro", request.xacro, "VALUE")
-    trees, said = [], []
-    for file in filter(None, (request.urdf, request.arm_urdf)):
-        robot, left_out = read_robot(locate(file), packages, **arguments)
-        trees.append(make_tree(robot))
-        said += left_out
-    tree, *arms = trees
-    tip = request.tip
-    for arm in arms:
-        T = pin.SE3(pin.rpy.rpyToMatrix(*request.mount_rpy), np.array(request.mount_xyz))
-        tree, tip = with_arm(tree, arm, request.base, arm.link(tip, "--tip"), T)
-    tree, names = with_distinct_names(tree)
-    base, tip = (names.get(name, name) for name in (request.base, tip))
-    tree, joined = as_one_slide(tree, base, tip)
-    mount = request.mount and names.get(request.mount, request.mount)
-    return _Whole(tree, base, tip, mount, (*said, *joined))

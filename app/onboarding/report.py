@@ -134,7 +134,7 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
         for pair in each
     ]
     return Grid(
-        ("pair", "set", "overlap", "smallest distance [m]", f"within {robot.request.d_b:g} m"),
+        ("pair", "set", "overlap", "smallest distance [m]", f"within {robot.request.buffer:g} m"),
         rows,
     )
 
@@ -228,7 +228,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
 
     The heights are half the height of l_m, and d_b / 2 above its top.
     """
-    model, d_b = robot.model, robot.request.d_b
+    model, d_b = robot.model, robot.request.buffer
     eps = model.description.config.border.eps
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
     if not clouds:

@@ -70,8 +70,9 @@ class Request:
     """Licences of the files that the URDF refers to."""
     seed: int = 0
     """Seed of all random poses."""
-    d_b: float = Config().border.d_b
-    """[m] buffer distance d_b of this robot; the bodies and the ready pose depend on it."""
+    d_b: float | None = None
+    """[m] buffer distance d_b of this robot; the bodies and the ready pose depend on it. Default:
+    0.15, or less if the links of a pair are always nearer and no joint limit separates them."""
     file: str | None = None
     """Path of the URDF within the zip, if the zip contains several."""
     source: str | None = None
@@ -81,6 +82,11 @@ class Request:
     and above the URDF, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and among installed packages."""
     xacro: tuple[str, ...] = ()
     """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
+
+    @property
+    def buffer(self) -> float:
+        """[m] the buffer distance: `d_b`, or that of the paper if `d_b` is None."""
+        return Config().border.d_b if self.d_b is None else self.d_b
 
     @property
     def shown_source(self) -> str:
@@ -138,7 +144,7 @@ def check_request(request: Request) -> None:
         ConfigError: An option is wrong; the message names the option and the valid values.
     """
     known = parameter("border.d_b")
-    check_range("--buffer-distance", request.d_b, known.low, known.high, known.unit)
+    check_range("--buffer-distance", request.buffer, known.low, known.high, known.unit)
     check_range("--seed", request.seed, 0, MAX_SEEDS)
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
         for coordinate in getattr(request, field):

@@ -86,7 +86,7 @@ def _places(robot: NewRobot) -> Iterator[str]:
 
 
 def _poses(robot: NewRobot) -> Iterator[str]:
-    d_b, ready, near = robot.request.d_b, robot.ready, robot.verdict.near
+    d_b, ready, near = robot.request.buffer, robot.ready, robot.verdict.near
     if ready.clearance < 0:
         yield (
             f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "

@@ -31,7 +31,7 @@ from app.robot.assets import followed
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
-from app.robot.urdf import mesh_path, rgba
+from app.robot.urdf import mesh_path
 from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
 
@@ -208,7 +208,6 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
     robot.append(ElementTree.Comment(f" {header.replace('--', '- -')} "))
-    robot.extend(_colour_only(each) for each in tree.materials if rgba(each) is not None)
     _add_inertial(SubElement(robot, "link", name=ROOT), pin.Inertia.Zero())
     root = Joint(f"{ROOT}_joint", "fixed", ROOT, base, parsed.wheels.T_base_floor.inverse())
     below = [tree.joint_of[link] for link in tree.below(base) if link != base]
@@ -257,21 +256,12 @@ def _link(
         source = "visual" if tag == "collision" and geometry.seen_only else tag
         for each in old.findall(source):
             part = SubElement(link, tag)
-            found = (each.find(name) for name in ("origin", "geometry"))
+            names = ("origin", "geometry", "material")[: 3 if tag == "visual" else 2]
+            found = (each.find(name) for name in names)
             part.extend(deepcopy(own) for own in found if own is not None)
             for mesh in part.iter("mesh"):
                 mesh.set("filename", mesh_name(str(mesh.get("filename")), home, where))
-            if tag == "visual" and (material := each.find("material")) is not None:
-                part.append(_colour_only(material))
     return link
-
-
-def _colour_only(material: Element) -> Element:
-    """A material with its name and colour, without a texture: textures are never drawn."""
-    kept = Element("material", name=material.get("name") or "unnamed")
-    if (colour := rgba(material)) is not None:
-        SubElement(kept, "color", rgba=_words(np.array(colour)))
-    return kept
 
 
 def _joint(joint: Joint, rest: Mapping[str, float]) -> Element:
@@ -370,7 +360,7 @@ def description(
         "arm": with_source(chain, {**hand, **limits.numbers, **moving[1]}),
         "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
         "reachability": {},
-        "config": Config().replace("border.d_b", request.d_b).model_dump(exclude_defaults=True),
+        "config": Config().replace("border.d_b", request.buffer).model_dump(exclude_defaults=True),
         "unwatched": dict(unwatched),
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -11,22 +11,21 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import Meetings
+from app.onboarding.fit.collision_sampling import ENOUGH, Meetings
 from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume, lean_corners
-from app.onboarding.fit.units import Unit, moved
+from app.onboarding.fit.units import Unit, hulls, moved, shape_distances
 from app.robot.model import RobotModel, kept_per_model
+from app.robot.shapes import Hull
 
 Array = np.ndarray
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points
 on a capsule do not jump."""
-BASE_WEIGHTS = {"box": 1.0, "hull": 1.3}
-"""[-] weights of volumes for the base."""
-_ONE_BOX = 1.6  # [-] largest volume of a single shape relative to the volume of its hulls
-_WORTH = 0.75  # [-] largest volume of several shapes relative to the volume of a single one
+_MOST = 4  # [-] largest number of shapes of a body
+_SAVES = 0.03  # [-] contacts per free pose that one more shape of l_m has to save
+_LEFT = 0.85  # [-] largest volume of an arm's body that one more shape leaves
 _SPOT = 1e-6  # [m³] smallest swept volume of points around which a body is fitted
-_MERGE = 1.15  # [-] largest growth of the volume when two of at most four shapes are merged
 
 
 class FittedBody(NamedTuple):
@@ -47,53 +46,79 @@ class FittedBody(NamedTuple):
     """For a link of this body, the links of bodies nearer to the base that are nested with it."""
 
 
-def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
+def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """The body l_m around the units with the indices `mobile`: the base, and possibly a mast.
+
+    There are only as many shapes, and as many polytopes instead of boxes, as save contacts of l_m
+    in poses in which no links touch.
 
     Raises:
         RobotFileError: The base has no shapes.
     """
-    base = units[0]
+    units, base = meetings.units, meetings.units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
     if not corners:
         raise RobotFileError(
             "--base: no link of the base has a shape; add a <collision>, or choose another --base"
         )
-    everything = np.vstack(corners)
-    fits = _split(fit_best(everything, BASE_WEIGHTS), corners)
+    tried = [
+        [fit_best(points, {kind: 1.0}) for points in groups]
+        for groups in _divided(corners)
+        for kind in ("box", "hull")
+    ]
+    costs = [
+        touched + _SAVES * sum(1 + isinstance(fit.shape, Hull) for fit in fits)
+        for fits, touched in zip(tried, _touched(model, meetings, mobile, tried), strict=True)
+    ]
+    fits = tried[int(np.argmin(costs))]
     links = tuple(link for k in mobile for link in units[k].links)
-    return FittedBody("lm", base.frame, links, mobile, fits, everything)
+    return FittedBody("lm", base.frame, links, mobile, tuple(fits), np.vstack(corners))
 
 
-def _split(one: Fit, corners: Sequence[Array]) -> tuple[Fit, ...]:
-    """The shape `one` around parts, or several shapes if these have a far smaller volume."""
-    if len(corners) < 2 or one.volume <= _ONE_BOX * sum(hull_volume(c) for c in corners):
-        return (one,)
-    several = _merged(corners)
-    return tuple(several) if sum(fit.volume for fit in several) < _WORTH * one.volume else (one,)
+def _divided(corners: Sequence[Array]) -> list[list[Array]]:
+    """Groups of parts: one group, two groups, up to four groups; each has the corners of its hull.
 
-
-def _merged(corners: Sequence[Array]) -> list[Fit]:
-    """One shape for each part; shapes are merged while this adds little volume or more than four
-    remain.
+    From one division to the previous one, the two groups are merged whose hull grows the least.
     """
-    groups = {k: (c, fit_best(c, BASE_WEIGHTS)) for k, c in enumerate(corners)}
-    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # growth and fit of merged pairs
-    new = len(groups)
-    while len(groups) > 1:
+    groups = {k: hull(points) for k, points in enumerate(corners)}
+    known: dict[tuple[int, int], tuple[float, tuple[Array, float]]] = {}  # growth and merged hull
+    divisions: list[list[Array]] = []
+    for new in range(len(groups), 2 * len(groups)):
+        if len(groups) <= _MOST:
+            divisions.insert(0, [points for points, _ in groups.values()])
+        if len(groups) == 1:
+            break
         for i, j in combinations(groups, 2):
             if (i, j) not in known:
-                points = hull_corners(np.vstack([groups[i][0], groups[j][0]]))
-                fit = fit_best(points, {"box": 1.0})
-                known[i, j] = fit.volume / (groups[i][1].volume + groups[j][1].volume), points, fit
+                (a, first), (b, second) = groups[i], groups[j]
+                merged = hull(np.vstack([a, b]))
+                known[i, j] = merged[1] - first - second, merged
         i, j = min(combinations(groups, 2), key=lambda pair: known[pair][0])
-        cost, points, fit = known[i, j]
-        if cost > _MERGE and len(groups) <= 4:
-            break
+        groups[new] = known[i, j][1]
         del groups[i], groups[j]
-        groups[new] = points, fit_best(points, BASE_WEIGHTS) if cost <= _MERGE else fit
-        new += 1
-    return [fit for _, fit in groups.values()]
+    return divisions
+
+
+def _touched(
+    model: RobotModel,
+    meetings: Meetings,
+    mobile: tuple[int, ...],
+    tried: Sequence[Sequence[Fit]],
+) -> Array:
+    """[-] mean number of units of the arm that fits of l_m touch in free random poses, per try.
+
+    Units that are close to the base by design do not count.
+    """
+    free = (meetings.random.distances > 0.0).all(axis=1)
+    q_m = meetings.random.q_m[free if free.any() else ~free][:ENOUGH]
+    ends = {v for u, v in meetings.pairs if u in mobile and (u, v) not in meetings.close}
+    arm = [hulls(unit) for unit in meetings.units if unit.index in ends]
+    bases = [
+        [(1, fit.shape.placement(), fit.shape.coal_geometry()) for fit in fits] for fits in tried
+    ]
+    pairs = [*product(range(len(bases)), range(len(bases), len(bases) + len(arm)))]
+    touch = shape_distances(model, [*bases, *arm], pairs, q_m) <= 0.0
+    return touch.reshape(len(q_m), len(bases), len(arm)).sum(axis=2).mean(axis=0)
 
 
 class ArmFitter:
@@ -176,7 +201,12 @@ class ArmFitter:
         fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint, c) for v, joint, c in tried[:2]]
         one, frame, points = min(fits, key=lambda each: each[0].volume)
         seen = [swept(self._model, {**joints, j: p})[frame][0] for j, p in pieces]
-        return _split(one, seen), frame, points
+        several = min(
+            _divided(seen), key=lambda each: sum(map(hull_volume, each)) / _LEFT ** (len(each) - 1)
+        )
+        if len(several) == 1:
+            return (one,), frame, points
+        return tuple(fit_best(corners, ARM_WEIGHTS) for corners in several), frame, points
 
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles

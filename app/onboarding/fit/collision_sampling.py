@@ -39,7 +39,7 @@ NESTED = BUILT_IN**2
 the poses in which the units touch, and among these the poses in which the links touch."""
 _FEWEST = 50  # [-] smallest number of free poses for finding close pairs
 _MAX_LOOKS = 200  # [-] number of poses of a pair of units in which the touched points are searched
-_OVERLAP = 0.02  # [m] largest overlap of adjacent links by design
+_OVERLAP = 0.005  # [m] largest overlap of adjacent links by design
 _GRAZE = 0.003  # [m] largest overlap of two links of the arm that only pass each other
 _RARE = 30  # [-] number of colliding random poses of a pair below which more are searched
 ENOUGH = 600

@@ -146,7 +146,7 @@ def _arm_grouping(
     on_progress: OnProgress,
 ) -> Grouping:
     """The best grouping if l_m encloses the units `mobile`."""
-    base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
+    base, fitter = fit_base(model, meetings, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
     slides = _sliding(model, meetings)

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from app.config import parameter
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import MARGIN, Meetings
+from app.onboarding.fit.collision_sampling import ALWAYS, MARGIN, Meetings
 from app.onboarding.fit.units import hull_distances
 from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
@@ -23,6 +24,7 @@ Array = np.ndarray
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSES = 60  # [-] sampled poses of the other joints at each of these positions
 _ARM = 2  # pinocchio's first joint of the arm
+_LEAST = 0.25  # [-] smallest share of its range, or of a turn, that a limited joint retains
 _ALIKE = 0.05  # [-] resolution for comparing the remaining shares of joints' ranges
 
 
@@ -37,8 +39,8 @@ def with_stops(
 
     For each of these links that reaches the base in a sampled pose, one joint between the base and
     the link gets narrower limits: the joint that retains the largest share of its range. If no
-    limit of a single joint prevents the contact, the link causes no change, and the check of the
-    bodies counts the collisions. `ready` (n_m,) is a pose that the limits have to include, or None.
+    joint retains a quarter of its range, or of a turn, the limits do not change; see
+    `watching_buffer`. `ready` (n_m,) is a pose that the limits have to include, or None.
 
     Raises:
         RobotFileError: No limits that include the pose `ready` prevent the contact.
@@ -47,9 +49,7 @@ def with_stops(
     stops = {}
     for u, v in sorted(meetings.close & meetings.apart):
         a, b = meetings.units[u], meetings.units[v]
-        q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index((u, v))]
-        within = ((q_m >= lower) & (q_m <= upper)).all(axis=1)
-        if (gaps[within] > 0.0).all():
+        if not _meet(meetings, (u, v), lower, upper):
             continue
         poses = sample_joints(model, _POSES, np.random.default_rng(0)).clip(lower, upper)
         stopping = []
@@ -63,7 +63,9 @@ def with_stops(
             # largest distance.
             for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
                 low, high = values[first], values[last]
-                if ready is None or low <= ready[joint] <= high:
+                span = min((upper - lower)[joint], 2 * np.pi)
+                enough = high - low >= _LEAST * span
+                if enough and (ready is None or low <= ready[joint] <= high):
                     share = round((high - low) / (upper - lower)[joint] / _ALIKE)
                     stopping.append((share, -abs(low + high), joint, low, high))
         if stopping:
@@ -81,6 +83,31 @@ def with_stops(
         field: f"{limits.source[field]}; {why}" for field in ("position_lower", "position_upper")
     }
     return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), source=source)
+
+
+def watching_buffer(limits: Limits, meetings: Meetings, d_b: float) -> tuple[float, str]:
+    """[m] the largest buffer distance with which pairs see the collisions that no limit prevents.
+
+    Links are monitored if they are outside of the buffer in enough poses. The result is `d_b`, or
+    less in steps of 0.01 m; it is within the bounds of `border.d_b`. The text states the reason of
+    a smaller distance.
+    """
+    least, why = d_b, ""
+    free = (meetings.random.distances > 0.0).all(axis=1)
+    for u, v in sorted(meetings.close & meetings.apart):
+        if _meet(meetings, (u, v), np.array(limits.lower), np.array(limits.upper)):
+            gaps = meetings.random.distances[free, meetings.pairs.index((u, v))]
+            wanted = float(np.floor(100 * np.quantile(gaps, 1.0 - ALWAYS)) / 100)
+            if parameter("border.d_b").low <= wanted < least:
+                a, b = (meetings.units[k].links[0] for k in (u, v))
+                least, why = wanted, f"{b} is nearer than {d_b:g} m to {a} in most poses"
+    return least, why
+
+
+def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array) -> bool:
+    """Whether two units meet in a random pose within joint limits."""
+    q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index(pair)]
+    return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
 
 
 def _runs(clear: Array) -> list[tuple[int, int]]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
-from app.onboarding.read.links import LinkGeometry, swept_shape
+from app.onboarding.read.links import LinkGeometry, in_pieces, swept_shape
 from app.onboarding.read.tree import MOVING, Joint, Tree, parallel
 
 Positions = Mapping[str, float]
@@ -19,13 +19,18 @@ _STEP = np.radians(10.0)  # [rad] step of the sampled angles
 def filled(
     tree: Tree, geometry: Mapping[str, LinkGeometry], chain: Sequence[Joint]
 ) -> dict[str, LinkGeometry]:
-    """Geometry in which shapes of moving links outside of the arm's chain cover their motion.
+    """Geometry in nearly convex pieces; those of moving links outside of the arm's chain cover
+    their motion.
 
     These are the links beyond the chain's last link (fingers), the other parts of telescopes, and
     the links on joints that mimic a joint of the arm. `chain` has the joints of the arm. The shapes
     are in the frames of the links at rest.
     """
-    found = with_travel(tree, geometry, chain[-1].child)
+    pieces = {
+        name: each._replace(shapes=tuple(p for shape in each.shapes for p in in_pieces(shape)))
+        for name, each in geometry.items()
+    }
+    found = with_travel(tree, pieces, chain[-1].child)
     own = [joint.name for joint in chain]
     for joint in followers(tree, own):
         beside = [each.name for each in tree.children(joint.parent) if each is not joint]

@@ -275,10 +275,11 @@ def link_shapes(units: Sequence[Unit]) -> dict[str, list[Placed]]:
     return shapes
 
 
+def hulls(unit: Unit) -> list[Placed]:
+    """The hulls of a unit's parts."""
+    return [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
+
+
 def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
     """(N, pairs) [m] signed distances between the hulls of units in the poses q_m (N, n_m)."""
-    shapes = [
-        [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
-        for unit in units
-    ]
-    return shape_distances(model, shapes, pairs, q_m)
+    return shape_distances(model, [hulls(unit) for unit in units], pairs, q_m)

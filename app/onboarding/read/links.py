@@ -14,6 +14,7 @@ import pinocchio as pin
 import trimesh
 
 from app.errors import RobotFileError
+from app.onboarding.fit.convex import convex_pieces
 from app.onboarding.read.source import MESHES
 from app.onboarding.read.tree import Arm, Tree
 from app.robot.assets import floats, refuse_placeholder
@@ -122,6 +123,18 @@ def _shape(element: Element, where: str) -> LinkShape:
             "metres"
         )
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
+
+
+def in_pieces(shape: LinkShape) -> list[LinkShape]:
+    """A shape as nearly convex pieces, so that hulls of links meet only where the links do."""
+    pieces = convex_pieces(shape.mesh) if shape.kind == "mesh" else []
+    if len(pieces) < 2:
+        return [shape]
+    hulls = [hull_mesh(_outermost(np.asarray(piece.vertices), 4)) for piece in pieces]
+    return [
+        shape._replace(mesh=piece, hull=hull, surface=_surface(hull))
+        for piece, hull in zip(pieces, hulls, strict=True)
+    ]
 
 
 def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:

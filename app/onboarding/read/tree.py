@@ -7,14 +7,14 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
-from app.robot.urdf import numbers, origin, unit_of, without_commas
+from app.robot.urdf import colour, numbers, origin, unit_of, without_commas
 
 Array = np.ndarray
 
@@ -61,11 +61,10 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True)
 class Tree:
-    """The links and joints of a robot by name, and the materials of its URDF."""
+    """The links and joints of a robot by name."""
 
     links: dict[str, Element]
     joints: dict[str, Joint]
-    materials: tuple[Element, ...]
 
     @cached_property
     def joint_of(self) -> dict[str, Joint]:
@@ -165,7 +164,7 @@ def make_tree(robot: Element) -> Tree:
         near = did_you_mean("link", {str(each.tag) for each in robot})
         raise RobotFileError(f"the URDF has no <link>{near}")
     joints = {str(j.get("name")): _joint(j, links) for j in robot.findall("joint")}
-    tree = Tree(links, joints, tuple(robot.findall("material")))
+    tree = Tree(links, joints)
     for joint in joints.values():
         if (other := tree.joint_of[joint.child]) is not joint:
             raise RobotFileError(
@@ -173,7 +172,24 @@ def make_tree(robot: Element) -> Tree:
                 f"{joint.name!r} and {other.name!r}; a URDF is a tree: remove one of them"
             )
     _check_connected(tree)
+    materials = {each.get("name"): each for each in robot.findall("material")}
+    for visual in robot.iterfind("link/visual"):
+        _set_own_colour(visual, colour(visual, materials))
     return tree
+
+
+def _set_own_colour(visual: Element, rgba: Sequence[float] | None) -> None:
+    """Replace the materials of a visual by one that is named after its colour and has no texture.
+
+    Thus materials of two robots with the same name keep their colours, and libraries that consider
+    only the first material of a name read the right colour.
+    """
+    for material in visual.findall("material"):
+        visual.remove(material)
+    if rgba is not None:
+        words = " ".join(f"{value:.6g}" for value in rgba)
+        material = SubElement(visual, "material", name=f"rgba {words}")
+        SubElement(material, "color", rgba=words)
 
 
 def _check_unique(tag: str, robot: Element) -> None:
