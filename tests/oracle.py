@@ -77,6 +77,9 @@ class Oracle:
         )
         self.configure(config)
         self._take(at_rest(model, np.array(model.description.arm.ready_position)))
+        M = self.pin_data.M  # of the ready pose
+        inertia = 1 / np.diag(np.linalg.inv(np.triu(M) + np.triu(M, 1).T))[3:]
+        self.damping = np.minimum(model.joint_damping, inertia / (3 * dt))
 
     def configure(self, config: Config) -> None:
         """Use other parameters; the buffer distance in force follows at 0.1 m/s."""
@@ -306,7 +309,7 @@ class Oracle:
     def _tasks(self, reference: Reference | None) -> None:
         w, model, n_b = self.w, self.model, self.n_b
         w.tracking = reference is not None
-        w.u_free = w.g[n_b:] - model.joint_damping * w.qd[n_b:]
+        w.u_free = w.g[n_b:] - self.damping * w.qd[n_b:]
         last = w.u_free if np.isnan(w.u_a[0]) else w.u_a
         at, most = (
             np.clip(last, -model.tau_max, model.tau_max),

@@ -10,6 +10,7 @@ from app.robot.state import Measurement
 Array = np.ndarray
 
 FEWEST = 8  # samples of the noise before the filter begins
+CLEAR = 0.01  # share of a top speed; a larger change is an external acceleration before that
 FARTHEST = 10.0  # [-] of the way at a joint's top speed
 
 
@@ -48,7 +49,12 @@ class Estimate:
         if continued and self.samples >= FEWEST:
             self._filter(q, qd, known, noise, config.external_drift)
         else:
-            self.x = np.array([q, qd, self.x[2]])
+            external = self.x[2]
+            if continued:
+                unexplained = (qd - self.x[1]) / dt - known - external
+                clear = np.abs(unexplained) * dt > CLEAR * self._qd_max
+                external = external + np.where(clear, unexplained / FEWEST, 0.0)
+            self.x = np.array([q, qd, external])
             drift = np.full_like(q, config.external_drift**2)
             self.P = np.array([np.diag(each) for each in np.array([*noise, drift]).T])
         self.v_last = m.base_velocity.copy()

@@ -657,6 +657,7 @@ def test_only_a_sudden_constant_vertical_force_is_a_load(case: str) -> None:
     w = SimpleNamespace(g=np.zeros(9), q_m=np.zeros(7), M=np.eye(9), faults=np.zeros(len(FAULTS)))
     w.J_ee, w.x_est = np.hstack([np.zeros((3, 2)), J]), np.zeros((3, 7))
     w.load, w.loaded, w.load_first = np.zeros(()), np.zeros(()), np.zeros(())
+    w.samples = np.array(100.0)
     estimate = getattr(_estimate_load, "py_func", _estimate_load)
     reported = []
     for k in range(400):

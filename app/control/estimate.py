@@ -52,6 +52,36 @@ def predicted_joint_acceleration(
 
 
 @compiled()
+def _begin_at(
+    x: Array,
+    P: Array,
+    trusted: Array,
+    last: Array,
+    known: Array,
+    q: Array,
+    qd: Array,
+    qd_max: Array,
+    gains: Any,
+) -> None:
+    """Take a reading without a filter; a clear change of the velocity is an external acceleration.
+
+    The arguments are those of `estimate_arm`; `trusted` (2, n_m) are variances.
+    """
+    steps, dt = len(known), gains.dt
+    for i in range(len(q)):
+        speed = last[0, i] if math.isnan(qd[i]) else qd[i]
+        if steps > 0:
+            gained = speed - x[1, i] - steps * dt * x[2, i] - dt * known[:, i].sum()
+            if abs(gained) > _CLEAR * qd_max[i]:
+                x[2, i] += gained / (FEWEST * steps * dt)
+        x[0, i], x[1, i] = q[i], speed
+        for j in range(3):
+            for k in range(3):
+                P[i, j, k] = 0.0
+        P[i, 0, 0], P[i, 1, 1], P[i, 2, 2] = trusted[0, i], trusted[1, i], gains.external_drift**2
+
+
+@compiled()
 def estimate_arm(
     x: Array,
     P: Array,
@@ -103,17 +133,7 @@ def estimate_arm(
     if continued and samples[()] >= FEWEST:
         _follow(x, P, known, q, qd, trusted, gains.external_drift, dt)
         return jumped
-    for i in range(len(q)):
-        speed = last[0, i] if math.isnan(qd[i]) else qd[i]
-        if continued:
-            gained = speed - x[1, i] - steps * dt * x[2, i] - dt * known[:, i].sum()
-            if abs(gained) > _CLEAR * qd_max[i]:
-                x[2, i] += gained / (FEWEST * steps * dt)
-        x[0, i], x[1, i] = q[i], speed
-        for j in range(3):
-            for k in range(3):
-                P[i, j, k] = 0.0
-        P[i, 0, 0], P[i, 1, 1], P[i, 2, 2] = trusted[0, i], trusted[1, i], gains.external_drift**2
+    _begin_at(x, P, trusted, last, known if continued else known[:0], q, qd, qd_max, gains)
     return jumped
 
 

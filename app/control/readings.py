@@ -408,7 +408,7 @@ def _estimate_load(gains: Any, w: Any) -> None:
         along += torque[i] * lift[i]
         size += lift[i] ** 2
         total += torque[i] ** 2
-    if size == 0.0:
+    if size == 0.0 or w.samples[()] < FEWEST:
         return
     w.load[()] = -along / size / _GRAVITY
     sign = math.copysign(1.0, w.load[()])
@@ -505,8 +505,7 @@ def take_readings(
         put(w.v_read, base_velocity)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
-    if w.samples[()] >= FEWEST:
-        _estimate_load(gains, w)
+    _estimate_load(gains, w)
     put(w.q_m, w.x_est[0])
     put(w.qd_m, w.x_est[1])
     put(w.base_pose, w.pose_last)
