@@ -156,7 +156,7 @@ def test_a_choice_is_no_number() -> None:
 
 @pytest.mark.parametrize("value", ["0.2", True, None, [0.2], {"d_b": 0.2}, float("-inf")])
 def test_what_is_no_number_is_refused_with_the_range(value: object) -> None:
-    with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.06 to 0\.3 m"):
+    with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.05 to 0\.3 m"):
         Config().replace("border.d_b", value)
 
 

@@ -80,9 +80,9 @@ def test_a_file_may_hold_only_some_parameters() -> None:
     [
         ("[border]\nd_bb = 0.1", r"border\.d_bb.*did you mean 'd_b'"),
         ("[bordr]\nd_b = 0.1", "did you mean 'border'"),
-        ("[border]\nd_b = 9", r"border\.d_b: must be within 0\.06 to 0\.3 m \(was 9\)"),
-        ("[border]\nd_b = nan", r"within 0\.06 to 0\.3 m \(was nan\)"),
-        ("[border]\nd_b = '0.1'", r"within 0\.06 to 0\.3 m"),
+        ("[border]\nd_b = 9", r"border\.d_b: must be within 0\.05 to 0\.3 m \(was 9\)"),
+        ("[border]\nd_b = nan", r"within 0\.05 to 0\.3 m \(was nan\)"),
+        ("[border]\nd_b = '0.1'", r"within 0\.05 to 0\.3 m"),
         ("[border]\nkind = 'cloud'", "must be surface or points"),
         ("[border\n", "not TOML.*line 1"),
         ("x = " + "[" * 20_000, "not TOML"),

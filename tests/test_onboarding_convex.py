@@ -185,6 +185,7 @@ def test_pieces_of_a_mesh_fill_little_more_than_the_mesh() -> None:
         post = trimesh.creation.box((0.02, 0.02, 0.4))
         boxes.append(post.apply_translation((x, y, 0.25)))
     tower = trimesh.util.concatenate(boxes)
+    assert isinstance(tower, trimesh.Trimesh)
     whole, solid = hull_volume(tower.vertices), sum(box.volume for box in boxes)
     pieces = convex_pieces(tower)
     assert whole > 2.0 * solid

@@ -435,7 +435,7 @@ def test_bodies_hold_fingers_over_their_whole_travel(tmp_path: Path) -> None:
     made = parsed(tmp_path, TOY.replace("</robot>", FINGERS + "</robot>"))
     found = filled(made.tree, made.geometry, made.arm.joints)
     assert found["left_finger"].shapes[0].hull.extents.tolist() == pytest.approx([0.02, 0.12, 0.12])
-    assert found["hand"] is made.geometry["hand"]
+    assert found["hand"].shapes[0] is made.geometry["hand"].shapes[0]
 
 
 def test_a_telescope_of_slides_that_follow_one_is_one_slide(tmp_path: Path) -> None:

@@ -142,7 +142,7 @@ def test_each_change_is_sent_once_and_is_of_one_parameter():
 def test_a_value_that_is_refused_changes_nothing_and_is_no_step(value):
     sink = Sink()
     tuning = Tuning(sink, Config())
-    with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.06 to 0\.3 m"):
+    with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.05 to 0\.3 m"):
         tuning.set(D_B, value)
     with pytest.raises(ConfigError, match="nothing to undo"):
         tuning.undo()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -108,11 +108,7 @@ def finish(
         doing = what
         tell(what)
 
-    with (
-        whole_folder(request.out) as folder,
-        one_message(lambda: doing),
-        ExitStack() as started,
-    ):
+    with whole_folder(request.out) as folder, one_message(lambda: doing):
         if request.urdf.lower().endswith(".zip"):
             say("unpacking the zip")
             path = open_package(locate(request.urdf), folder, request.file)
@@ -127,23 +123,36 @@ def finish(
         )
         say("reading the URDF")
         parsed, urdf = _read_whole(request, whole or whole_robot(request), folder)
-        workers = started.enter_context(helpers())
-        robot, data = make_robot(
-            request, parsed, urdf, folder, border, workers, tell=say, on_progress=on_progress
-        )
-        say("searching lines for guiding")
-        lines = _lines(robot, data, workers, on_progress)
-        # Imported here: worker processes import this module, and need no matplotlib.
-        from app.onboarding.report import VIEW, draw, report_html
-
-        pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
-        robot = _with_lines(robot, data, folder, dict(lines))
-        say("writing the report")
-        write_robot(robot, folder)
-        drawn = next(pictures)
-        write_whole(folder / "report.html", report_html(robot, data, drawn))
-        write_whole(folder / VIEW, drawn.view)
+        with helpers() as workers:
+            robot, data = make_robot(
+                request, parsed, urdf, folder, border, workers, tell=say, on_progress=on_progress
+            )
+            robot = _written(robot, data, folder, workers, say, on_progress)
     return robot, data
+
+
+def _written(
+    robot: NewRobot,
+    data: BorderData,
+    folder: Path,
+    workers: Workers,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
+) -> NewRobot:
+    """The robot with its lines and all warnings, after writing all other files."""
+    tell("searching lines for guiding")
+    lines = _lines(robot, data, workers, on_progress)
+    # Imported here: worker processes import this module, and need no matplotlib.
+    from app.onboarding.report import VIEW, draw, report_html
+
+    pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
+    robot = _with_lines(robot, data, folder, dict(lines))
+    tell("writing the report")
+    write_robot(robot, folder)
+    drawn = next(pictures)
+    write_whole(folder / "report.html", report_html(robot, data, drawn))
+    write_whole(folder / VIEW, drawn.view)
+    return robot
 
 
 _UNWATCHED = {

@@ -21,6 +21,7 @@ _SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a capsule's end, [-] of 
 _THINNEST = 0.002  # [m] smallest side of a box
 _SAVED = 0.03  # [-] smallest volume that a cut saves, relative to the hull of the whole mesh
 _CUBE = 0.03**3  # [m³] smallest volume that a cut saves
+_TRIANGLES = 2000  # [-] largest number of triangles in the search of a plane, about
 _PLANES = 7  # [-] number of tried planes along each axis
 
 
@@ -219,20 +220,26 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     """The halves of a mesh whose hulls have the smallest volume; none if no plane cuts the mesh.
 
-    The tried planes are normal to the axes of the frame.
+    The tried planes are normal to the axes of the frame. The search uses every k-th triangle of a
+    large mesh, and the halves have all triangles.
     """
-    best: tuple[float, list[trimesh.Trimesh]] = np.inf, []
+    some = mesh.faces[:: 1 + len(mesh.faces) // _TRIANGLES]
+    best, plane = np.inf, None
     for normal, low, high in zip(np.eye(3), *mesh.bounds, strict=True):
         for at in np.outer(np.linspace(low, high, _PLANES + 2)[1:-1], normal):
-            sliced = [
-                slice_faces_plane(mesh.vertices, mesh.faces, side * normal, at)[:2]
-                for side in (1.0, -1.0)
-            ]
-            if all(len(faces) for _, faces in sliced):
-                volume = sum(hull_volume(vertices) for vertices, _ in sliced)
-                if volume < best[0]:
-                    best = volume, [trimesh.Trimesh(*each, process=False) for each in sliced]
-    return best[1]
+            sides = [slice_faces_plane(mesh.vertices, some, s * normal, at)[0] for s in (1.0, -1.0)]
+            volume = sum(map(hull_volume, sides))
+            if all(len(vertices) for vertices in sides) and volume < best:
+                best, plane = volume, (normal, at)
+    if plane is None:
+        return []
+    normal, at = plane
+    return [
+        trimesh.Trimesh(
+            *slice_faces_plane(mesh.vertices, mesh.faces, s * normal, at)[:2], process=False
+        )
+        for s in (1.0, -1.0)
+    ]
 
 
 @cache
