@@ -918,8 +918,8 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
     assert outcomes_html(scores).split("<br>") == [
         "<b>With avoidance</b> (dbb): no contact, least distance 104 mm",
         "<b>Without avoidance</b> (none): bodies overlap by 8 mm",
-        "<b>repulsive</b>, arm repulsion only: contact, least distance 50 mm",
-        "<b>barrier</b>, minimum distance only: no contact, least distance 20 mm",
+        "<b>Arm repulsion only</b> (repulsive): contact, least distance 50 mm",
+        "<b>Minimum distance only</b> (barrier): no contact, least distance 20 mm",
     ]
     html = scores_html(scores)
     assert coloured(html, "contact") == 3, "two outcomes, and a distance below zero"
@@ -936,12 +936,12 @@ def test_a_robot_that_touched_or_overlapped_is_never_the_best(loop):
 
 
 @pytest.mark.parametrize(("link", "at_hand"), [(None, 1.0), ("panda_link4", 0.0)])
-def test_a_pull_of_hand_or_link_is_shown_with_the_force_that_the_arm_can_hold(loop, link, at_hand):
+def test_a_pull_of_hand_or_link_is_shown_with_the_force_that_the_arm_resists(loop, link, at_hand):
     pull = PullReading(1, link, np.zeros(3), np.ones(3), np.array([30.0, 0.0, 0.0]))
     held = replace(loop.latest(), pulls=(pull,), hand_force=at_hand * pull.force)
     assert "30.0 N</td>" in status_html(held)
     held = replace(held, force_bound=61.7)
-    assert "30.0 N, arm can hold 62 N</td>" in status_html(held)
+    assert "30.0 N (arm resists up to 62 N)</td>" in status_html(held)
 
 
 def test_a_buffer_that_is_too_small_says_what_it_takes_and_worries_only_while_it_is_near(loop):

@@ -87,7 +87,9 @@ def pull_towards_base(tab: DashboardTab) -> None:
     """Drag the hand at the base, hold it there until the base has gone, and let go."""
     before = tab.position("/robot")
     tab.drag_gizmo(GIZMO, axis=0, metres=TOWARDS_BASE, scale=SCALE, steps=12, drop=False)
-    wait_for(lambda: reading(tab, "pull").endswith(" N"), PATIENCE, "the pull in the table")
+    wait_for(
+        lambda: re.search(r" N( \(|$)", reading(tab, "pull")), PATIENCE, "the pull in the table"
+    )
 
     def base_has_moved() -> bool:
         return float(np.linalg.norm(tab.position("/robot") - before)) > 0.05

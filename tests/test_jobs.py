@@ -273,28 +273,34 @@ NEW_ROBOT = """
 import sys
 from pathlib import Path
 from app.cli import robots
+from app.errors import DbbError
 
-def helpers():
-    raise SystemExit("app.onboarding.new_robot" in sys.modules)
-
-robots.helpers = helpers
-robots.new_robot({"urdf": "robot.urdf", "base": "base", "tip": "hand", "out": Path("made")})
+robots.helpers = lambda: sys.exit("workers start")
+try:
+    robots.new_robot({"urdf": "robot.urdf", "base": "base", "tip": "hand", "out": Path("made")})
+except DbbError as error:
+    print(error)
+print("imported" if "app.onboarding.new_robot" in sys.modules else "not imported")
 """
 
 
-def test_processes_that_help_to_make_a_robot_begin_before_their_parent_imports_what_they_do(
-    tmp_path: Path,
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "robot.urdf: no such file"),
+        ("", "robot.urdf"),
+        ("<robot name='r'><link name='other'/></robot>", "'base'"),
+    ],
+)
+def test_a_wrong_urdf_is_refused_before_slow_imports_and_before_workers_start(
+    tmp_path: Path, content: str | None, message: str
 ) -> None:
-    """Both imports take seconds; else they came one after the other."""
     script = tmp_path / "script.py"
     script.write_text(NEW_ROBOT)
-    (tmp_path / "robot.urdf").touch()
-    _, errors = (process := start(script, tmp_path)).communicate(timeout=60)
-    assert (process.returncode, errors) == (0, "")
-
-
-def test_a_urdf_that_is_not_there_is_told_before_they_begin(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(NEW_ROBOT)
-    _, errors = start(script, tmp_path).communicate(timeout=60)
-    assert "robot.urdf: no such file" in errors
+    if content is not None:
+        (tmp_path / "robot.urdf").write_text(content)
+    out, errors = (process := start(script, tmp_path)).communicate(timeout=60)
+    assert process.returncode == 0, errors
+    refusal, imported = out.splitlines()
+    assert message in refusal
+    assert imported == "not imported"
