@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from app.simulation.case import RunCase
     from app.simulation.loop.process_loop import ProcessLoop
 
+_SWITCH = 0.001  # [s] time after which a thread that serves one viewer lets the drawing thread run
+
 
 @dataclass(frozen=True)
 class Serving:
@@ -138,6 +140,7 @@ def _serve(first: _First) -> None:
     from app.dashboard.server import check_address, is_loopback, serve_dashboard
 
     asked = first.asked
+    sys.setswitchinterval(_SWITCH)
     check_address(asked.host, asked.port)
     model = load_model(first.setup.robot)
     data = _border(model)
