@@ -17,6 +17,7 @@ from app.config import Config
 from app.control import CONTROLLERS
 from app.control.contract import JointOrder
 from app.control.control_loop import ControlLoop
+from app.control.quantities import ControlStep
 from app.control.readings import FAULTS, LOAD, _estimate_load
 from app.control.tasks import Reference
 from app.errors import ConfigError, MeasurementError
@@ -347,28 +348,34 @@ def test_a_light_joint_is_damped_stably_at_each_period(
         assert (steps[1:] * steps[:-1] > -1e-6).all(), dt  # no alternation
 
 
-def test_velocities_at_the_readings_are_no_other_period(
-    robot: RobotModel, border_data: BorderData
-) -> None:
+@pytest.fixture(scope="module")
+def turned(robot: RobotModel, border_data: BorderData) -> Callable[..., ControlStep]:
+    """The last step of a loop whose last joint starts from rest with an acceleration [rad/s²]."""
+
+    def turned(dt: float, acceleration: float, count: int) -> ControlStep:
+        loop = ControlLoop(robot, border_data, dt=dt)
+        m, turning = (
+            at_rest(robot, np.array(robot.description.arm.ready_position)),
+            np.arange(7) == 6,
+        )
+        for k in range(count):
+            t = dt * k
+            q, qd = 0.5 * acceleration * t**2, acceleration * t
+            loop.step(m._replace(q_m=m.q_m + turning * q, qd_m=turning * qd))
+        return loop.controller.last
+
+    return turned
+
+
+def test_velocities_at_the_readings_are_no_other_period(turned) -> None:
     """A joint that starts from rest: its velocities, summed, exceed the way by a quarter."""
-    dt, loop = 0.008, ControlLoop(robot, border_data, dt=0.008)
-    m = at_rest(robot, np.array(robot.description.arm.ready_position))
-    for k in range(20):
-        t, turning = dt * k, np.arange(7) == 6
-        loop.step(m._replace(q_m=m.q_m + turning * 2.0 * t**2, qd_m=turning * 4.0 * t))
-        assert 0.9 < loop.controller.last.ratio < 1.1
+    for count in range(1, 21):
+        assert 0.9 < turned(0.008, 4.0, count).ratio < 1.1
 
 
-def test_an_external_force_is_noticed_from_the_first_reading(
-    robot: RobotModel, border_data: BorderData
-) -> None:
+def test_an_external_force_is_noticed_from_the_first_reading(turned) -> None:
     """The noise of the encoders is unknown until 8 readings."""
-    dt, loop = 0.004, ControlLoop(robot, border_data, dt=0.004)
-    m = at_rest(robot, np.array(robot.description.arm.ready_position))
-    for k in range(7):
-        t, turning = dt * k, np.arange(7) == 6
-        loop.step(m._replace(q_m=m.q_m + turning * 20.0 * t**2, qd_m=turning * 40.0 * t))
-    assert loop.controller.last.x_est[2, 6] > 20.0
+    assert turned(0.004, 40.0, 7).x_est[2, 6] > 20.0
 
 
 @pytest.mark.parametrize(

@@ -135,8 +135,7 @@ def new_robot(
     from app.onboarding.whole import whole_robot
 
     begin = perf_counter()
-    zipped = asked.urdf.lower().endswith(".zip")
-    whole = None if zipped else whole_robot(asked)  # refuses a wrong file before slow imports
+    whole = None if asked.zipped else whole_robot(asked)  # refuses a wrong file before slow imports
     # Imported here: matplotlib, scipy and trimesh would delay a refusal.
     from app.border.config import QUICK
     from app.onboarding.new_robot import finish

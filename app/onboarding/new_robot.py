@@ -109,7 +109,7 @@ def finish(
         tell(what)
 
     with whole_folder(request.out) as folder, one_message(lambda: doing):
-        if request.urdf.lower().endswith(".zip"):
+        if request.zipped:
             say("unpacking the zip")
             path = open_package(locate(request.urdf), folder, request.file)
             name = f"{Path(request.urdf).name}: {path.relative_to((folder / FOLDER).resolve())}"
@@ -355,8 +355,7 @@ def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
 
 
 def _parsed(request: Request, whole: Whole) -> Parsed:
-    tree, base, tip, mount, changes = whole
-    arm = find_arm(tree, base, tip, mount)
+    tree, base, tip, arm, changes = whole
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)

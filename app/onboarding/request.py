@@ -84,6 +84,11 @@ class Request:
     """Arguments of a xacro file, as NAME=VALUE, such as ur_type=ur20."""
 
     @property
+    def zipped(self) -> bool:
+        """Whether the robot is in a zip."""
+        return self.urdf.lower().endswith(".zip")
+
+    @property
     def buffer(self) -> float:
         """[m] the buffer distance: `d_b`, or that of the paper if `d_b` is None."""
         return Config().border.d_b if self.d_b is None else self.d_b

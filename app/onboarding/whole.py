@@ -17,7 +17,7 @@ from app.errors import DbbError, RobotFileError
 from app.onboarding.compose import with_arm, with_distinct_names
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.telescope import as_one_slide
-from app.onboarding.read.tree import Tree, find_arm, make_tree
+from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
 from app.onboarding.request import Request, named, package_folders
 
 _log = logging.getLogger(__name__)
@@ -47,8 +47,8 @@ class Whole(NamedTuple):
     """The link of --base."""
     tip: str
     """The link of --tip."""
-    mount: str | None
-    """The link of --mount, or None."""
+    arm: Arm
+    """The arm between these links, before its shapes are known."""
     changes: tuple[str, ...]
     """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
 
@@ -78,5 +78,4 @@ def whole_robot(request: Request) -> Whole:
     base, tip = (names.get(name, name) for name in (request.base, tip))
     tree, joined = as_one_slide(tree, base, tip)
     mount = request.mount and names.get(request.mount, request.mount)
-    find_arm(tree, base, tip, mount)
-    return Whole(tree, base, tip, mount, (*said, *joined))
+    return Whole(tree, base, tip, find_arm(tree, base, tip, mount), (*said, *joined))

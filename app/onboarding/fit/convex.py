@@ -204,14 +204,15 @@ def convex_pieces(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     A cut saves the volume between the hull of a piece and the hulls of its halves. No cut saves
     less than a cube of 3 cm.
     """
-    least = max(_SAVED * hull_volume(mesh.vertices), _CUBE)
-    done, left = [], [mesh]
+    whole = hull_volume(mesh.vertices)
+    least = max(_SAVED * whole, _CUBE)
+    done, left = [], [(mesh, whole)]
     while left:
-        piece = left.pop()
-        volume = hull_volume(piece.vertices)
+        piece, volume = left.pop()
         halves = _halves(piece) if volume > least else []
-        if halves and volume - sum(hull_volume(half.vertices) for half in halves) > least:
-            left += halves
+        volumes = [hull_volume(half.vertices) for half in halves]
+        if halves and volume - sum(volumes) > least:
+            left += zip(halves, volumes, strict=True)
         else:
             done.append(piece)
     return done
