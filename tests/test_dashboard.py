@@ -31,8 +31,8 @@ from app.config import BorderConfig
 from app.dashboard.drag import Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import Page
-from app.dashboard.panels.help import CARDS, CLOSE, NEXT, SHOW
+from app.dashboard.page import SHOWN, Page
+from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, WATCH
 from app.dashboard.panels.run import (
     machine_rows,
     outcomes_html,
@@ -70,7 +70,7 @@ from app.dashboard.view import View
 from app.errors import ConfigError, RobotFileError, ServerError
 from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
-from app.simulation.loop.commands import Pause, Pull, Release, Reset
+from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset
 from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import PairReading, Score
 from app.simulation.trace.trace import Trace
@@ -763,6 +763,49 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
     shows("")
 
 
+@pytest.mark.parametrize(
+    ("way", "after"), [("pull", "pull"), ("close", ""), ("touch", ""), ("guest", "")]
+)
+def test_the_demonstration_ends_with_its_card_whatever_closes_it(
+    dashboard, loop, guided, monkeypatch, way, after
+):
+    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    _, say, shows = guided
+    say("seen", "untouched")
+    shows("demo")
+    assert Compare(("none",)) in loop.commands
+    assert loop.latest().scenario == SHOWN
+    loop.commands.clear()
+    match way:
+        case "pull" | "close":  # the click arrives before the report of the first input
+            monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 60.0)
+            say("card", PULL if way == "pull" else CLOSE)
+            shows(after)
+        case "touch":
+            say("seen", "")
+            shows(after)
+        case "guest":
+            with RawClient(dashboard.address):
+                shows(after)
+    assert loop.commands == [Compare(), Reset()]
+
+
+def test_who_watches_the_demonstration_again_keeps_the_scenario_until_a_pull(
+    loop, guided, monkeypatch
+):
+    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    _, say, shows = guided
+    say("seen", "untouched")
+    shows("demo")
+    say("card", WATCH)
+    say("seen", "")
+    shows("watch")
+    assert [type(each) for each in loop.commands] == 2 * [Compare, Play]
+    say("card", PULL)
+    shows("pull")
+    assert loop.commands[-2:] == [Compare(), Reset()]
+
+
 # Plots and readings
 
 
@@ -902,6 +945,14 @@ def test_readings_that_should_worry_are_coloured(loop):
     assert worries() == 0
     late = {"overruns": 500}, {"solver_failures": 3}, {"realtime_factor": 0.5}
     assert [worries(**fields) for fields in late] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.93, 0.96, 1.0, float("nan")])
+def test_header_and_readings_call_the_same_simulation_slow(loop, factor):
+    shown = replace(loop.latest(), realtime_factor=factor, overruns=0)
+    head = header_html(shown, judge(shown), {pair.name: pair.name for pair in shown.pairs})
+    row = coloured("".join(machine_rows(shown)), "contact")
+    assert ("busy computer" in head) == bool(row) == (factor < 0.95)
 
 
 OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3), "barrier": (0.02, 0)}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from time import monotonic
 from typing import TypeVar
 
@@ -30,7 +32,6 @@ from app.dashboard.scene.legend import key_html, legend_html
 from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
 from app.dashboard.timeline import Timeline
-from app.dashboard.verdict import judge
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import DbbError
@@ -104,9 +105,9 @@ class Page:
             self._build_left()
             self._build_right()
             self._add(TimelinePanel(self.viewer))
-        self.guide = self._add(
-            Guide(self.viewer, self._shows(), before.guide.state if before else "")
-        )
+        end = partial(end_demonstration, shared.loop, self.grip)
+        state = before.guide.state if before else ""
+        self.guide = self._add(Guide(self.viewer, self._shows(), end, state))
         self.channel.begin()
         self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
         self.channel.tell("light", self._light)
@@ -130,8 +131,8 @@ class Page:
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
-        spoken = self._shared.spoken
         if self._border.update(self.view, shown.border):
+            spoken = self._shared.spoken
             self._why.legend.content = legend_html(
                 [each._replace(pair=spoken[each.pair]) for each in self._border.legends]
             )
@@ -139,7 +140,7 @@ class Page:
             if self._dark != self.view.dark:
                 self._dark = self.view.dark
                 set_theme(self._client.gui, dark=self._dark)
-            self._scene.draw(shown, texts=texts, lens=self._camera.lens)
+            verdict = self._scene.draw(shown, texts=texts, lens=self._camera.lens)
             self.hand.update(shown)
             self._camera.settle(shown, busy=self.grip.holds_anything)
             if texts and self.timeline.live:
@@ -148,7 +149,7 @@ class Page:
             follows = self.view.follow and not shown.ghosts
             self._camera.follow(shown.base_pose[:2], on=follows)
             if texts:
-                self._renew(Moment(newest, shown, judge(shown, spoken)))
+                self._renew(Moment(newest, shown, verdict))
 
     def _renew(self, moment: Moment) -> None:
         """Update all panels."""
@@ -182,9 +183,10 @@ class Page:
             return Page(self._client, shared, self._notifier, self)
 
     def close(self) -> None:
-        """Release all pulls of the viewer, and stop drawing."""
+        """Release all pulls of the viewer, end a demonstration, and stop drawing."""
         self.closed = True
         self.grip.release()
+        self.guide.leave_demonstration()
 
     def end(self) -> None:
         """Close the page of a disconnected viewer, and cancel the creation of files."""
@@ -240,7 +242,6 @@ class Page:
         shared = self._shared
         return {
             "watch": lambda: play_with_ghost(shared.loop, shared.model.description),
-            "pull": lambda: end_demonstration(shared.loop, [self.grip]),
             **dict.fromkeys(("tour 1", "tour 2", "tour 3"), lambda: self._run.play(SHOWN)),
             "tour 4": lambda: self.timeline.step(-3.0),
         }
@@ -302,53 +303,45 @@ def play_with_ghost(loop: LoopHandle, robot: RobotDescription) -> None:
 
 
 class Demonstration:
-    """A repeated demonstration for a single viewer who has not touched the page.
+    """Starts a repeated demonstration for a single viewer who has not touched the page.
 
     It shows a scenario with the controller dbb, and a ghost without avoidance. It starts after
     `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first input, or a second
-    viewer, ends it.
+    viewer, closes its card, which ends it.
     """
 
     def __init__(self) -> None:
         self._due: float | None = None
-        self._plays = False
 
     def update(self, pages: Sequence[Page], loop: LoopHandle, robot: RobotDescription) -> None:
-        """Start, continue or end the demonstration; called by the drawing thread."""
+        """Start or repeat the demonstration, or close its card; called by the drawing thread."""
         newest = loop.latest()
-        alone = len(pages) == 1 and pages[0].untouched and newest.controller == "dbb"
-        if self._plays and not alone:
-            self._plays, self._due = False, None
-            if any(page.guide.state == "watch" for page in pages):
-                return  # the input has started the scenario again
+        if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
+            self._due = None
             for page in pages:
-                if page.guide.state == "demo":
-                    page.guide.go("")
-            end_demonstration(loop, [page.grip for page in pages])
+                page.guide.leave_demonstration()
             return
-        led = newest.scenario or newest.paused or newest.busy
-        others = newest.ghosts and not self._plays
-        if not alone or led or others:
+        guide = pages[0].guide
+        repeats = guide.state == "demo"
+        if newest.scenario or newest.paused or newest.busy or (newest.ghosts and not repeats):
             self._due = None
         elif self._due is None:
-            self._due = monotonic() + (REST if self._plays else UNTOUCHED)
+            self._due = monotonic() + (REST if repeats else UNTOUCHED)
         elif monotonic() > self._due:
-            self._due, self._plays = None, True
-            try:
+            self._due = None
+            with suppress(DbbError):  # the robot cannot play the scenario
                 play_with_ghost(loop, robot)
-                pages[0].guide.go("demo")
-            except DbbError:  # the robot cannot play the scenario
-                self._plays = False
+                guide.go("demo")
 
 
-def end_demonstration(loop: LoopHandle, grips: Sequence[Grip]) -> None:
+def end_demonstration(loop: LoopHandle, grip: Grip) -> None:
     """Remove the ghost, and put the robot at the free start unless a viewer holds it.
 
-    `grips` are those of pages whose pull can be newer than the newest snapshot.
+    The pull of the page's `grip` can be newer than the newest snapshot.
     """
     loop.send(Compare())
     held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
-    if not (held or any(grip.holds_anything for grip in grips)):
+    if not (held or grip.holds_anything):
         loop.send(Reset())
 
 

@@ -149,20 +149,38 @@ class Guide(Panel):
     The state is a key of `CARDS`, or empty without a card.
     """
 
-    def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
+    def __init__(
+        self,
+        viewer: Viewer,
+        shows: Mapping[str, Callable[[], None]],
+        end: Callable[[], None],
+        state: str,
+    ) -> None:
         """Start in a state; `shows` has the action of `SHOW` for each state, by default "watch".
 
-        `shows["pull"]` ends the demonstration that "watch" has begun.
+        `end` ends the demonstration.
         """
         super().__init__(viewer)
-        self.state, self._shown, self._shows = state, "", shows
+        self.state, self._shown, self._shows, self._end = state, "", shows, end
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
         viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
-        """Show the card of a state, or no card if the state is empty."""
-        self.state = state
+        """Show the card of a state, or no card if the state is empty.
+
+        The demonstration ends with its card "demo", and if a viewer who watches it wants to pull.
+        """
+        before, self.state = self.state, state
+        if (before, state) == ("watch", "pull") or (
+            before == "demo" and state not in ("demo", "watch")
+        ):
+            self._end()
+
+    def leave_demonstration(self) -> None:
+        """Close the card of the repeated demonstration, if it is shown."""
+        if self.state == "demo":
+            self.go("")
 
     def update(self, moment: Moment) -> None:
         if self.state == self._shown:
@@ -177,15 +195,13 @@ class Guide(Panel):
         """Handle a click on a button of the card.
 
         Ignore a label that the card does not have, except for the labels of a card that the same
-        click has just closed (`Demonstration`).
+        click has just closed (`leave_demonstration`).
         """
         card = CARDS.get(self.state)
         if label not in (card.buttons if card else (WATCH, PULL)):
             return
         if label in (WATCH, SHOW):
             self._shows.get(self.state, self._shows["watch"])()
-        elif label == PULL and self.state == "watch":
-            self._shows["pull"]()
         if label == WATCH:
             self.go("watch")
         elif label == NEXT:

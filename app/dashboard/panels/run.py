@@ -28,7 +28,7 @@ from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, 
 from app.dashboard.panels.why import BAR_RANGE
 from app.dashboard.record import Course, pulled
 from app.dashboard.scene.colours import GHOSTS, SERIES, css, ink
-from app.dashboard.verdict import COLOURS, State, Verdict
+from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
@@ -44,7 +44,6 @@ INPUTS = {"the hand's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
 STEP = 0.001  # [s] of one control step
 _SIZE = "font-size:.82em"
-LATE = 0.05  # [-] share of late steps, or of missing real time, above which a row is coloured
 _SCORES = (
     ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
@@ -317,9 +316,8 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
 def machine_rows(snapshot: Snapshot) -> list[str]:
     """Return the load of the machine as rows of a table; values beyond a limit are coloured."""
     late = min(snapshot.overruns / max(round(snapshot.t / STEP), 1), 1.0)
-    slow = not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
     rows = [
-        ("real-time factor", _number(snapshot.realtime_factor, ".2f"), slow),
+        ("real-time factor", _number(snapshot.realtime_factor, ".2f"), is_slow(snapshot)),
         ("control step", f"{_number(snapshot.step_time_us, '.0f')} µs", False),
         ("late steps", f"{100.0 * late:.1f} %", late > LATE),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),

@@ -9,7 +9,7 @@ from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, s
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import Verdict, base_cannot_help
+from app.dashboard.verdict import Verdict, base_cannot_help, is_slow
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -30,7 +30,6 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
 """Label, hint, and names of the possible levels of each row."""
-_SLOW = 0.9  # [-] share of the desired speed below which the header states the cause
 _BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the base or beside it
 
 
@@ -94,8 +93,7 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
-    if factor < _SLOW * snapshot.speed:
-        pace += " (busy computer)"
+    pace += " (busy computer)" if is_slow(snapshot) else ""
     pace = "paused" if snapshot.paused else pace
     hint = f"Nearest link pair; the mark is its buffer d_b = {millimetres(d_b)}"
     return (
