@@ -163,7 +163,7 @@ def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]
     monkeypatch.setattr(camera_module, "monotonic", lambda: eye.time)
     client: Any = SimpleNamespace(camera=eye, atomic=nullcontext)
     camera = Camera(client)
-    camera.fit(parts().extent)
+    camera.extent = parts().extent
     camera.use("iso", loop.latest())
     eye.answer()
     return camera, eye, loop

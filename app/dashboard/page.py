@@ -89,7 +89,7 @@ class Page:
         self.channel.on("drop", lambda: self.grip.release_keys())
         self.grip = Grip(shared.loop, notifier, client.client_id)
         self._camera = before.viewer.camera if before else Camera(client)
-        self._camera.fit(shared.parts.extent)
+        self._camera.extent = shared.parts.extent
         own = self.channel, self.view, self.timeline, self.grip, self._camera
         files = before.viewer.files if before else Job()
         self.viewer = Viewer(client, notifier, shared, *own, files)

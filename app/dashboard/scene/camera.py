@@ -112,7 +112,8 @@ class Camera:
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self._extent = np.zeros((1, 3))
+        self.extent: Array = np.zeros((1, 3))
+        """(N, 3) [m] points of the robot to show, in the base's frame."""
         self._looked: _Look | None = None
         self._arrived = False
         self._preset = "iso"
@@ -147,10 +148,6 @@ class Camera:
             return None
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
-    def fit(self, extent: Array) -> None:
-        """Set the points (N, 3) [m] of the robot to show, in the base's frame."""
-        self._extent = extent
-
     def begin(self, snapshot: Snapshot) -> None:
         """Use `first_view`."""
         self.use(first_view(snapshot), snapshot)
@@ -158,7 +155,7 @@ class Camera:
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look at the robot of a snapshot from a preset, a key of `PRESETS`."""
         window, self._preset = self.window, name
-        eye, target = placed(PRESETS[name], [snapshot], self._extent, window)
+        eye, target = placed(PRESETS[name], [snapshot], self.extent, window)
         self.put(eye, target)
         self._followed = np.array(snapshot.base_pose[:2])
         self._looked = _Look(name, window, np.array(eye))
@@ -245,7 +242,7 @@ class Camera:
         camera, base_pose = self._client.camera, np.array(snapshot.base_pose)
         base = base_pose[:2]
         eye, target, window = camera.position, camera.look_at, self.window
-        seen = sees(eye, target, _in_world(base_pose, self._extent), window)
+        seen = sees(eye, target, _in_world(base_pose, self.extent), window)
         around = np.concatenate([robot.p_ee + _HAND for robot in _robots(snapshot)])
         lens = lens_of(eye, target, 1.0, window)
         hands = [lens.has(lens.pixel(corner)) for corner in around]
@@ -376,36 +373,17 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
         Eye (3,) [m], and target (3,) [m] on the optical axis, at the middle of the points' depths.
     """
     axes = _axes(-away)
-    forward = axes[2]
-    u, v, depth = axes @ points.T
-    high = np.tan(FIELD_OF_VIEW / 2)
-    across = _Strip(u, depth, -high * window.aspect, high * window.aspect)
-    low, top = window.edges
-    along = _Strip(v, depth, low * high, top * high)
-    nearest = min(across.nearest, along.nearest)
-    eye = axes.T @ np.array([across.middle(nearest), along.middle(nearest), nearest])
-    return eye, eye + ((depth.min() + depth.max()) / 2 - nearest) * forward
-
-
-class _Strip:
-    """Constraints on the camera's position from one direction of the picture.
-
-    A camera at coordinate u₀ and depth w₀ shows a point with coordinate u and depth w at
-    (u − u₀)/(w − w₀). This value must be between `low` and `high`, plus margins: each point gives
-    two half-planes of (u₀, w₀).
-    """
-
-    def __init__(self, u: Array, depth: Array, low: float, high: float) -> None:
-        spare = _MARGIN / 2 * (high - low)
-        self._low, self._high = low + spare, high - spare
-        self._least = float(np.max(u - self._high * depth))
-        self._most = float(np.min(u - self._low * depth))
-
-    @property
-    def nearest(self) -> float:
-        """[m] depth of the camera that is nearest to the points."""
-        return (self._most - self._least) / (self._high - self._low)
-
-    def middle(self, depth: float) -> float:
-        """Return the position [m] of the camera at a depth with equal margins on both sides."""
-        return (self._least + self._high * depth + self._most + self._low * depth) / 2
+    across, depth = np.vsplit(axes @ points.T, [2])
+    low, high = (
+        np.tan(FIELD_OF_VIEW / 2) * np.array([(-window.aspect, window.aspect), window.edges]).T
+    )
+    spare = _MARGIN / 2 * (high - low)
+    low, high = low + spare, high - spare
+    # A camera at coordinate u_0 and depth w_0 shows a point at (u - u_0)/(w - w_0). This is between
+    # `low` and `high`: in each direction, all points give two half-planes of (u_0, w_0).
+    least = (across - high[:, None] * depth).max(axis=1)
+    most = (across - low[:, None] * depth).min(axis=1)
+    nearest = float(((most - least) / (high - low)).min())
+    middle = (least + high * nearest + most + low * nearest) / 2  # equal margins on both sides
+    eye = axes.T @ np.array([*middle, nearest])
+    return eye, eye + ((depth.min() + depth.max()) / 2 - nearest) * axes[2]
