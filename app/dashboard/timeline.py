@@ -109,13 +109,11 @@ class Timeline:
         Without an earlier marked start, the interval starts with the oldest stored snapshot.
         """
         with self._lock:
-            at = self.shown().t
+            at = self.shown().t  # an interval without an end has all snapshots now
             if self.begin is None or self.begin >= at:
                 self._marked = self._stored()
                 self.begin = min(self._marked[0].t, at)
-            elif self.end is None:
-                self._extend()
-            else:
+            elif self.end is not None:
                 self._marked = [s for s in self._stored() if s.t >= self.begin] or self._marked
             self._cut(at)
 

@@ -71,7 +71,14 @@ def details_html(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None or why.bearing is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
-    return f'<div style="{_BODY}">{_tables(snapshot, why)}</div>'
+    tables = (
+        _table("Nearest active pair", _near_rows(snapshot, why, why.bearing))
+        + _table("Force on the base", _force_rows(why), _columns(why.axes))
+        + _table("Acting point p_act", _score_rows(why))
+        + _table("Task error, by priority", _level_rows(why.levels))
+        + _table("Active limits", _bound_rows(why))
+    )
+    return f'<div style="{_BODY}">{tables}</div>'
 
 
 def _first_rows(snapshot: Snapshot) -> list[str]:
@@ -266,19 +273,7 @@ def _the(name: str, why: Explanation) -> str:
     return f"the {words.body(name, why.chain)}"
 
 
-def _tables(snapshot: Snapshot, why: Explanation) -> str:
-    return (
-        _table("Nearest active pair", _near_rows(snapshot, why))
-        + _table("Force on the base", _force_rows(why), _columns(why.axes))
-        + _table("Acting point p_act", _score_rows(why))
-        + _table("Task error, by priority", _level_rows(why.levels))
-        + _table("Active limits", _bound_rows(why))
-    )
-
-
-def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
-    pair = why.bearing
-    assert pair is not None, "there is an active pair"
+def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str]:
     more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
     name = words.pair(pair.a, pair.b, why.chain) + more
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
