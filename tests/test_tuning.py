@@ -412,7 +412,7 @@ def test_defaults_of_a_folder_leave_the_others(servers):
     servers[0].gui.reset()
     desk = Desk(servers[:1])
     desk.tuning.set(D_B, 0.2)
-    last = desk.panels[0]._folders[-1].paths[0]
+    last = desk.panels[0]._folders[-1][-1][0]
     desk.tuning.set(last, TUNABLES[last].high)
     press(servers[0].gui, "Defaults")
     assert desk.tuning.config == Config().replace(D_B, 0.2)

@@ -12,7 +12,6 @@ import numpy as np
 import viser
 
 from app.dashboard.drag import DragHandles, Grip
-from app.dashboard.job import Job
 from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Panel, Viewer
@@ -26,14 +25,11 @@ from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.panels.why import WhyPanel
-from app.dashboard.scene.camera import PRESETS, Camera
+from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.legend import key_html, legend_html
 from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
-from app.dashboard.timeline import Timeline
-from app.dashboard.view import View
-from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import Compare, Play, Reset, Restart
@@ -47,10 +43,6 @@ PanelType = TypeVar("PanelType", bound=Panel)
 
 PRODUCT = "dbb self-collision avoidance"
 PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
-LIGHT = (
-    "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
-    "shadows. To change this, use “Low detail” in the tab View."
-)
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
 SHOWN = "guiding-lateral"
 """The scenario of the demonstration: the arm is pulled along the wheels' axis."""
@@ -75,25 +67,12 @@ class Page:
     ) -> None:
         """Create the page of a client; `before` is the client's closed page of another robot."""
         self._client, self._shared, self._notifier = client, shared, notifier
-        plots = [plan.title for plan in shared.plans]
-        view = View.first(shared.mobile, plots)
-        if before:
-            view = before.view.of_robot(shared.mobile, plots)
-        elif has_no_gpu(client):
-            view.light = True
-            notifier.tell(client, "Drawing", LIGHT)
-        self.view, self.timeline = view, Timeline(shared.loop, shared.strip)
-        self.channel = Channel(client, notifier)
+        self.viewer = viewer = Viewer(client, notifier, shared, before.viewer if before else None)
+        self.view, self.timeline, self.grip = viewer.view, viewer.timeline, viewer.grip
+        self.channel, self._camera = viewer.channel, viewer.camera
         self.channel.on("escape", self._escape)
         self.channel.on("nudge", self._nudge)
-        self.channel.on("drop", lambda: self.grip.release_keys())
-        self.grip = Grip(shared.loop, notifier, client.client_id)
-        self._camera = before.viewer.camera if before else Camera(client)
-        self._camera.extent = shared.parts.extent
-        own = self.channel, self.view, self.timeline, self.grip, self._camera
-        files = before.viewer.files if before else Job()
-        self.viewer = Viewer(client, notifier, shared, *own, files)
-        self.channel.on("scene", self._camera.cover)
+        self.channel.on("drop", self.grip.release_keys)
         self.closed = False
         newest = shared.loop.latest()
         self._refusal, self._newest = newest.refusal, newest  # this refusal precedes the page
@@ -152,7 +131,6 @@ class Page:
                 self._renew(Moment(newest, shown, verdict))
 
     def _renew(self, moment: Moment) -> None:
-        """Update all panels."""
         for panel in self._panels:
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
@@ -194,7 +172,6 @@ class Page:
         self.viewer.files.cancel()
 
     def _add(self, panel: PanelType) -> PanelType:
-        """Add a panel to those that are updated, and return the panel."""
         self._panels.append(panel)
         return panel
 

@@ -15,8 +15,15 @@ from app.dashboard.job import Job, build_robot, look_into_package, sample_border
 from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError, DbbError
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
-from app.onboarding.request import Request
-from app.robot.assets import bare_urdf, is_own, resolved_urdf, robot_folder, robot_names
+from app.onboarding.request import NAME, Request
+from app.robot.assets import (
+    bare_urdf,
+    is_own,
+    resolved_urdf,
+    robot_folder,
+    robot_names,
+    user_robots,
+)
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
@@ -257,11 +264,8 @@ class RobotBuild(Job):
         """Build the requested robot from the upload, in a job with a separate process.
 
         Raises:
-            ConfigError: A robot of this name exists, or another job is running.
-            RobotFileError: The name is not allowed.
+            ConfigError: Another job is running.
         """
-        if request.name in robot_names():
-            raise ConfigError(f"a robot {request.name!r} exists; choose another name")
 
         def work() -> None:
             self.built = ""
@@ -283,6 +287,19 @@ class RobotBuild(Job):
     def _forget(self) -> None:
         self.package = None
         self._folder.close()
+
+
+def new_folder(name: str) -> Path:
+    """Return the folder for a new robot of the user.
+
+    Raises:
+        ConfigError: The name is not allowed, or a robot of this name exists.
+    """
+    if not NAME.fullmatch(name):  # checked before it becomes a part of a path
+        raise ConfigError("a name starts with a letter and has only letters, digits and _")
+    if name in robot_names():
+        raise ConfigError(f"a robot {name!r} exists; choose another name")
+    return user_robots()[0] / name
 
 
 def _file_name(name: str) -> str:

@@ -265,11 +265,8 @@ def _titled(page: str, title: str, text: str) -> str:
 def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServer, web.Page]]:
     """Run a server and open an empty page of the pictures' size; close both at the end."""
     context = new_context(browser, (look.width, look.height))
-    try:
-        with own_server() as server:
-            yield server, context.new_page()
-    finally:
-        context.close()
+    with contextlib.closing(context), own_server() as server:
+        yield server, context.new_page()
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:

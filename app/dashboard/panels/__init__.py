@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from html import escape
 from typing import Any, NamedTuple
 
@@ -19,31 +18,46 @@ from app.dashboard.shared import SharedState
 from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
-from app.dashboard.viser_compat import Channel
+from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import TargetError
 from app.simulation.loop.commands import Pause, StepOnce
 from app.simulation.trace.snapshot import Snapshot
 
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
 """Labels of actions, the same on all buttons and in the list of commands."""
+LIGHT = (
+    "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
+    "shadows. To change this, use “Low detail” in the tab View."
+)
 
 
-@dataclass
 class Viewer:
     """The parts of one viewer's page that its panels use."""
 
-    client: viser.ClientHandle
-    notifier: Notifier
-    shared: SharedState
-    channel: Channel
-    """Messages to and from the page's own scripts."""
-    view: View
-    """The viewer's choices; callbacks assign to its fields."""
-    timeline: Timeline
-    grip: Grip
-    camera: Camera
-    files: Job
-    """Creates the viewer's files, one after the other."""
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        notifier: Notifier,
+        shared: SharedState,
+        before: Viewer | None = None,
+    ) -> None:
+        """Create the parts; `before` has those of the client's closed page of another robot."""
+        self.client, self.notifier, self.shared = client, notifier, shared
+        plots = [plan.title for plan in shared.plans]
+        self.view = (before.view.of_robot if before else View.first)(shared.mobile, plots)
+        """The viewer's choices; callbacks assign to its fields."""
+        if before is None and has_no_gpu(client):
+            self.view.light = True
+            notifier.tell(client, "Drawing", LIGHT)
+        self.timeline = Timeline(shared.loop, shared.strip)
+        self.channel = Channel(client, notifier)
+        """Messages to and from the page's own scripts."""
+        self.grip = Grip(shared.loop, notifier, client.client_id)
+        self.camera = before.camera if before else Camera(client)
+        self.camera.extent = shared.parts.extent
+        self.channel.on("scene", self.camera.cover)
+        self.files = before.files if before else Job()
+        """Creates the viewer's files, one after the other."""
 
     def look(self, preset: str) -> None:
         """Look at the shown snapshot from a preset, a key of `PRESETS`.

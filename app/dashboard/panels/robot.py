@@ -9,11 +9,11 @@ import viser
 from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.edit import EditPanel
-from app.dashboard.robots import Package, RobotBuild, RobotEntry
+from app.dashboard.robots import Package, RobotBuild, RobotEntry, new_folder
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
 from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
-from app.onboarding.request import BOUNDS, NAME, Request, check_request, option
+from app.onboarding.request import BOUNDS, Request, check_request, option
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 from app.strict import file_text
@@ -140,7 +140,14 @@ class NewRobotPanel(Panel):
         self._build, self._package = build, None
         self._shown_urdf = ""
         with gui.add_folder("Your own robot", expand_by_default=False):
-            gui.add_html(upload_html())
+            gui.add_html(
+                small(
+                    f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
+                    f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro "
+                    "first; nothing is executed. The robot's description, border and report are "
+                    f"saved in<br><code>{escape(str(user_robots()[0]))}</code>"
+                )
+            )
             self.uploads = self.upload(
                 "Upload a zip", self._receive, mime_type=".zip,application/zip"
             )
@@ -178,8 +185,7 @@ class NewRobotPanel(Panel):
         if package is None:
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
-        if not NAME.fullmatch(value["out"]):  # checked before it becomes a part of a path
-            raise ConfigError("a name starts with a letter and has only letters, digits and _")
+        folder = new_folder(value["out"])
         left, right = (
             value[name] if self._suits(name) and value[name] != FIND else ""
             for name in ("left", "right")
@@ -195,7 +201,7 @@ class NewRobotPanel(Panel):
             str(package.archive),
             value["base"],
             value["tip"],
-            user_robots()[0] / value["out"],
+            folder,
             wheels=(left, right) if left else None,
             kind=value["kind"],
             assume_inertia=value["assume_inertia"],
@@ -260,16 +266,6 @@ def report_html(page: str) -> str:
     return _REPORT.format(escape(page))
 
 
-def upload_html() -> str:
-    """Describe an acceptable zip, and name the folder of the user's robots."""
-    return small(
-        f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, {MOST_FILES} "
-        f"files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; nothing is executed. "
-        "The robot's description, border and report are saved in<br>"
-        f"<code>{escape(str(user_robots()[0]))}</code>"
-    )
-
-
 def outcome_html(build: RobotBuild) -> str:
     """Describe the result of the last job, and the next step; empty before the first upload."""
     if build.problem:
@@ -305,7 +301,6 @@ def robot_name(stem: str) -> str:
 
 
 def _field(gui: viser.GuiApi, name: str) -> Any:
-    """Create the widget of a question."""
     label, hint = _QUESTIONS[name]
     if name in BOUNDS:
         return gui.add_number(label, 0.0, min=0.0, max=BOUNDS[name].high, step=0.001, hint=hint)

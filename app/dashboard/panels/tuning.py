@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 import viser
 
@@ -28,7 +28,8 @@ class TuningPanel(Panel):
         self._tuning = viewer.shared.tuning
         self.widgets: dict[str, ParameterWidget] = {}
         """Widget of each parameter, by the parameter's path."""
-        self._folders: list[_Folder] = []
+        self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
+        """Folder of each section, its button that resets it, its title, and its parameters."""
         tuning = self._tuning
         self.buttons(
             "Changes",
@@ -47,10 +48,10 @@ class TuningPanel(Panel):
     def update(self, moment: Moment) -> None:
         for each in self.widgets.values():
             each.update(moment)
-        for folder in self._folders:
-            count = sum(self.widgets[path].is_marked for path in folder.paths)
-            folder.handle.label = f"{folder.title} · {count} changed" if count else folder.title
-            folder.reset.disabled = not count
+        for folder, reset, title, paths in self._folders:
+            count = sum(self.widgets[path].is_marked for path in paths)
+            folder.label = f"{title} · {count} changed" if count else title
+            reset.disabled = not count
         self._show_advanced()
 
     def _add_file(self) -> None:
@@ -73,8 +74,8 @@ class TuningPanel(Panel):
             )
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
-        handle = self._gui.add_folder(title, expand_by_default=expand)
-        with handle:
+        folder = self._gui.add_folder(title, expand_by_default=expand)
+        with folder:
             for path in paths:
                 self.widgets[path] = ParameterWidget(self._viewer, path)
             reset = self.button(
@@ -85,7 +86,7 @@ class TuningPanel(Panel):
                 disabled=True,
                 hint="Reset the parameters of this folder",
             )
-        self._folders.append(_Folder(handle, reset, title, paths))
+        self._folders.append((folder, reset, title, paths))
 
     def _show_advanced(self) -> None:
         advanced = self._all.value
@@ -112,17 +113,6 @@ class TuningPanel(Panel):
             event.client, "Parameters", f"{file.name[:60]}: {count} changed from the defaults."
         )
         self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
-
-
-class _Folder(NamedTuple):
-    """Folder of parameters, whose label shows the number of changed ones."""
-
-    handle: Any
-    reset: Any
-    """Button that resets the folder's parameters."""
-    title: str
-    paths: tuple[str, ...]
-    """Paths of the folder's parameters."""
 
 
 def file_name(name: str) -> str:

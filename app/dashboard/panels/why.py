@@ -161,7 +161,7 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     if why.controller == "none":
         return f"{text}. Avoidance is off."
     text += f" (buffer {words.length(snapshot.d_b)})"
-    moves = _motion(snapshot, why, ahead=False)
+    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
     if moves is None:
         return f"{text}."
     if why.mode == "tracking":
@@ -228,18 +228,12 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
     """Return the motion of the base, by default its next motion; None without both."""
     ahead = pair.n[0] > _BEHIND
-    moves = _motion(snapshot, why, ahead=ahead)
+    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
         return f"the base {moves}" + (", at its speed limit" if top else "")
-    commanded = planar(why.axes, why.base_asked)
-    will = words.intention(commanded.forward, commanded.turn, ahead=ahead, left=commanded.left)
+    will = words.motion(planar(why.axes, why.base_asked), ahead=ahead, intended=True)
     return None if will is None else f"the base is about to {will}"
-
-
-def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
-    v = planar(why.axes, snapshot.base_velocity)
-    return words.motion(v.forward, v.turn, ahead=ahead, left=v.left)
 
 
 def _hand(why: Explanation, *, held: bool = False) -> str:
@@ -364,8 +358,9 @@ def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] =
     return table((head, *rows), "border-spacing:0;margin-bottom:.4em", tight=True)
 
 
-def _row(label: str, hint: str, value: str, *, span: int = 1) -> str:
-    return row(cell(label, FAINT, ONE_LINE), cell(value, RIGHT, ONE_LINE, span=span), hint=hint)
+def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
+    cells = (cell(value, RIGHT, ONE_LINE, span=span) for value in values)
+    return row(cell(label, FAINT, ONE_LINE), *cells, hint=hint)
 
 
 def _acceleration(
@@ -379,8 +374,7 @@ def _acceleration(
     """Return a row with the size of a force [N] and accelerations; dashes unless `on`."""
     newtons = "" if f is None else f"{math.hypot(*f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
-    values = values if on else [_NONE] * len(values)
-    return row(cell(label, FAINT, ONE_LINE), *(cell(value, RIGHT) for value in values), hint=hint)
+    return _row(label, hint, *(values if on else [_NONE] * len(values)))
 
 
 def _sum(vectors: Sequence[Sequence[float]], n: int) -> list[float]:
