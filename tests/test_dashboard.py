@@ -265,7 +265,7 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
 def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashboard):
     held, job = threading.Event(), dashboard.shared.robot_switch
     with RawClient(dashboard.address):
-        told = page_of(dashboard)._change.text
+        told = page_of(dashboard).change.text
         job.start("map", "begins", held.wait)
         wait_for(lambda: "<b>map</b>: begins" in told.content)
         job.cancel()
@@ -806,6 +806,23 @@ def test_who_watches_the_demonstration_again_keeps_the_scenario_until_a_pull(
     assert loop.commands[-2:] == [Compare(), Reset()]
 
 
+def test_the_end_of_the_demonstration_spares_one_that_begins_meanwhile(loop, guided, monkeypatch):
+    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    page, say, shows = guided
+    say("seen", "untouched")
+    shows("demo")
+    send = loop.send
+
+    def send_late(command):
+        send(command)
+        page.guide.leave_demonstration()  # as the drawing thread after the first input
+
+    monkeypatch.setattr(loop, "send", send_late)
+    page.guide.watch("watch")
+    assert page.guide.state == "watch"
+    assert isinstance(loop.commands[-1], Play)
+
+
 # Plots and readings
 
 
@@ -880,7 +897,7 @@ def test_the_tab_view_shows_choices_that_were_made_elsewhere(dashboard):
         page, title = page_of(dashboard), "hand error [mm]"
         boxes = [buttons_of(page, label) for label in ("Dark theme", title)]
         wait_for(lambda: [box.value for box in boxes] == [True, False])
-        page._toggle_dark()
+        page.view.toggle_dark()
         page.view.plots |= {title}
         wait_for(lambda: [box.value for box in boxes] == [False, True])
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from time import monotonic
-from typing import TypeVar
 
 import numpy as np
 import viser
 
-from app.dashboard.drag import DragHandles, Grip
+from app.dashboard.drag import DragHandles
 from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Panel, Viewer
+from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Viewer
 from app.dashboard.panels.explorer import ExplorerPanel
-from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
+from app.dashboard.panels.help import SHOWN, Guide, Shortcut, add_help, add_shortcuts
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
@@ -31,22 +29,13 @@ from app.dashboard.scene.legend import key_html, legend_html
 from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
 from app.errors import DbbError
-from app.robot.description import RobotDescription
-from app.simulation.loop.commands import Compare, Play, Reset, Restart
-from app.simulation.loop.loop import LoopHandle
-from app.simulation.scenarios import SCENARIOS, scenario_of
-from app.simulation.scenarios.line import LineScenario
-from app.simulation.session import SCENARIO_PERSON
+from app.simulation.loop.commands import Restart
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.snapshot import Snapshot
-
-PanelType = TypeVar("PanelType", bound=Panel)
 
 PRODUCT = "dbb self-collision avoidance"
 PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
-SHOWN = "guiding-lateral"
-"""The scenario of the demonstration: the arm is pulled along the wheels' axis."""
-FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
 UNTOUCHED = 20.0  # [s] without input before a demonstration starts
 REST = 3.0  # [s] pause between two demonstrations
 
@@ -76,20 +65,15 @@ class Page:
         self.closed = False
         newest = shared.loop.latest()
         self._refusal, self._newest = newest.refusal, newest  # this refusal precedes the page
-        self._dark, self._light = self.view.dark, self.view.light
-        set_theme(client.gui, dark=self.view.dark)
+        self._look: tuple[bool, ...] = ()  # theme and detail of the page
         client.gui.set_panel_label(shared.parts.title)
-        self._panels: list[Panel] = []
         with client.atomic():
             self._build_left()
             self._build_right()
-            self._add(TimelinePanel(self.viewer))
-        end = partial(end_demonstration, shared.loop, self.grip)
-        state = before.guide.state if before else ""
-        self.guide = self._add(Guide(self.viewer, self._shows(), end, state))
+            TimelinePanel(self.viewer)
+        self.guide = Guide(self.viewer, self._shows(), before.guide.state if before else "")
         self.channel.begin()
         self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
-        self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
         self._border = border = self._scene.border
@@ -116,9 +100,10 @@ class Page:
                 [each._replace(pair=spoken[each.pair]) for each in self._border.legends]
             )
         with self._client.atomic():
-            if self._dark != self.view.dark:
-                self._dark = self.view.dark
-                set_theme(self._client.gui, dark=self._dark)
+            if self._look != (self.view.dark, self.view.light):
+                self._look = self.view.dark, self.view.light
+                set_theme(self._client.gui, dark=self.view.dark)
+                self.channel.tell("light", self.view.light)
             verdict = self._scene.draw(shown, texts=texts, lens=self._camera.lens)
             self.hand.update(shown)
             self._camera.settle(shown, busy=self.grip.holds_anything)
@@ -131,15 +116,14 @@ class Page:
                 self._renew(Moment(newest, shown, verdict))
 
     def _renew(self, moment: Moment) -> None:
-        for panel in self._panels:
+        for panel in self.viewer.panels:
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
-        self._show_refusal(moment.newest)
+        refusal = moment.newest.refusal
+        if refusal is not None and refusal != self._refusal:
+            self._notifier.warn(self._client, refusal.message)
+        self._refusal = refusal
         _show(self._hung, hung_html(self._shared.loop.silence))
-        self._change.show("")
-        if self._light != self.view.light:
-            self._light = self.view.light
-            self.channel.tell("light", self._light)
 
     @property
     def untouched(self) -> bool:
@@ -171,18 +155,14 @@ class Page:
         self.close()
         self.viewer.files.cancel()
 
-    def _add(self, panel: PanelType) -> PanelType:
-        self._panels.append(panel)
-        return panel
-
     def _build_left(self) -> None:
         gui = self._client.gui
         panel = gui.add_panel()
         with panel.add_tab("Why", viser.Icon.BULB):
-            self._why = self._add(WhyPanel(self.viewer))
-        self._plots = self._add(Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE)))
+            self._why = WhyPanel(self.viewer)
+        self._plots = Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE))
         with panel.add_tab("Compare", viser.Icon.USERS):
-            self._add(ComparePanel(self.viewer))
+            ComparePanel(self.viewer)
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key = gui.add_html("")
         panel.dock_left()
@@ -193,32 +173,30 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(MAIN_WIDTH)
         self._banner = gui.add_html("", visible=False)
-        self._change = JobStatus(viewer, self._shared.robot_switch)
+        self.change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = self._add(RunPanel(viewer))
+            self._run = RunPanel(viewer)
         with tabs.add_tab("Lab"):
-            self._add(LabPanel(viewer))
-            self.explorer_panel = self._add(ExplorerPanel(viewer))
+            LabPanel(viewer)
+            self.explorer_panel = ExplorerPanel(viewer)
         with tabs.add_tab("View"):
-            self._add(ViewPanel(viewer))
+            ViewPanel(viewer)
         with tabs.add_tab("Tune"):
-            self.tuning_panel = self._add(TuningPanel(viewer))
+            self.tuning_panel = TuningPanel(viewer)
         self.robot_panel: RobotPanel | None = None
         if self._shared.robot_switch.possible:
             with tabs.add_tab("Robot"):
-                self.robot_panel = self._add(RobotPanel(viewer))
+                self.robot_panel = RobotPanel(viewer)
         with tabs.add_tab("Save"):
-            self._add(SavePanel(viewer))
+            SavePanel(viewer)
         with tabs.add_tab("Help"):
             add_help(gui, self._shortcuts())
 
     def _shows(self) -> dict[str, Callable[[], None]]:
         """Return the actions of the guide's button `SHOW` by the guide's states."""
-        shared = self._shared
         return {
-            "watch": lambda: play_with_ghost(shared.loop, shared.model.description),
             **dict.fromkeys(("tour 1", "tour 2", "tour 3"), lambda: self._run.play(SHOWN)),
             "tour 4": lambda: self.timeline.step(-3.0),
         }
@@ -238,7 +216,7 @@ class Page:
             Shortcut("Back 1 s", "B", lambda: self.viewer.step(-1.0)),
             Shortcut("Forward 1 s", "F", lambda: self.viewer.step(1.0)),
             Shortcut("Back to now", "N", self.timeline.go_live),
-            Shortcut("Dark or light theme", "L", self._toggle_dark),
+            Shortcut("Dark or light theme", "L", self.view.toggle_dark),
             *looks,
             Shortcut(BACK, None, lambda: self._run.play(FREE)),
             *scenarios,
@@ -255,29 +233,6 @@ class Page:
         ahead = np.clip((x, y, z), -1.0, 1.0)
         self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
 
-    def _toggle_dark(self) -> None:
-        self.view.dark = not self.view.dark
-
-    def _show_refusal(self, newest: Snapshot) -> None:
-        """Show the viewer each new refusal of a command by the simulation."""
-        if newest.refusal is not None and newest.refusal != self._refusal:
-            self._notifier.warn(self._client, newest.refusal.message)
-        self._refusal = newest.refusal
-
-
-def play_with_ghost(loop: LoopHandle, robot: RobotDescription) -> None:
-    """Play the demonstration on a robot and on a ghost without avoidance.
-
-    Raises:
-        UnreachableError: The robot has no line for this scenario.
-    """
-    scenario = scenario_of(robot, SHOWN)
-    if isinstance(scenario, LineScenario):
-        x, y, z = (FARTHER * part for part in scenario.move)
-        scenario = scenario.changed(move=(x, y, z))
-    loop.send(Compare(("none",)))
-    loop.send(Play(scenario))
-
 
 class Demonstration:
     """Starts a repeated demonstration for a single viewer who has not touched the page.
@@ -290,9 +245,8 @@ class Demonstration:
     def __init__(self) -> None:
         self._due: float | None = None
 
-    def update(self, pages: Sequence[Page], loop: LoopHandle, robot: RobotDescription) -> None:
+    def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
         """Start or repeat the demonstration, or close its card; called by the drawing thread."""
-        newest = loop.latest()
         if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
             self._due = None
             for page in pages:
@@ -307,19 +261,7 @@ class Demonstration:
         elif monotonic() > self._due:
             self._due = None
             with suppress(DbbError):  # the robot cannot play the scenario
-                play_with_ghost(loop, robot)
-                guide.go("demo")
-
-
-def end_demonstration(loop: LoopHandle, grip: Grip) -> None:
-    """Remove the ghost, and put the robot at the free start unless a viewer holds it.
-
-    The pull of the page's `grip` can be newer than the newest snapshot.
-    """
-    loop.send(Compare())
-    held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
-    if not (held or grip.holds_anything):
-        loop.send(Reset())
+                guide.watch("demo")
 
 
 def hung_html(silence: float) -> str:

@@ -27,16 +27,11 @@ _SECTORS = (
 _TOP = 0.8  # [-] z of a normal above which it points upwards
 
 _BOUNDS: dict[BoundKind, str] = {
-    "torque": "torque limit",
     "position": "joint limit",
-    "velocity": "velocity limit",
     "barrier": "minimum distance",
-    "torque rate": "torque rate limit",
-    "acceleration": "acceleration limit",
     "angular acceleration": "turning acceleration limit",
-    "speed": "speed limit",
-    "turning speed": "turning speed limit",
 }
+"""Limits whose name is not their kind."""
 
 
 def angle(x: float, y: float) -> str:
@@ -64,7 +59,7 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
     where = reading.where
     if reading.kind == "barrier":
         where = spoken(where, chain)
-    return f"{where}: {_BOUNDS[reading.kind]}"
+    return f"{where}: {_BOUNDS.get(reading.kind, f'{reading.kind} limit')}"
 
 
 def length(d: float) -> str:

@@ -57,21 +57,20 @@ class RobotEntry(NamedTuple):
 
 def robot_entries() -> list[RobotEntry]:
     """Return all robots, sorted by name."""
-    return [_entry(name) for name in robot_names()]
-
-
-def _entry(name: str) -> RobotEntry:
-    folder, title, about, problem = robot_folder(name), name, "", None
-    page = folder / "report.html"
-    own, report = is_own(name), page.is_file() and not page.is_symlink()
-    try:
-        description = load_robot(name)
-        title = description.title
-        about = f"{description.base.kind} base, arm of {len(description.arm.joints)} joints"
-        _NEEDED(description)
-    except DbbError as error:
-        problem = str(error)
-    return RobotEntry(name, title, about, problem, own, report)
+    entries = []
+    for name in robot_names():
+        title, about, problem = name, "", None
+        page = robot_folder(name) / "report.html"
+        own, report = is_own(name), page.is_file() and not page.is_symlink()
+        try:
+            description = load_robot(name)
+            title = description.title
+            about = f"{description.base.kind} base, arm of {len(description.arm.joints)} joints"
+            _NEEDED(description)
+        except DbbError as error:
+            problem = str(error)
+        entries.append(RobotEntry(name, title, about, problem, own, report))
+    return entries
 
 
 @runtime_checkable
@@ -264,8 +263,10 @@ class RobotBuild(Job):
         """Build the requested robot from the upload, in a job with a separate process.
 
         Raises:
-            ConfigError: Another job is running.
+            ConfigError: The name is not allowed, a robot of this name exists, or another job is
+                running.
         """
+        new_folder(request.name)
 
         def work() -> None:
             self.built = ""

@@ -136,7 +136,7 @@ class DashboardServer:
         shared = self.shared
         shared.update()
         pages = [page for page in self.pages.values() if not page.closed]
-        self._demonstration.update(pages, shared.loop, shared.model.description)
+        self._demonstration.update(pages, shared.loop.latest())
         texts = time.monotonic() >= self._texts_due
         if texts:
             self._texts_due = time.monotonic() + TEXTS_EVERY

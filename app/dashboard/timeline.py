@@ -53,8 +53,14 @@ class Timeline:
             self._newest = newest
             if self.begin is not None and self.end is None:
                 self._extend()
-            if self._replay is not None:
-                self._continue(self._replay, newest)
+            if (replay := self._replay) is not None:
+                began, t, speed = replay
+                t += (monotonic() - began) * speed
+                if t >= newest.t:
+                    self.go_live()
+                else:
+                    self.go_to(t)
+                    self._replay = replay
             return self._shown or newest
 
     @property
@@ -139,15 +145,6 @@ class Timeline:
     def between(self, begin: float, end: float) -> list[Snapshot]:
         """Return the stored snapshots between two times [s], oldest first."""
         return [snapshot for snapshot in self._stored() if begin <= snapshot.t <= end]
-
-    def _continue(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
-        began, t, speed = replay
-        t += (monotonic() - began) * speed
-        if t >= newest.t:
-            self.go_live()
-        else:
-            self.go_to(t)
-            self._replay = replay
 
     def _stored(self) -> list[Snapshot]:
         """Return all stored snapshots; those older than 60 s have larger intervals."""

@@ -43,6 +43,8 @@ class Viewer:
     ) -> None:
         """Create the parts; `before` has those of the client's closed page of another robot."""
         self.client, self.notifier, self.shared = client, notifier, shared
+        self.panels: list[Panel] = []
+        """All panels, in the order of their creation."""
         plots = [plan.title for plan in shared.plans]
         self.view = (before.view.of_robot if before else View.first)(shared.mobile, plots)
         """The viewer's choices; callbacks assign to its fields."""
@@ -96,6 +98,7 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer, in the GUI container that is open during construction.
 
+    The page updates all panels of its viewer, also those that other panels contain.
     A callback of a widget takes viser's event. Its exceptions are shown to the viewer who used the
     widget. An `update` may assign all values each time, because viser sends only changes.
     """
@@ -104,6 +107,7 @@ class Panel:
         self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
+        viewer.panels.append(self)
 
     def update(self, moment: Moment) -> None:
         """Show changes; called by the drawing thread."""
@@ -150,26 +154,26 @@ class Panel:
 class JobStatus(Panel):
     """Progress or result of a job, and a button that cancels the job."""
 
-    def __init__(self, viewer: Viewer, job: Job) -> None:
+    def __init__(self, viewer: Viewer, job: Job, idle: Callable[[], str] = lambda: "") -> None:
+        """Show the status of the job, or the HTML that `idle` returns if no job is running."""
         super().__init__(viewer)
-        self._job = job
+        self._job, self._idle = job, idle
         self.text = self._gui.add_html("", visible=False)
         self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
         self._cancel = self.button(
             "Cancel", lambda _: job.cancel(), viser.Icon.X, color="gray", visible=False
         )
 
-    def show(self, idle: str) -> None:
-        """Show the progress of the job, or the HTML `idle` if no job is running."""
-        progress = self._job.progress
+    def update(self, moment: Moment) -> None:
+        progress, text = self._job.progress, self._idle()
         if progress is not None:
             seconds = time.monotonic() - progress.began
             share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
             far = "cancelling" if self._job.cancelled else f"{progress.text}{share}"
-            idle = f"<b>{escape(progress.title)}</b>: {escape(far)}, {seconds:.0f} s"
+            text = f"<b>{escape(progress.title)}</b>: {escape(far)}, {seconds:.0f} s"
             self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
-        self.text.content = small(idle) if idle else ""
-        self.text.visible = bool(idle)
+        self.text.content = small(text) if text else ""
+        self.text.visible = bool(text)
         self._bar.visible = progress is not None and progress.share >= 0.0
         self._cancel.visible = progress is not None
         self._cancel.disabled = self._job.cancelled

@@ -7,6 +7,11 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
+from app.errors import DbbError
+from app.simulation.loop.commands import Compare, Play, Reset
+from app.simulation.scenarios import scenario_of
+from app.simulation.scenarios.line import LineScenario
+from app.simulation.session import SCENARIO_PERSON
 
 TEXT = """
 **Purpose.** A controller that moves the base of a mobile robot out of its own arm's way. It
@@ -44,6 +49,9 @@ is shared, and the forces of all who pull add up.
 """
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
+SHOWN = "guiding-lateral"
+"""The scenario of the demonstration: the arm is pulled along the wheels' axis."""
+FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
 
 
 class Card(NamedTuple):
@@ -149,19 +157,10 @@ class Guide(Panel):
     The state is a key of `CARDS`, or empty without a card.
     """
 
-    def __init__(
-        self,
-        viewer: Viewer,
-        shows: Mapping[str, Callable[[], None]],
-        end: Callable[[], None],
-        state: str,
-    ) -> None:
-        """Start in a state; `shows` has the action of `SHOW` for each state, by default "watch".
-
-        `end` ends the demonstration.
-        """
+    def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
+        """Start in a state; `shows` has the action of `SHOW` by state, else the demonstration."""
         super().__init__(viewer)
-        self.state, self._shown, self._shows, self._end = state, "", shows, end
+        self.state, self._shown, self._shows = state, "", shows
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
         viewer.channel.on("card", self._press, str)
@@ -176,6 +175,20 @@ class Guide(Panel):
             before == "demo" and state not in ("demo", "watch")
         ):
             self._end()
+
+    def watch(self, state: str) -> None:
+        """Play the demonstration, and show the card "watch" or "demo".
+
+        Raises:
+            UnreachableError: The robot has no line for this scenario.
+        """
+        # The card first: otherwise, the drawing thread could end the beginning demonstration.
+        before, self.state = self.state, state
+        try:
+            self._play()
+        except DbbError:
+            self.state = before
+            raise
 
     def leave_demonstration(self) -> None:
         """Close the card of the repeated demonstration, if it is shown."""
@@ -200,11 +213,28 @@ class Guide(Panel):
         card = CARDS.get(self.state)
         if label not in (card.buttons if card else (WATCH, PULL)):
             return
-        if label in (WATCH, SHOW):
-            self._shows.get(self.state, self._shows["watch"])()
-        if label == WATCH:
-            self.go("watch")
+        if label == SHOW:
+            self._shows.get(self.state, self._play)()
+        elif label == WATCH:
+            self.watch("watch")
         elif label == NEXT:
             self.go(f"tour {int(self.state[-1]) + 1}")
-        elif label != SHOW:
+        else:
             self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
+
+    def _play(self) -> None:
+        """Play the demonstration on a robot and on a ghost without avoidance."""
+        scenario = scenario_of(self._shared.model.description, SHOWN)
+        if isinstance(scenario, LineScenario):
+            x, y, z = (FARTHER * part for part in scenario.move)
+            scenario = scenario.changed(move=(x, y, z))
+        self._shared.loop.send(Compare(("none",)))
+        self._shared.loop.send(Play(scenario))
+
+    def _end(self) -> None:
+        """Remove the ghost, and put the robot at the free start unless a viewer holds it."""
+        loop = self._shared.loop
+        loop.send(Compare())
+        held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
+        if not (held or self._viewer.grip.holds_anything):  # whose pull can be newer
+            loop.send(Reset())

@@ -68,7 +68,7 @@ class RobotPanel(Panel):
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()
         self._choose(shared.model.description.name)
-        self.edit = EditPanel(viewer)
+        EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
@@ -83,8 +83,6 @@ class RobotPanel(Panel):
         self.about.content = (about_html(chosen, here=here) if chosen else "") + failed
         self._use.disabled = progress is not None or not usable
         self._report.visible = chosen is not None and chosen.report
-        self.edit.update(moment)
-        self.own.update(moment)
 
     def _begin(self, _: viser.GuiEvent) -> None:
         shared, chosen = self._shared, self._chosen()
@@ -151,7 +149,7 @@ class NewRobotPanel(Panel):
             self.uploads = self.upload(
                 "Upload a zip", self._receive, mime_type=".zip,application/zip"
             )
-            self.status = JobStatus(viewer, build)
+            self.status = JobStatus(viewer, build, lambda: outcome_html(build))
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
             self._make = self.button(
                 "Create robot",
@@ -164,8 +162,10 @@ class NewRobotPanel(Panel):
         package, progress = self._build.package, self._build.progress
         if package is not self._package:
             self._package = package
+            self._shown_urdf = ""  # another zip may have the same path with other links
             if package is not None:
-                self._offer_files(package)
+                self.fields["file"].options = tuple(package.urdfs)
+                self.fields["out"].value = robot_name(package.archive.stem)
         if package is not None and self.fields["file"].value != self._shown_urdf:
             self._offer_links(package)
         asks = package is not None and progress is None
@@ -173,7 +173,6 @@ class NewRobotPanel(Panel):
             field.visible = asks and self._suits(name)
         self._make.visible = asks
         self.uploads.disabled = progress is not None
-        self.status.show(outcome_html(self._build))
 
     def request(self) -> Request:
         """Return the request for a robot from the fields; fields that do not apply are ignored.
@@ -226,12 +225,6 @@ class NewRobotPanel(Panel):
         if name == "file":
             return self._package is not None and len(self._package.urdfs) > 1
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
-
-    def _offer_files(self, package: Package) -> None:
-        """Offer the URDFs of a new zip, and a name for the robot."""
-        self._shown_urdf = ""  # another zip may have the same path with other links
-        self.fields["file"].options = tuple(package.urdfs)
-        self.fields["out"].value = robot_name(package.archive.stem)
 
     def _offer_links(self, package: Package) -> None:
         """Offer the links and wheel joints of the chosen URDF, by default its two end links."""

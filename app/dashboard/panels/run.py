@@ -106,8 +106,9 @@ class RunPanel(Panel):
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
         beside = () if course.running or newest.busy else newest.scores[1:]
+        about = "A sudden change would push an arm inside the buffer away."
         self._course.content = (
-            notice_html(newest)
+            (banner("notice", newest.changing, about) if newest.changing else "")
             + course_html(course, newest.busy)
             + (small(outcomes_html(beside)) if beside else "")
         )
@@ -252,12 +253,6 @@ def outcomes_html(scores: Sequence[Score]) -> str:
         for score in scores
     )
     return "<br>".join(lines)
-
-
-def notice_html(newest: Snapshot) -> str:
-    """Return a notice while a parameter approaches its new value gradually; otherwise ""."""
-    text = "A sudden change would push an arm inside the buffer away."
-    return banner("notice", newest.changing, text) if newest.changing else ""
 
 
 def course_html(course: Course, busy: str) -> str:

@@ -46,8 +46,6 @@ class TuningPanel(Panel):
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
-        for each in self.widgets.values():
-            each.update(moment)
         for folder, reset, title, paths in self._folders:
             count = sum(self.widgets[path].is_marked for path in paths)
             folder.label = f"{title} · {count} changed" if count else title
@@ -132,20 +130,22 @@ class ParameterWidget(Panel):
         """Add the widgets of the parameter `path` to the open container."""
         super().__init__(viewer)
         self.about = tunable(path)
-        self.is_marked = False
-        """Whether the value differed from its default at the last update."""
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
-        self.handle = _widget(self._gui, self.about, self._title, self._tuning.config.value(path))
-        self.on_update(self.handle, self._set)
-        self.exponent = _exponent(self._gui, self.about, self.handle.value)
-        """The slider of the value's decimal logarithm, or None."""
-        if self.exponent is not None:
-            self.on_update(self.exponent, self._set)
+        value = self._tuning.config.value(path)
+        self.handle, self.exponent = _widgets(self._gui, self.about, self._title, value)
+        """The widget, and the slider of the value's decimal logarithm or None."""
+        for handle in filter(None, (self.handle, self.exponent)):
+            self.on_update(handle, self._set)
+
+    @property
+    def is_marked(self) -> bool:
+        """Whether the value differs from its default."""
+        path = self.about.path
+        return self._tuning.config.value(path) != self._tuning.usual.value(path)
 
     def update(self, moment: Moment) -> None:
         value = self._tuning.config.value(self.about.path)
         self.follow(self.handle, value)
-        self.is_marked = value != self._tuning.usual.value(self.about.path)
         self.handle.label = self._title + (MARK if self.is_marked else "")
         if self.exponent is not None:
             self.follow(self.exponent, _power_of(value))
@@ -159,26 +159,24 @@ class ParameterWidget(Panel):
             event.target.value = _power_of(value) if is_power else value
 
 
-def _widget(gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str) -> Any:
-    """Create a list of choices, a slider, or a number box for a range of several powers of ten."""
+def _widgets(
+    gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str
+) -> tuple[Any, Any]:
+    """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
+    exponent = None
     if isinstance(about, Choice):
-        return gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
+        handle = gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
+        return handle, exponent
     low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
     if about.log:
         handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
+        label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
+        look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
+        exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
     else:
         handle = gui.add_slider(title, low, high, slider_step(low, high), float(value), hint=hint)
     handle.precision = DECIMALS
-    return handle
-
-
-def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any:
-    """Create the slider of a value's decimal logarithm; None unless its parameter is so scaled."""
-    if isinstance(about, Choice) or not about.log:
-        return None
-    low, high = math.log10(about.low), math.log10(about.high)
-    label, ends = f"{about.label}, 10ˣ", ((low, f"{about.low:g}"), (high, f"{about.high:g}"))
-    return gui.add_slider(label, low, high, 0.01, _power_of(value), marks=ends, hint=about.help)
+    return handle, exponent
 
 
 def _value_of(power: float) -> float:

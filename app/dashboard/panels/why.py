@@ -125,15 +125,6 @@ def sentence(snapshot: Snapshot) -> str:
     return ("Contact of arm and base. " if snapshot.in_contact else touch) + _answer(snapshot, why)
 
 
-def _hand_is_disturbed(why: Explanation) -> bool:
-    """Whether the end-effector's task has a noticeable slack."""
-    return any(
-        (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
-        for level in why.levels
-        if level.name == "hand"
-    )
-
-
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
     if not why.solved:
         cause = "the readings are invalid or the solver found no solution"
@@ -243,9 +234,12 @@ def _hand(why: Explanation, *, held: bool = False) -> str:
     """
     if why.mode == "guiding":
         return "the arm resists further guiding" if held else "the arm can still be guided freely"
-    if _hand_is_disturbed(why):
-        return "the end-effector's task is reduced"
-    return "the end-effector's task is not affected"
+    disturbed = any(
+        (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
+        for level in why.levels
+        if level.name == "hand"
+    )
+    return f"the end-effector's task is {'reduced' if disturbed else 'not affected'}"
 
 
 def _off_target(snapshot: Snapshot) -> str:
@@ -333,14 +327,11 @@ def _level_rows(levels: Sequence[Level]) -> list[str]:
     rows = []
     for label, hint, names in _LEVELS:
         level = next((by_name[name] for name in names if name in by_name), None)
-        rows.append(_row(label, hint, _NONE if level is None else _given_up(level)))
+        parts = ((level.linear, "m/s²"), (level.angular, "rad/s²")) if level else ()
+        texts = [f"{value:.2f} {unit}" for value, unit in parts if (value or 0.0) >= 0.005]
+        none = '<span style="opacity:.8">0</span>' if level else _NONE
+        rows.append(_row(label, hint, ", ".join(texts) or none))
     return rows
-
-
-def _given_up(level: Level) -> str:
-    parts = ((level.linear, "m/s²"), (level.angular, "rad/s²"))
-    texts = [f"{value:.2f} {unit}" for value, unit in parts if value is not None and value >= 0.005]
-    return ", ".join(texts) or '<span style="opacity:.8">0</span>'
 
 
 def _bound_rows(why: Explanation) -> list[str]:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import viser
 
 from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resultant_force
@@ -15,7 +14,7 @@ from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
 from app.dashboard.markup import minus
-from app.dashboard.scene.canvas import ROOT, Canvas, Lens
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, in_world
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
 from app.dashboard.scene.legend import QUANTITIES, Legend, measure_of, title_of
@@ -67,8 +66,6 @@ class Borders:
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
-        self.pairs = frozenset(clouds)
-        """Names of the pairs of L_m."""
         self.body = MobileBody(model)
         """Shape of the mobile robot l_m, in the base's frame."""
         self.top = float(self.body.upper[2])
@@ -164,6 +161,7 @@ class DrawnBorders:
         self._scene, self._borders, self._model = scene, borders, model
         self._drawn: dict[str, _Drawn] = {}
         self._probed: tuple[object, _Probe | None] = (), None
+        self._slice: tuple[object, list[Array]] = (), []
         self.pointer: tuple[float, ...] = ()
         """[px] position of the pointer, to the right and up from the scene's centre; empty if the
         pointer is elsewhere."""
@@ -221,8 +219,7 @@ class DrawnBorders:
         """
         if not self.pointer or lens is None:
             return
-        place = np.array(snapshot.base_pose)
-        key = (self.pointer, *lens.eye, *place, snapshot.config)
+        key = (self.pointer, *lens.eye, *snapshot.base_pose, snapshot.config)
         if key != self._probed[0]:
             self._probed = key, self._find(snapshot, lens)
         if (probe := self._probed[1]) is None:
@@ -230,20 +227,34 @@ class DrawnBorders:
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
         canvas.lines(f"{ROOT}/probe/step", [np.array([probe.p, probe.p_act])], ACTING, 2.0)
-        x, y, phi = place
-        at = pin.utils.rotate("z", phi) @ probe.p + (x, y, 0.0)
-        canvas.label("/probe/text", at, minus(probe.text))
+        canvas.label("/probe/text", in_world(snapshot.base_pose, probe.p), minus(probe.text))
         axes = self._model.description.base.axes
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
+    def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
+        """Draw the border at the height of p_b of the nearest pair of L_m; nothing without one.
+
+        The line has a colour for a dark or a light page.
+        """
+        mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.fields]
+        if not mobile:
+            return
+        z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
+        key = (round(z / _GRAIN), snapshot.border.d_b)
+        if key != self._slice[0]:
+            curves = self._borders.surface(snapshot.border).curves(z)
+            thin = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
+            self._slice = key, thin
+        if self._slice[1]:
+            canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
+
     def _find(self, snapshot: Snapshot, lens: Lens) -> _Probe | None:
         """Return the probe at the foremost drawn point under the pointer, or None."""
-        x, y, phi = snapshot.base_pose
-        R, nearest, found = pin.utils.rotate("z", phi), np.inf, None
+        nearest, found = np.inf, None
         for pair, (_, cloud, _) in self._drawn.items():
             if cloud is None:
                 continue
-            points = cloud.points @ R.T + (x, y, 0.0)
+            points = in_world(snapshot.base_pose, cloud.points)
             u, v, depth = lens.axes @ (points - lens.eye).T
             scale = lens.focal / np.maximum(depth, 1e-3)
             off = np.hypot(scale * u - self.pointer[0], scale * v - self.pointer[1])
@@ -251,27 +262,3 @@ class DrawnBorders:
             if depth.min() < nearest:
                 nearest, found = depth.min(), (pair, cloud.points[depth.argmin()])
         return None if found is None else self._borders.probe(*found, snapshot)
-
-
-class BorderSlice:
-    """A line around the base: the border at the height of p_b of the nearest pair of L_m."""
-
-    def __init__(self, borders: Borders) -> None:
-        self._borders = borders
-        self._key: tuple[object, ...] = ()
-        self._curves: list[Array] = []
-
-    def draw(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the slice in a colour for a dark or a light page; nothing without a border there."""
-        mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.pairs]
-        if not mobile:
-            return
-        border = snapshot.border
-        z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
-        key = (round(z / _GRAIN), border.d_b)
-        if key != self._key:
-            curves = self._borders.surface(border).curves(z)
-            self._key = key
-            self._curves = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
-        if self._curves:
-            canvas.lines(f"{ROOT}/slice", self._curves, _ON_DARK if dark else _ON_LIGHT, 2.5)

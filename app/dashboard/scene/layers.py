@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pinocchio as pin
 
 from app.dashboard import phrases as words
 from app.dashboard.scene import colours
@@ -13,6 +12,7 @@ from app.dashboard.scene.canvas import (
     METRES_PER_NEWTON,
     ROOT,
     Canvas,
+    in_world,
 )
 from app.dashboard.scene.colours import Rgb, linear
 from app.dashboard.verdict import COLOURS, Verdict
@@ -20,12 +20,7 @@ from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import (
-    DoorView,
-    GhostReading,
-    PairReading,
-    Snapshot,
-)
+from app.simulation.trace.snapshot import DoorView, GhostReading, PairReading, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
@@ -181,8 +176,7 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     if all(coincides(ghost, snapshot) for ghost in snapshot.ghosts):
         return
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
-        x, y, phi = robot.base_pose
-        place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
+        place = in_world(robot.base_pose, at)
         name = METHOD_WORDS.get(robot.controller, robot.controller)
         near = nearness(robot, door=snapshot.door is not None)
         canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")

@@ -10,7 +10,7 @@ from app.border.dbb import Cloud
 from app.dashboard import phrases as words
 from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
-from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
+from app.dashboard.scene.borders import Borders, DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
@@ -181,7 +181,6 @@ class Scene:
         self._ghosts: list[RobotScene] = []
         self.canvas = Canvas(scene)
         self.border = DrawnBorders(scene, data.borders, data.model)
-        self._slice = BorderSlice(data.borders)
         self._trails: dict[str, Array] = {}
         self._dark, self._light, self._plain = view.dark, view.light, False
         self._light_up()
@@ -248,7 +247,7 @@ class Scene:
     def _draw_layers(self, snapshot: Snapshot, verdict: Verdict) -> None:
         view, canvas, top = self._view, self.canvas, self._data.borders.top
         if view.slice:
-            self._slice.draw(canvas, snapshot, dark=view.dark)
+            self.border.draw_slice(canvas, snapshot, dark=view.dark)
         if view.distances:
             layers.draw_distances(canvas, snapshot, verdict, view, self._data.spoken)
         if view.acting:
