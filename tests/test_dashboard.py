@@ -31,8 +31,8 @@ from app.config import BorderConfig
 from app.dashboard.drag import Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import SHOWN, Page
-from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, WATCH
+from app.dashboard.page import Page
+from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, SHOWN, WATCH
 from app.dashboard.panels.run import (
     machine_rows,
     outcomes_html,
@@ -733,12 +733,14 @@ def guided(dashboard):
         yield page, say, lambda state: wait_for(lambda: page.guide._shown == state)
 
 
-def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
-    with RawClient(dashboard.address):
-        page = page_of(dashboard)
-        loop.pull_at_base(4.0)
-        page._shows()["tour 4"]()
-        assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
+def test_the_tour_goes_back_in_time_for_who_asks_it_to(loop, guided):
+    page, say, shows = guided
+    loop.pull_at_base(4.0)
+    page.guide.go("tour 4")
+    shows("tour 4")
+    say("card", SHOW)
+    wait_for(lambda: not page.timeline.live)
+    assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(

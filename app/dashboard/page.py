@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from time import monotonic
 
 import numpy as np
@@ -14,10 +15,10 @@ from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Viewer
 from app.dashboard.panels.explorer import ExplorerPanel
-from app.dashboard.panels.help import SHOWN, Guide, Shortcut, add_help, add_shortcuts
+from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
-from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
+from app.dashboard.panels.run import ComparePanel, LabPanel, RunPanel
 from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
@@ -71,7 +72,7 @@ class Page:
             self._build_left()
             self._build_right()
             TimelinePanel(self.viewer)
-        self.guide = Guide(self.viewer, self._shows(), before.guide.state if before else "")
+        self.guide = Guide(self.viewer, before.guide.state if before else "")
         self.channel.begin()
         self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
         self.channel.tell("hints", self._plots.hints)
@@ -177,7 +178,7 @@ class Page:
         self._hung = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = RunPanel(viewer)
+            RunPanel(viewer)
         with tabs.add_tab("Lab"):
             LabPanel(viewer)
             self.explorer_panel = ExplorerPanel(viewer)
@@ -194,20 +195,12 @@ class Page:
         with tabs.add_tab("Help"):
             add_help(gui, self._shortcuts())
 
-    def _shows(self) -> dict[str, Callable[[], None]]:
-        """Return the actions of the guide's button `SHOW` by the guide's states."""
-        return {
-            **dict.fromkeys(("tour 1", "tour 2", "tour 3"), lambda: self._run.play(SHOWN)),
-            "tour 4": lambda: self.timeline.step(-3.0),
-        }
-
     def _shortcuts(self) -> list[Shortcut]:
         scenarios = [
-            Shortcut(f"Play {name}", None, lambda name=name: self._run.play(name))
-            for name in SCENARIOS
+            Shortcut(f"Play {name}", None, partial(self.viewer.play, name)) for name in SCENARIOS
         ]
         looks = [
-            Shortcut(f"Camera: {name}", str(i), lambda name=name: self.viewer.look(name))
+            Shortcut(f"Camera: {name}", str(i), partial(self.viewer.look, name))
             for i, name in enumerate(PRESETS, 1)
         ]
         return [
@@ -218,7 +211,7 @@ class Page:
             Shortcut("Back to now", "N", self.timeline.go_live),
             Shortcut("Dark or light theme", "L", self.view.toggle_dark),
             *looks,
-            Shortcut(BACK, None, lambda: self._run.play(FREE)),
+            Shortcut(BACK, None, partial(self.viewer.play, "")),
             *scenarios,
             Shortcut("Tour", "H", lambda: self.guide.go("tour 1")),
         ]

@@ -223,8 +223,8 @@ class Channel:
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
-        """State of the page: the names of `sight` that are visible, "narrow" on a narrow page, and
-        "untouched" until the first input of a person."""
+        """State of the page: the names of `sight` that are visible, and "untouched" until the first
+        input of a person."""
         self.on("seen", lambda names: setattr(self, "seen", frozenset(names.split())), str)
         self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 

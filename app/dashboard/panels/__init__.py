@@ -20,7 +20,8 @@ from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
 from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import TargetError
-from app.simulation.loop.commands import Pause, StepOnce
+from app.simulation.loop.commands import Pause, Play, Reset, StepOnce
+from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
@@ -71,6 +72,15 @@ class Viewer:
         if preset == "door" and shown.door is None:
             raise TargetError("there is no door here; the scenario refrigerator has one")
         self.camera.use(preset, shown)
+
+    def play(self, scenario: str) -> None:
+        """Play the scenario of this name, or continue from the free start if the name is empty."""
+        loop = self.shared.loop
+        if scenario:
+            loop.send(Play(scenario_of(self.shared.model.description, scenario)))
+        else:
+            loop.send(Reset())
+            loop.send(Pause(False))
 
     def toggle_pause(self) -> None:
         """Pause or continue the simulation."""
@@ -127,6 +137,15 @@ class Panel:
         """Add a button; `look` has further arguments of `GuiApi.add_button`."""
         handle = self._gui.add_button(label, icon=icon, **look)
         handle.on_click(self._notifier.guard(act))
+        return handle
+
+    def choice(
+        self, label: str, titles: Mapping[str, str], act: Callable[[str], None], hint: str
+    ) -> Any:
+        """Add a list of titles by name; `act` gets the name of the title that a person chooses."""
+        names = {title: name for name, title in titles.items()}
+        handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
+        self.on_update(handle, lambda event: act(names[event.target.value]))
         return handle
 
     def buttons(

@@ -1,6 +1,6 @@
 """Help: the tab with method and keys, and the card with introduction, demonstration and tour."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import viser
@@ -157,10 +157,9 @@ class Guide(Panel):
     The state is a key of `CARDS`, or empty without a card.
     """
 
-    def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
-        """Start in a state; `shows` has the action of `SHOW` by state, else the demonstration."""
+    def __init__(self, viewer: Viewer, state: str) -> None:
         super().__init__(viewer)
-        self.state, self._shown, self._shows = state, "", shows
+        self.state, self._shown = state, ""
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
         viewer.channel.on("card", self._press, str)
@@ -214,13 +213,22 @@ class Guide(Panel):
         if label not in (card.buttons if card else (WATCH, PULL)):
             return
         if label == SHOW:
-            self._shows.get(self.state, self._play)()
+            self._show()
         elif label == WATCH:
             self.watch("watch")
         elif label == NEXT:
             self.go(f"tour {int(self.state[-1]) + 1}")
         else:
             self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
+
+    def _show(self) -> None:
+        """Show the subject of a step of the tour."""
+        if self.state == "tour 5":
+            self._play()
+        elif self.state == "tour 4":
+            self._viewer.timeline.step(-3.0)
+        else:
+            self._viewer.play(SHOWN)
 
     def _play(self) -> None:
         """Play the demonstration on a robot and on a ghost without avoidance."""

@@ -46,8 +46,11 @@ class TuningPanel(Panel):
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
+        changes = self._tuning.changes
+        for path, widget in self.widgets.items():
+            widget.is_marked = path in changes
         for folder, reset, title, paths in self._folders:
-            count = sum(self.widgets[path].is_marked for path in paths)
+            count = sum(path in changes for path in paths)
             folder.label = f"{title} · {count} changed" if count else title
             reset.disabled = not count
         self._show_advanced()
@@ -130,18 +133,14 @@ class ParameterWidget(Panel):
         """Add the widgets of the parameter `path` to the open container."""
         super().__init__(viewer)
         self.about = tunable(path)
+        self.is_marked = False
+        """Whether the value differs from its default; set before each update."""
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
         value = self._tuning.config.value(path)
         self.handle, self.exponent = _widgets(self._gui, self.about, self._title, value)
         """The widget, and the slider of the value's decimal logarithm or None."""
         for handle in filter(None, (self.handle, self.exponent)):
             self.on_update(handle, self._set)
-
-    @property
-    def is_marked(self) -> bool:
-        """Whether the value differs from its default."""
-        path = self.about.path
-        return self._tuning.config.value(path) != self._tuning.usual.value(path)
 
     def update(self, moment: Moment) -> None:
         value = self._tuning.config.value(self.about.path)

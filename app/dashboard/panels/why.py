@@ -9,7 +9,7 @@ from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, s
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import Verdict, base_cannot_help, is_slow
+from app.dashboard.verdict import COLOURS, State, Verdict, base_cannot_help, is_slow
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -60,7 +60,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     colour = css(verdict.colour)
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
-        f'min-height:5.6em;font-size:.85em;line-height:1.4">{verdict_chip(verdict)}'
+        f'min-height:5.6em;font-size:.85em;line-height:1.4">{state_chip(verdict.state)}'
         f"<br>{sentence(snapshot)}</div>"
         f'<div style="{_BODY}">{table(_first_rows(snapshot))}</div>'
     )
@@ -104,16 +104,16 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
     pace = "paused" if snapshot.paused else pace
     hint = f"Nearest link pair; the mark is its buffer d_b = {millimetres(d_b)}"
     return (
-        f'<div class="dbb-say">{verdict_chip(verdict)} {sentence(snapshot)}</div>'
+        f'<div class="dbb-say">{state_chip(verdict.state)} {sentence(snapshot)}</div>'
         f'<div class="dbb-numbers"><span title="{hint}">{spoken[pair.name]} '
         f'<b>{millimetres(pair.d)}</b></span><span class="dbb-bar" title="{hint}">{share}</span>'
         f"<span>base {words.speeds(snapshot.base_velocity)}</span><span>{pace}</span></div>"
     )
 
 
-def verdict_chip(verdict: Verdict) -> str:
-    """Return the state of a verdict on its colour."""
-    return chip(verdict.state.capitalize(), css(verdict.colour), ink(verdict.colour))
+def state_chip(state: State, text: str = "") -> str:
+    """Return a text, by default the state, on the colour of a state, legible in both themes."""
+    return chip(text or state.capitalize(), css(COLOURS[state]), ink(COLOURS[state]))
 
 
 def sentence(snapshot: Snapshot) -> str:
