@@ -70,8 +70,9 @@ from app.dashboard.view import View
 from app.errors import ConfigError, RobotFileError, ServerError
 from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
+from app.robot.state import Measurement, RobotState
 from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset
-from app.simulation.people import PullReading
+from app.simulation.people import PullReading, held_point
 from app.simulation.trace.snapshot import PairReading, Score
 from app.simulation.trace.trace import Trace
 from tests.dashboards import parts
@@ -716,6 +717,20 @@ def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(sce
     assert canvas._handles["/b"].text == "a", "texts were not due"
     assert picture("/a") == {"/a": True, "/b": False}
     assert picture() == {"/a": False, "/b": False}
+
+
+def test_links_are_drawn_and_pulled_where_the_controller_has_them(dashboard, loop):
+    with RawClient(dashboard.address):
+        drawn, robot = page_of(dashboard)._scene.robot, husky_panda()
+        loop.send(Pause(True))
+        loop.place(base_pose := np.array([0.5, -0.2, 2.5]))
+        wait_for(lambda: drawn.root.position[0] == pytest.approx(0.5))
+        q_m, state = loop.latest().q_m, RobotState(robot)
+        state.update(Measurement(base_pose, np.zeros(2), q_m, np.zeros(robot.n_m)))
+        for name in robot.description.arm.joints:
+            joint, _ = held_point(robot, name, (0.0, 0.0, 0.0))
+            T = drawn.world_pose(parts().kinematics.model.getJointId(name))
+            assert T.isApprox(state.data.oMi[joint], 1e-6), name
 
 
 # The tour

@@ -222,8 +222,3 @@ def in_world(base_pose: Array, points: Array) -> Array:
     """Transform points (..., 3) [m] from the base's frame, whose origin is `ROOT`, to the world."""
     x, y, phi = base_pose
     return points @ pin.utils.rotate("z", phi).T + (x, y, 0.0)
-
-
-def from_viser(position: Array, wxyz: Array) -> pin.SE3:
-    """Return the pose with a position (3,) [m] and a unit quaternion wxyz (4,)."""
-    return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))

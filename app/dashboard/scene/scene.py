@@ -11,7 +11,7 @@ from app.dashboard import phrases as words
 from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, DrawnBorders
-from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
 from app.dashboard.verdict import Verdict, judge
@@ -133,18 +133,17 @@ class RobotScene:
         of `LinkPoses.update`.
         """
         x, y, phi = base_pose
-        self.root.position = (x, y, 0.0)
-        self.root.wxyz = (np.cos(phi / 2), 0.0, 0.0, np.sin(phi / 2))
+        root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
         poses = self._parts.kinematics.update(q_m, wheel_angles)
+        self._placed = root, poses
+        self.root.position, self.root.wxyz = to_viser(root)
         for joint, frame in self._frames.items():
             frame.position, frame.wxyz = to_viser(poses[joint])
 
     def world_pose(self, joint: int) -> pin.SE3:
         """Return T_world_joint of a joint at the last drawing."""
-        frame = self._frames[joint]
-        return from_viser(self.root.position, self.root.wxyz) * from_viser(
-            frame.position, frame.wxyz
-        )
+        root, poses = self._placed
+        return root * poses[joint]
 
     def _add(
         self, visual: Visual, colour: Rgb, opacity: float | None, light: bool = False
