@@ -32,7 +32,7 @@ from app.dashboard.drag import Grip
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
-from app.dashboard.panels.help import CARDS, CLOSE, NEXT, SHOW
+from app.dashboard.panels.help import CARDS, CLOSE, NEXT, PULL, SHOW, SHOWN, WATCH
 from app.dashboard.panels.run import (
     machine_rows,
     outcomes_html,
@@ -70,8 +70,9 @@ from app.dashboard.view import View
 from app.errors import ConfigError, RobotFileError, ServerError
 from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
-from app.simulation.loop.commands import Pause, Pull, Release, Reset
-from app.simulation.people import PullReading
+from app.robot.state import Measurement, RobotState
+from app.simulation.loop.commands import Compare, Pause, Play, Pull, Release, Reset
+from app.simulation.people import PullReading, held_point
 from app.simulation.trace.snapshot import PairReading, Score
 from app.simulation.trace.trace import Trace
 from tests.dashboards import parts
@@ -265,7 +266,7 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
 def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashboard):
     held, job = threading.Event(), dashboard.shared.robot_switch
     with RawClient(dashboard.address):
-        told = page_of(dashboard)._change.text
+        told = page_of(dashboard).change.text
         job.start("map", "begins", held.wait)
         wait_for(lambda: "<b>map</b>: begins" in told.content)
         job.cancel()
@@ -718,6 +719,20 @@ def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(sce
     assert picture() == {"/a": False, "/b": False}
 
 
+def test_links_are_drawn_and_pulled_where_the_controller_has_them(dashboard, loop):
+    with RawClient(dashboard.address):
+        drawn, robot = page_of(dashboard)._scene.robot, husky_panda()
+        loop.send(Pause(True))
+        loop.place(base_pose := np.array([0.5, -0.2, 2.5]))
+        wait_for(lambda: drawn.root.position[0] == pytest.approx(0.5))
+        q_m, state = loop.latest().q_m, RobotState(robot)
+        state.update(Measurement(base_pose, np.zeros(2), q_m, np.zeros(robot.n_m)))
+        for name in robot.description.arm.joints:
+            joint, _ = held_point(robot, name, (0.0, 0.0, 0.0))
+            T = drawn.world_pose(parts().kinematics.model.getJointId(name))
+            assert T.isApprox(state.data.oMi[joint], 1e-6), name
+
+
 # The tour
 
 
@@ -733,12 +748,14 @@ def guided(dashboard):
         yield page, say, lambda state: wait_for(lambda: page.guide._shown == state)
 
 
-def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
-    with RawClient(dashboard.address):
-        page = page_of(dashboard)
-        loop.pull_at_base(4.0)
-        page._shows()["tour 4"]()
-        assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
+def test_the_tour_goes_back_in_time_for_who_asks_it_to(loop, guided):
+    page, say, shows = guided
+    loop.pull_at_base(4.0)
+    page.guide.go("tour 4")
+    shows("tour 4")
+    say("card", SHOW)
+    wait_for(lambda: not page.timeline.live)
+    assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
@@ -761,6 +778,67 @@ def test_the_guide_moves_on_a_click_only_and_takes_no_click_of_another_card(
     assert NEXT not in CARDS["tour 5"].buttons
     say("card", CLOSE)
     shows("")
+
+
+@pytest.mark.parametrize(
+    ("way", "after"), [("pull", "pull"), ("close", ""), ("touch", ""), ("guest", "")]
+)
+def test_the_demonstration_ends_with_its_card_whatever_closes_it(
+    dashboard, loop, guided, monkeypatch, way, after
+):
+    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    _, say, shows = guided
+    say("seen", "untouched")
+    shows("demo")
+    assert Compare(("none",)) in loop.commands
+    assert loop.latest().scenario == SHOWN
+    loop.commands.clear()
+    match way:
+        case "pull" | "close":  # the click arrives before the report of the first input
+            monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 60.0)
+            say("card", PULL if way == "pull" else CLOSE)
+            shows(after)
+        case "touch":
+            say("seen", "")
+            shows(after)
+        case "guest":
+            with RawClient(dashboard.address):
+                shows(after)
+    assert loop.commands == [Compare(), Reset()]
+
+
+def test_who_watches_the_demonstration_again_keeps_the_scenario_until_a_pull(
+    loop, guided, monkeypatch
+):
+    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    _, say, shows = guided
+    say("seen", "untouched")
+    shows("demo")
+    say("card", WATCH)
+    say("seen", "")
+    shows("watch")
+    assert [type(each) for each in loop.commands] == 2 * [Compare, Play]
+    say("card", PULL)
+    shows("pull")
+    assert loop.commands[-2:] == [Compare(), Reset()]
+
+
+def test_the_end_of_the_demonstration_spares_one_that_begins_meanwhile(loop, guided, monkeypatch):
+    monkeypatch.setattr("app.dashboard.page.UNTOUCHED", 0.1)
+    page, say, shows = guided
+    say("seen", "untouched")
+    shows("demo")
+    send = loop.send
+
+    def send_late(command):
+        send(command)
+        if isinstance(command, Play):  # then the drawing thread gets the first input
+            page.guide.leave_demonstration()
+
+    monkeypatch.setattr(loop, "send", send_late)
+    page.guide.watch("watch")
+    assert page.guide.state == "watch"
+    assert isinstance(loop.commands[-1], Play)
 
 
 # Plots and readings
@@ -837,7 +915,7 @@ def test_the_tab_view_shows_choices_that_were_made_elsewhere(dashboard):
         page, title = page_of(dashboard), "hand error [mm]"
         boxes = [buttons_of(page, label) for label in ("Dark theme", title)]
         wait_for(lambda: [box.value for box in boxes] == [True, False])
-        page._toggle_dark()
+        page.view.toggle_dark()
         page.view.plots |= {title}
         wait_for(lambda: [box.value for box in boxes] == [False, True])
 
@@ -902,6 +980,14 @@ def test_readings_that_should_worry_are_coloured(loop):
     assert worries() == 0
     late = {"overruns": 500}, {"solver_failures": 3}, {"realtime_factor": 0.5}
     assert [worries(**fields) for fields in late] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.93, 0.96, 1.0, float("nan")])
+def test_header_and_readings_call_the_same_simulation_slow(loop, factor):
+    shown = replace(loop.latest(), realtime_factor=factor, overruns=0)
+    head = header_html(shown, judge(shown), {pair.name: pair.name for pair in shown.pairs})
+    row = coloured("".join(machine_rows(shown)), "contact")
+    assert ("busy computer" in head) == bool(row) == (factor < 0.95)
 
 
 OUTCOMES = {"dbb": (0.104, 0), "none": (-0.008, 0), "repulsive": (0.05, 3), "barrier": (0.02, 0)}

@@ -19,7 +19,7 @@ from app.dashboard import phrases as words
 from app.dashboard.panels import why as why_panel
 from app.dashboard.panels.why import sentence
 from app.dashboard.verdict import judge
-from app.robot.bases.kind import FORWARD, TURN
+from app.robot.bases.kind import FORWARD, TURN, Planar
 from app.simulation.trace.snapshot import Snapshot
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -137,8 +137,8 @@ def test_the_top_is_the_top():
 @given(st.floats(-2, 2), st.floats(-2, 2), st.booleans())
 def test_what_the_base_does_has_the_signs_of_its_velocity(v, w, ahead):
     for text, least in (
-        (words.motion(v, w, ahead=ahead), words.AT_REST),
-        (words.intention(v, w, ahead=ahead), words.SLIGHT),
+        (words.motion(Planar(v, 0.0, w), ahead=ahead), words.AT_REST),
+        (words.motion(Planar(v, 0.0, w), ahead=ahead, intended=True), words.SLIGHT),
     ):
         assert (text is None) == (abs(v) < least[0] and abs(w) < least[1])
         told = text or ""

@@ -163,7 +163,7 @@ def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]
     monkeypatch.setattr(camera_module, "monotonic", lambda: eye.time)
     client: Any = SimpleNamespace(camera=eye, atomic=nullcontext)
     camera = Camera(client)
-    camera.fit(parts().extent)
+    camera.extent = parts().extent
     camera.use("iso", loop.latest())
     eye.answer()
     return camera, eye, loop
@@ -234,7 +234,7 @@ def test_a_beginning_finds_the_robot_that_a_long_drive_has_taken_out_of_sight(
     assert seen() == follow, "the camera that follows finds it on the way, too"
     loop.send(Reset())
     if not follow:
-        camera.put(np.array([30.0, 1.0, 1.0]), np.array([30.0, 0.0, 0.0]))
+        eye.position, eye.look_at = np.array([30.0, 1.0, 1.0]), np.array([30.0, 0.0, 0.0])
         eye.answer()
     assert not seen()
     camera.find(loop.latest(), on=follow)

@@ -15,7 +15,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.dashboard import markup, robots
 from app.dashboard.job import give_back
-from app.dashboard.robots import RobotEntry, RobotSwitch
+from app.dashboard.robots import RobotEntry
 from app.dashboard.scene import robot
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.view import HIDDEN, View
@@ -271,18 +271,6 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
         wait_for(lambda: first.latest().t > t, what="time to go on")
         loops.refuses = None
         monkeypatch.undo()
-
-
-def test_a_list_that_is_looked_for_again_meanwhile_is_a_list() -> None:
-    entries = robots.robot_entries()
-
-    class Restless(RobotSwitch):
-        """Another thread looks again as soon as the list is kept."""
-
-        def __setattr__(self, name: str, value: object) -> None:
-            super().__setattr__(name, None if name == "_entries" else value)
-
-    assert Restless(None).entries == entries
 
 
 @pytest.mark.parametrize(("before", "after"), [("score", "score"), (HIDDEN, HIDDEN)])

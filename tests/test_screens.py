@@ -10,8 +10,7 @@ import pytest
 
 from app.dashboard import page
 from app.dashboard.drag import GIZMO, SCALE
-from app.dashboard.page import SHOWN
-from app.dashboard.panels.help import CARDS, WATCH
+from app.dashboard.panels.help import CARDS, SHOWN, WATCH
 from app.dashboard.scene.borders import LIGHT_POINTS
 from app.dashboard.scene.robot import LIGHT_FACES, Visual
 from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset

@@ -181,7 +181,7 @@ def test_the_button_plays_the_case_of_the_page(case):
     sent = []
     sink = SimpleNamespace(send=sent.append)
     shared = SimpleNamespace(loop=sink, case=case.scenario())
-    LabPanel(SimpleNamespace(client=server, notifier=Notifier(server), shared=shared))
+    LabPanel(SimpleNamespace(client=server, notifier=Notifier(server), shared=shared, panels=[]))
     handles = server.gui._gui_input_handle_from_uuid.values()
     (button,) = (handle for handle in handles if handle.label == "Play the case")
     button.value = True

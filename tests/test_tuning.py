@@ -77,12 +77,13 @@ class Desk:
     def __init__(self, servers):
         self.sink, self.clock = Sink(), Clock()
         self.tuning = Tuning(self.sink, Config(), clock=self.clock)
-        self.panels = [TuningPanel(self.viewer(server)) for server in servers]
+        self.viewers = [self.viewer(server) for server in servers]
+        self.panels = [TuningPanel(viewer) for viewer in self.viewers]
 
     def viewer(self, server):
         """A viewer with a separate server."""
         shared = SimpleNamespace(tuning=self.tuning, model=husky_panda())
-        return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared)
+        return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared, panels=[])
 
     def handle(self, path, viewer=0):
         return self.panels[viewer].widgets[path].handle
@@ -91,7 +92,7 @@ class Desk:
         return self.handle(path, viewer).value
 
     def update(self):
-        for panel in self.panels:
+        for panel in (panel for viewer in self.viewers for panel in viewer.panels):
             panel.update(None)
 
 
@@ -412,7 +413,7 @@ def test_defaults_of_a_folder_leave_the_others(servers):
     servers[0].gui.reset()
     desk = Desk(servers[:1])
     desk.tuning.set(D_B, 0.2)
-    last = desk.panels[0]._folders[-1].paths[0]
+    last = desk.panels[0]._folders[-1][-1][0]
     desk.tuning.set(last, TUNABLES[last].high)
     press(servers[0].gui, "Defaults")
     assert desk.tuning.config == Config().replace(D_B, 0.2)

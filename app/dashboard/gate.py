@@ -315,11 +315,6 @@ def with_script(page: bytes, encoding: str) -> bytes:
     return gzip.compress(html) if encoding == "gzip" else html
 
 
-def draws_in_software(request: Request | None) -> bool:
-    """Whether the page that opened a connection has reported that it has no GPU."""
-    return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
-
-
 def is_allowed(
     origin: str | None, host: str | None, own_names: Collection[str], allowed: Collection[str]
 ) -> bool:

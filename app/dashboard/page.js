@@ -100,14 +100,13 @@
     points.devSettings.set({ fixedDpr: light ? 0.7 * devicePixelRatio : null });
   };
 
-  // The page's state is reported as names: those of the visible marks, "narrow", and "untouched"
-  // before the first input of a person. A test sets `dbbTouched` itself.
+  // The page's state is reported as names: those of the visible marks, and "untouched" before the
+  // first input of a person. A test sets `dbbTouched` itself.
   let touched = !!self.dbbTouched;
   const look = () => {
     const closed = document.querySelector("[data-drawer=closed]");
     const marks = [...document.querySelectorAll("[data-seen]")];
     const names = marks.filter((mark) => mark.getClientRects().length && !closed).map((mark) => mark.dataset.seen);
-    if (matches(NARROW).matches) names.push("narrow");
     if (!touched) names.push("untouched");
     window.dbb?.tell("seen", names.join(" "));
     window.dbb?.tell("scene", ...scene());

@@ -2,58 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
 from time import monotonic
-from typing import TypeVar
 
 import numpy as np
 import viser
 
-from app.dashboard.drag import DragHandles, Grip
-from app.dashboard.job import Job
+from app.dashboard.drag import DragHandles
 from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Panel, Viewer
+from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, JobStatus, Moment, Viewer
 from app.dashboard.panels.explorer import ExplorerPanel
 from app.dashboard.panels.help import Guide, Shortcut, add_help, add_shortcuts
 from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel
-from app.dashboard.panels.run import FREE, ComparePanel, LabPanel, RunPanel
+from app.dashboard.panels.run import ComparePanel, LabPanel, RunPanel
 from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.panels.why import WhyPanel
-from app.dashboard.scene.camera import PRESETS, Camera
+from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.legend import key_html, legend_html
 from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
-from app.dashboard.timeline import Timeline
-from app.dashboard.verdict import judge
-from app.dashboard.view import View
-from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import DbbError
-from app.robot.description import RobotDescription
-from app.simulation.loop.commands import Compare, Play, Reset, Restart
-from app.simulation.loop.loop import LoopHandle
-from app.simulation.scenarios import SCENARIOS, scenario_of
-from app.simulation.scenarios.line import LineScenario
-from app.simulation.session import SCENARIO_PERSON
+from app.simulation.loop.commands import Restart
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.snapshot import Snapshot
-
-PanelType = TypeVar("PanelType", bound=Panel)
 
 PRODUCT = "dbb self-collision avoidance"
 PANEL_WIDTH, MAIN_WIDTH = 330, 350  # [px] of the left and of the right column
-LIGHT = (
-    "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
-    "shadows. To change this, use “Low detail” in the tab View."
-)
 PATIENCE = 1.0  # [s] timeout of the simulation and of the viewer's browser
-SHOWN = "guiding-lateral"
-"""The scenario of the demonstration: the arm is pulled along the wheels' axis."""
-FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
 UNTOUCHED = 20.0  # [s] without input before a demonstration starts
 REST = 3.0  # [s] pause between two demonstrations
 
@@ -74,42 +57,24 @@ class Page:
     ) -> None:
         """Create the page of a client; `before` is the client's closed page of another robot."""
         self._client, self._shared, self._notifier = client, shared, notifier
-        plots = [plan.title for plan in shared.plans]
-        view = View.first(shared.mobile, plots)
-        if before:
-            view = before.view.of_robot(shared.mobile, plots)
-        elif has_no_gpu(client):
-            view.light = True
-            notifier.tell(client, "Drawing", LIGHT)
-        self.view, self.timeline = view, Timeline(shared.loop, shared.strip)
-        self.channel = Channel(client, notifier)
+        self.viewer = viewer = Viewer(client, notifier, shared, before.viewer if before else None)
+        self.view, self.timeline, self.grip = viewer.view, viewer.timeline, viewer.grip
+        self.channel, self._camera = viewer.channel, viewer.camera
         self.channel.on("escape", self._escape)
         self.channel.on("nudge", self._nudge)
-        self.channel.on("drop", lambda: self.grip.release_keys())
-        self.grip = Grip(shared.loop, notifier, client.client_id)
-        self._camera = before.viewer.camera if before else Camera(client)
-        self._camera.fit(shared.parts.extent)
-        own = self.channel, self.view, self.timeline, self.grip, self._camera
-        files = before.viewer.files if before else Job()
-        self.viewer = Viewer(client, notifier, shared, *own, files)
-        self.channel.on("scene", self._camera.cover)
+        self.channel.on("drop", self.grip.release_keys)
         self.closed = False
         newest = shared.loop.latest()
         self._refusal, self._newest = newest.refusal, newest  # this refusal precedes the page
-        self._dark, self._light = self.view.dark, self.view.light
-        set_theme(client.gui, dark=self.view.dark)
+        self._look: tuple[bool, ...] = ()  # theme and detail of the page
         client.gui.set_panel_label(shared.parts.title)
-        self._panels: list[Panel] = []
         with client.atomic():
             self._build_left()
             self._build_right()
-            self._add(TimelinePanel(self.viewer))
-        self.guide = self._add(
-            Guide(self.viewer, self._shows(), before.guide.state if before else "")
-        )
+            TimelinePanel(self.viewer)
+        self.guide = Guide(self.viewer, before.guide.state if before else "")
         self.channel.begin()
         self.channel.tell("title", f"{PRODUCT} · {shared.parts.title}")
-        self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
         self._border = border = self._scene.border
@@ -130,16 +95,17 @@ class Page:
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # the past cannot be changed
         shown = self.explorer_panel.shown(newest, shown)
-        spoken = self._shared.spoken
         if self._border.update(self.view, shown.border):
+            spoken = self._shared.spoken
             self._why.legend.content = legend_html(
                 [each._replace(pair=spoken[each.pair]) for each in self._border.legends]
             )
         with self._client.atomic():
-            if self._dark != self.view.dark:
-                self._dark = self.view.dark
-                set_theme(self._client.gui, dark=self._dark)
-            self._scene.draw(shown, texts=texts, lens=self._camera.lens)
+            if self._look != (self.view.dark, self.view.light):
+                self._look = self.view.dark, self.view.light
+                set_theme(self._client.gui, dark=self.view.dark)
+                self.channel.tell("light", self.view.light)
+            verdict = self._scene.draw(shown, texts=texts, lens=self._camera.lens)
             self.hand.update(shown)
             self._camera.settle(shown, busy=self.grip.holds_anything)
             if texts and self.timeline.live:
@@ -148,19 +114,17 @@ class Page:
             follows = self.view.follow and not shown.ghosts
             self._camera.follow(shown.base_pose[:2], on=follows)
             if texts:
-                self._renew(Moment(newest, shown, judge(shown, spoken)))
+                self._renew(Moment(newest, shown, verdict))
 
     def _renew(self, moment: Moment) -> None:
-        """Update all panels."""
-        for panel in self._panels:
+        for panel in self.viewer.panels:
             panel.update(moment)
         self._key.content = key_html(moment.shown.border.d_b)
-        self._show_refusal(moment.newest)
+        refusal = moment.newest.refusal
+        if refusal is not None and refusal != self._refusal:
+            self._notifier.warn(self._client, refusal.message)
+        self._refusal = refusal
         _show(self._hung, hung_html(self._shared.loop.silence))
-        self._change.show("")
-        if self._light != self.view.light:
-            self._light = self.view.light
-            self.channel.tell("light", self._light)
 
     @property
     def untouched(self) -> bool:
@@ -182,28 +146,24 @@ class Page:
             return Page(self._client, shared, self._notifier, self)
 
     def close(self) -> None:
-        """Release all pulls of the viewer, and stop drawing."""
+        """Release all pulls of the viewer, end a demonstration, and stop drawing."""
         self.closed = True
         self.grip.release()
+        self.guide.leave_demonstration()
 
     def end(self) -> None:
         """Close the page of a disconnected viewer, and cancel the creation of files."""
         self.close()
         self.viewer.files.cancel()
 
-    def _add(self, panel: PanelType) -> PanelType:
-        """Add a panel to those that are updated, and return the panel."""
-        self._panels.append(panel)
-        return panel
-
     def _build_left(self) -> None:
         gui = self._client.gui
         panel = gui.add_panel()
         with panel.add_tab("Why", viser.Icon.BULB):
-            self._why = self._add(WhyPanel(self.viewer))
-        self._plots = self._add(Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE)))
+            self._why = WhyPanel(self.viewer)
+        self._plots = Plots(self.viewer, panel.add_tab("Plots", viser.Icon.CHART_LINE))
         with panel.add_tab("Compare", viser.Icon.USERS):
-            self._add(ComparePanel(self.viewer))
+            ComparePanel(self.viewer)
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key = gui.add_html("")
         panel.dock_left()
@@ -214,44 +174,33 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(MAIN_WIDTH)
         self._banner = gui.add_html("", visible=False)
-        self._change = JobStatus(viewer, self._shared.robot_switch)
+        self.change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = self._add(RunPanel(viewer))
+            RunPanel(viewer)
         with tabs.add_tab("Lab"):
-            self._add(LabPanel(viewer))
-            self.explorer_panel = self._add(ExplorerPanel(viewer))
+            LabPanel(viewer)
+            self.explorer_panel = ExplorerPanel(viewer)
         with tabs.add_tab("View"):
-            self._add(ViewPanel(viewer))
+            ViewPanel(viewer)
         with tabs.add_tab("Tune"):
-            self.tuning_panel = self._add(TuningPanel(viewer))
+            self.tuning_panel = TuningPanel(viewer)
         self.robot_panel: RobotPanel | None = None
         if self._shared.robot_switch.possible:
             with tabs.add_tab("Robot"):
-                self.robot_panel = self._add(RobotPanel(viewer))
+                self.robot_panel = RobotPanel(viewer)
         with tabs.add_tab("Save"):
-            self._add(SavePanel(viewer))
+            SavePanel(viewer)
         with tabs.add_tab("Help"):
             add_help(gui, self._shortcuts())
 
-    def _shows(self) -> dict[str, Callable[[], None]]:
-        """Return the actions of the guide's button `SHOW` by the guide's states."""
-        shared = self._shared
-        return {
-            "watch": lambda: play_with_ghost(shared.loop, shared.model.description),
-            "pull": lambda: end_demonstration(shared.loop, [self.grip]),
-            **dict.fromkeys(("tour 1", "tour 2", "tour 3"), lambda: self._run.play(SHOWN)),
-            "tour 4": lambda: self.timeline.step(-3.0),
-        }
-
     def _shortcuts(self) -> list[Shortcut]:
         scenarios = [
-            Shortcut(f"Play {name}", None, lambda name=name: self._run.play(name))
-            for name in SCENARIOS
+            Shortcut(f"Play {name}", None, partial(self.viewer.play, name)) for name in SCENARIOS
         ]
         looks = [
-            Shortcut(f"Camera: {name}", str(i), lambda name=name: self.viewer.look(name))
+            Shortcut(f"Camera: {name}", str(i), partial(self.viewer.look, name))
             for i, name in enumerate(PRESETS, 1)
         ]
         return [
@@ -260,9 +209,9 @@ class Page:
             Shortcut("Back 1 s", "B", lambda: self.viewer.step(-1.0)),
             Shortcut("Forward 1 s", "F", lambda: self.viewer.step(1.0)),
             Shortcut("Back to now", "N", self.timeline.go_live),
-            Shortcut("Dark or light theme", "L", self._toggle_dark),
+            Shortcut("Dark or light theme", "L", self.view.toggle_dark),
             *looks,
-            Shortcut(BACK, None, lambda: self._run.play(FREE)),
+            Shortcut(BACK, None, partial(self.viewer.play, "")),
             *scenarios,
             Shortcut("Tour", "H", lambda: self.guide.go("tour 1")),
         ]
@@ -277,79 +226,35 @@ class Page:
         ahead = np.clip((x, y, z), -1.0, 1.0)
         self.grip.nudge(ahead, self._shared.loop.latest(), self._client)
 
-    def _toggle_dark(self) -> None:
-        self.view.dark = not self.view.dark
-
-    def _show_refusal(self, newest: Snapshot) -> None:
-        """Show the viewer each new refusal of a command by the simulation."""
-        if newest.refusal is not None and newest.refusal != self._refusal:
-            self._notifier.warn(self._client, newest.refusal.message)
-        self._refusal = newest.refusal
-
-
-def play_with_ghost(loop: LoopHandle, robot: RobotDescription) -> None:
-    """Play the demonstration on a robot and on a ghost without avoidance.
-
-    Raises:
-        UnreachableError: The robot has no line for this scenario.
-    """
-    scenario = scenario_of(robot, SHOWN)
-    if isinstance(scenario, LineScenario):
-        x, y, z = (FARTHER * part for part in scenario.move)
-        scenario = scenario.changed(move=(x, y, z))
-    loop.send(Compare(("none",)))
-    loop.send(Play(scenario))
-
 
 class Demonstration:
-    """A repeated demonstration for a single viewer who has not touched the page.
+    """Starts a repeated demonstration for a single viewer who has not touched the page.
 
     It shows a scenario with the controller dbb, and a ghost without avoidance. It starts after
     `UNTOUCHED` seconds without a scenario, a pause or a comparison. The first input, or a second
-    viewer, ends it.
+    viewer, closes its card, which ends it.
     """
 
     def __init__(self) -> None:
         self._due: float | None = None
-        self._plays = False
 
-    def update(self, pages: Sequence[Page], loop: LoopHandle, robot: RobotDescription) -> None:
-        """Start, continue or end the demonstration; called by the drawing thread."""
-        newest = loop.latest()
-        alone = len(pages) == 1 and pages[0].untouched and newest.controller == "dbb"
-        if self._plays and not alone:
-            self._plays, self._due = False, None
-            if any(page.guide.state == "watch" for page in pages):
-                return  # the input has started the scenario again
+    def update(self, pages: Sequence[Page], newest: Snapshot) -> None:
+        """Start or repeat the demonstration, or close its card; called by the drawing thread."""
+        if len(pages) != 1 or not pages[0].untouched or newest.controller != "dbb":
+            self._due = None
             for page in pages:
-                if page.guide.state == "demo":
-                    page.guide.go("")
-            end_demonstration(loop, [page.grip for page in pages])
+                page.guide.leave_demonstration()
             return
-        led = newest.scenario or newest.paused or newest.busy
-        others = newest.ghosts and not self._plays
-        if not alone or led or others:
+        guide = pages[0].guide
+        repeats = guide.state == "demo"
+        if newest.scenario or newest.paused or newest.busy or (newest.ghosts and not repeats):
             self._due = None
         elif self._due is None:
-            self._due = monotonic() + (REST if self._plays else UNTOUCHED)
+            self._due = monotonic() + (REST if repeats else UNTOUCHED)
         elif monotonic() > self._due:
-            self._due, self._plays = None, True
-            try:
-                play_with_ghost(loop, robot)
-                pages[0].guide.go("demo")
-            except DbbError:  # the robot cannot play the scenario
-                self._plays = False
-
-
-def end_demonstration(loop: LoopHandle, grips: Sequence[Grip]) -> None:
-    """Remove the ghost, and put the robot at the free start unless a viewer holds it.
-
-    `grips` are those of pages whose pull can be newer than the newest snapshot.
-    """
-    loop.send(Compare())
-    held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
-    if not (held or any(grip.holds_anything for grip in grips)):
-        loop.send(Reset())
+            self._due = None
+            with suppress(DbbError):  # the robot cannot play the scenario
+                guide.watch("demo")
 
 
 def hung_html(silence: float) -> str:

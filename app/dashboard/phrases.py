@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 
 from app.control.active_bounds import Bound, BoundKind
+from app.robot.bases.kind import Planar
 from app.simulation.trace.words import body as body
 from app.simulation.trace.words import pair as pair
 from app.simulation.trace.words import spoken as spoken
@@ -26,16 +27,11 @@ _SECTORS = (
 _TOP = 0.8  # [-] z of a normal above which it points upwards
 
 _BOUNDS: dict[BoundKind, str] = {
-    "torque": "torque limit",
     "position": "joint limit",
-    "velocity": "velocity limit",
     "barrier": "minimum distance",
-    "torque rate": "torque rate limit",
-    "acceleration": "acceleration limit",
     "angular acceleration": "turning acceleration limit",
-    "speed": "speed limit",
-    "turning speed": "turning speed limit",
 }
+"""Limits whose name is not their kind."""
 
 
 def angle(x: float, y: float) -> str:
@@ -63,7 +59,7 @@ def bound(reading: Bound, chain: Sequence[str]) -> str:
     where = reading.where
     if reading.kind == "barrier":
         where = spoken(where, chain)
-    return f"{where}: {_BOUNDS[reading.kind]}"
+    return f"{where}: {_BOUNDS.get(reading.kind, f'{reading.kind} limit')}"
 
 
 def length(d: float) -> str:
@@ -79,47 +75,28 @@ def borne(bound: float) -> str:
     return "" if math.isnan(bound) else f" (arm resists up to {bound:.0f} N)"
 
 
-def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
+def motion(v: Planar, *, ahead: bool, intended: bool = False) -> str | None:
     """Describe a base's motion, as in "backs away at 0.21 m/s and turns left"; None at rest.
 
-    The velocity is v [m/s] forward, w [rad/s] counterclockwise, and `left` [m/s] to the left if the
-    base can move sideways. `ahead`: whether the avoided body is in front of the base or beside it.
+    Args:
+        v: [m/s, m/s, rad/s] velocity of the base; or, if `intended`, its commanded acceleration,
+            which is described as the next motion, as in "back away and turn left".
+        ahead: Whether the avoided body is in front of the base or beside it.
+        intended: Whether the base is at rest.
     """
-    speed = f" at {math.hypot(v, left):.2f} m/s"
-    turning = f" at {math.degrees(abs(w)):.0f}°/s"
-    return _moves((v, left, w), ahead, AT_REST, ("s", speed, turning))
-
-
-def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
-    """Describe the next motion of a base at rest, as in "back away and turn left"; None if slight.
-
-    The arguments are those of `motion`, for the commanded acceleration.
-    """
-    return _moves((v_dot, left, w_dot), ahead, SLIGHT, ("", "", ""))
-
-
-def _moves(
-    along: tuple[float, float, float],
-    ahead: bool,
-    threshold: tuple[float, float],
-    verb: tuple[str, str, str],
-) -> str | None:
-    """Describe the parts of a motion that reach a threshold; None if no part does.
-
-    `along` has the parts forward, to the left, and about the vertical. `threshold` is for the
-    linear parts and for the rotation. `verb` has the ending of the verbs, and texts of both speeds.
-    """
-    (v, left, w), (s, speed, turning) = along, verb
+    forward, left, turn = v
+    (slow, slow_turn), s = (SLIGHT, "") if intended else (AT_REST, "s")
+    speed = "" if intended else f" at {math.hypot(forward, left):.2f} m/s"
     parts = []
-    if abs(left) >= threshold[0]:
-        parts.append(f"drive{s} {direction(v, left)}{speed}")
-    elif v <= -threshold[0]:
+    if abs(left) >= slow:
+        parts.append(f"drive{s} {direction(forward, left)}{speed}")
+    elif forward <= -slow:
         parts.append((f"back{s} away" if ahead else f"drive{s} backward") + speed)
-    elif v >= threshold[0]:
+    elif forward >= slow:
         parts.append(f"drive{s} forward{speed}")
-    if abs(w) >= threshold[1]:
-        side = "left" if w > 0 else "right"
-        parts.append(f"turn{s} {side}" + ("" if parts else turning))
+    if abs(turn) >= slow_turn:
+        alone = "" if parts or intended else f" at {math.degrees(abs(turn)):.0f}°/s"
+        parts.append(f"turn{s} {'left' if turn > 0 else 'right'}{alone}")
     return " and ".join(parts) or None
 
 

@@ -14,10 +14,16 @@ from app.config import Config
 from app.dashboard.job import Job, build_robot, look_into_package, sample_border
 from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError, DbbError
-from app.jobs.process import Cancelled
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
-from app.onboarding.request import Request
-from app.robot.assets import bare_urdf, is_own, resolved_urdf, robot_folder, robot_names
+from app.onboarding.request import NAME, Request
+from app.robot.assets import (
+    bare_urdf,
+    is_own,
+    resolved_urdf,
+    robot_folder,
+    robot_names,
+    user_robots,
+)
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
@@ -51,21 +57,20 @@ class RobotEntry(NamedTuple):
 
 def robot_entries() -> list[RobotEntry]:
     """Return all robots, sorted by name."""
-    return [_entry(name) for name in robot_names()]
-
-
-def _entry(name: str) -> RobotEntry:
-    folder, title, about, problem = robot_folder(name), name, "", None
-    page = folder / "report.html"
-    own, report = is_own(name), page.is_file() and not page.is_symlink()
-    try:
-        description = load_robot(name)
-        title = description.title
-        about = f"{description.base.kind} base, arm of {len(description.arm.joints)} joints"
-        _NEEDED(description)
-    except DbbError as error:
-        problem = str(error)
-    return RobotEntry(name, title, about, problem, own, report)
+    entries = []
+    for name in robot_names():
+        title, about, problem = name, "", None
+        page = robot_folder(name) / "report.html"
+        own, report = is_own(name), page.is_file() and not page.is_symlink()
+        try:
+            description = load_robot(name)
+            title = description.title
+            about = f"{description.base.kind} base, arm of {len(description.arm.joints)} joints"
+            _NEEDED(description)
+        except DbbError as error:
+            problem = str(error)
+        entries.append(RobotEntry(name, title, about, problem, own, report))
+    return entries
 
 
 @runtime_checkable
@@ -114,20 +119,16 @@ class RobotSwitch(Job):
         self._start_loop = start_loop
         self.possible = start_loop is not None
         """Whether the robot can be switched."""
-        self._entries: list[RobotEntry] | None = None
+        self.entries: list[RobotEntry] = []
+        """All robots that the last search found."""
         self._ready: RunningRobot | None = None
         self._taken = threading.Event()
         self._loop: OwnLoop | None = None
 
-    @property
-    def entries(self) -> list[RobotEntry]:
-        """All robots that the last search found; the first call searches."""
-        return self.look() if (known := self._entries) is None else known
-
     def look(self) -> list[RobotEntry]:
         """Search for all robots, and return them; this reads the files of each robot."""
-        self._entries = found = robot_entries()
-        return found
+        self.entries = robot_entries()
+        return self.entries
 
     def begin(self, name: str, changes: Changes, running: LoopHandle) -> None:
         """Start to prepare the robot `name`; once it is shown, the simulation `running` ends.
@@ -190,33 +191,19 @@ class RobotSwitch(Job):
         parts = RobotParts(model)
         self.check()
         self.report("starting the simulation")
-        loop, config, note = self._start_suited(model, data, changes, controller)
-        try:
-            self.check()
-        except Cancelled:
-            loop.stop()
-            raise
-        return RunningRobot(loop, model, data.clouds, parts, config, note)
-
-    def _start_suited(
-        self, model: RobotModel, data: BorderData, changes: Changes, controller: str
-    ) -> tuple[OwnLoop, Config, str]:
-        """Start the simulation with `changes`, or without them if the robot cannot start so.
-
-        Returns:
-            The simulation, its parameters, and a note for the viewers about dropped changes.
-        """
-        usual = model.description.config
+        usual, note = model.description.config, ""
         config = usual.changed(changes)
         try:
-            return self._started(model, data, config, controller), config, ""
+            loop = self._started(model, data, config, controller)
         except DbbError as error:
-            if config == usual:
+            if config == usual or self.cancelled:
                 raise
+            config = usual
             note = (
                 f"all parameters are at their defaults: the robot cannot start with yours ({error})"
             )
-        return self._started(model, data, usual, controller), usual, note
+            loop = self._started(model, data, config, controller)
+        return RunningRobot(loop, model, data.clouds, parts, config, note)
 
     def _started(
         self, model: RobotModel, data: BorderData, config: Config, controller: str
@@ -225,6 +212,7 @@ class RobotSwitch(Job):
         loop = self._start_loop(model, data, config, controller)
         try:
             loop.start()
+            self.check()
         except BaseException:
             loop.stop()
             raise
@@ -275,11 +263,10 @@ class RobotBuild(Job):
         """Build the requested robot from the upload, in a job with a separate process.
 
         Raises:
-            ConfigError: A robot of this name exists, or another job is running.
-            RobotFileError: The name is not allowed.
+            ConfigError: The name is not allowed, a robot of this name exists, or another job is
+                running.
         """
-        if request.name in robot_names():
-            raise ConfigError(f"a robot {request.name!r} exists; choose another name")
+        new_folder(request.name)
 
         def work() -> None:
             self.built = ""
@@ -301,6 +288,19 @@ class RobotBuild(Job):
     def _forget(self) -> None:
         self.package = None
         self._folder.close()
+
+
+def new_folder(name: str) -> Path:
+    """Return the folder for a new robot of the user.
+
+    Raises:
+        ConfigError: The name is not allowed, or a robot of this name exists.
+    """
+    if not NAME.fullmatch(name):  # checked before it becomes a part of a path
+        raise ConfigError("a name starts with a letter and has only letters, digits and _")
+    if name in robot_names():
+        raise ConfigError(f"a robot {name!r} exists; choose another name")
+    return user_robots()[0] / name
 
 
 def _file_name(name: str) -> str:

@@ -110,24 +110,21 @@ class DashboardServer:
             page.grip.release_if_still(PATIENCE, page.viewer.client)
 
     def _draw_until_stopped(self) -> None:
+        due = time.monotonic()
         try:
-            self._draw_frames()
+            while not self._stopping.wait(max(0.0, due - time.monotonic())):
+                self._open_and_close_pages()
+                begin = time.thread_time()
+                self._draw_picture()
+                # With many viewers the frame rate drops, so that drawing does not use all the time.
+                # After a delay that is not computing time, continue from now: a burst of late
+                # frames would only add to the delay.
+                due = max(due + FRAME, _rested(begin))
         except Exception as error:  # no thread joins this one: show it to the viewers
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has stopped", error)
             self._show_to_late_viewers()
-
-    def _draw_frames(self) -> None:
-        due = time.monotonic()
-        while not self._stopping.wait(max(0.0, due - time.monotonic())):
-            self._open_and_close_pages()
-            begin = time.thread_time()
-            self._draw_picture()
-            # With many viewers the frame rate drops, so that drawing does not use all the time.
-            # After a delay that is not computing time, continue from now: a burst of late frames
-            # would only add to the delay.
-            due = max(due + FRAME, _rested(begin))
 
     def _draw_picture(self) -> None:
         """Draw a frame of each page; a local name here must not keep the previous robot alive."""
@@ -136,7 +133,7 @@ class DashboardServer:
         shared = self.shared
         shared.update()
         pages = [page for page in self.pages.values() if not page.closed]
-        self._demonstration.update(pages, shared.loop, shared.model.description)
+        self._demonstration.update(pages, shared.loop.latest())
         texts = time.monotonic() >= self._texts_due
         if texts:
             self._texts_due = time.monotonic() + TEXTS_EVERY

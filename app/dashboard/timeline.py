@@ -53,8 +53,14 @@ class Timeline:
             self._newest = newest
             if self.begin is not None and self.end is None:
                 self._extend()
-            if self._replay is not None:
-                self._continue(self._replay, newest)
+            if (replay := self._replay) is not None:
+                began, t, speed = replay
+                t += (monotonic() - began) * speed
+                if t >= newest.t:
+                    self.go_live()
+                else:
+                    self.go_to(t)
+                    self._replay = replay
             return self._shown or newest
 
     @property
@@ -109,13 +115,11 @@ class Timeline:
         Without an earlier marked start, the interval starts with the oldest stored snapshot.
         """
         with self._lock:
-            at = self.shown().t
+            at = self.shown().t  # an interval without an end has all snapshots now
             if self.begin is None or self.begin >= at:
                 self._marked = self._stored()
                 self.begin = min(self._marked[0].t, at)
-            elif self.end is None:
-                self._extend()
-            else:
+            elif self.end is not None:
                 self._marked = [s for s in self._stored() if s.t >= self.begin] or self._marked
             self._cut(at)
 
@@ -141,15 +145,6 @@ class Timeline:
     def between(self, begin: float, end: float) -> list[Snapshot]:
         """Return the stored snapshots between two times [s], oldest first."""
         return [snapshot for snapshot in self._stored() if begin <= snapshot.t <= end]
-
-    def _continue(self, replay: tuple[float, float, float], newest: Snapshot) -> None:
-        began, t, speed = replay
-        t += (monotonic() - began) * speed
-        if t >= newest.t:
-            self.go_live()
-        else:
-            self.go_to(t)
-            self._replay = replay
 
     def _stored(self) -> list[Snapshot]:
         """Return all stored snapshots; those older than 60 s have larger intervals."""

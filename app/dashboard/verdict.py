@@ -21,6 +21,7 @@ COLOURS: dict[State, Rgb] = {
 }
 """Colours by state, from best to worst. "near" means inside a buffer without a reaction: the base
 is at rest, cannot help, or the controller does not react to this pair."""
+LATE = 0.05  # [-] noticeable share of late steps, or of missing real time
 _NO_BASE_HELPS = 0.9  # [-] lost share of the force: at 6° to the vertical, base motion hardly helps
 
 
@@ -62,6 +63,11 @@ def base_gives_way(snapshot: Snapshot) -> bool:
     return any(
         max(map(abs, linear)) >= slow[0] or abs(turn) >= slow[1] for (*linear, turn), slow in rates
     )
+
+
+def is_slow(snapshot: Snapshot) -> bool:
+    """Whether the running simulation noticeably misses its desired speed."""
+    return not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
 
 
 def base_cannot_help(pair: NearPair) -> bool:

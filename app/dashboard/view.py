@@ -76,6 +76,10 @@ class View:
     plots: set[str] = field(default_factory=set)
     """Titles of the shown plots."""
 
+    def toggle_dark(self) -> None:
+        """Switch between the dark and the light theme."""
+        self.dark = not self.dark
+
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
         """Return the same choices for another robot, from its pairs of L_m and its plots' titles.
 

@@ -30,7 +30,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import CONNECTING
 
-from app.dashboard.gate import LARGEST_PICTURE, Gate, RefusedError, draws_in_software
+from app.dashboard.gate import LARGEST_PICTURE, Gate, RefusedError
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
@@ -66,7 +66,9 @@ class _Knocks(logging.Filter):
         """Whether a record is written; records with the texts of `_KNOCKS` are changed."""
         text = record.getMessage().partition("\n")[0]
         error = record.exc_info[1] if record.exc_info else None
-        kind = str(record.msg).partition("\n")[0], _place(error)
+        frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
+        place = [(frame.filename, frame.lineno) for frame in frames]
+        kind = str(record.msg).partition("\n")[0], f"{type(error).__name__} {place}"
         if text in _KNOCKS:
             record.msg, record.args = (
                 f"a connection: {text}" + (f": {error!r}" if error else ""),
@@ -80,12 +82,6 @@ class _Knocks(logging.Filter):
         if due:
             self._said[kind] = time.monotonic()
         return due
-
-
-def _place(error: BaseException | None) -> str:
-    """Return type and code position of an error."""
-    frames = traceback.extract_tb(error.__traceback__, limit=-1) if error else ()
-    return f"{type(error).__name__} {[(frame.filename, frame.lineno) for frame in frames]}"
 
 
 def _broke_off(connection: Any) -> bool:
@@ -198,8 +194,8 @@ def image_size(client: viser.ClientHandle) -> tuple[float, float]:
 
 def has_no_gpu(client: viser.ClientHandle) -> bool:
     """Whether a viewer's browser has reported that it draws in software."""
-    connection = _connection(client)
-    return connection is not None and draws_in_software(connection.request)
+    request = getattr(_connection(client), "request", None)
+    return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
 
 
 def finite(value: Any) -> float:
@@ -227,8 +223,8 @@ class Channel:
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
-        """State of the page: the names of `sight` that are visible, "narrow" on a narrow page, and
-        "untouched" until the first input of a person."""
+        """State of the page: the names of `sight` that are visible, and "untouched" until the first
+        input of a person."""
         self.on("seen", lambda names: setattr(self, "seen", frozenset(names.split())), str)
         self.on("refused", lambda text: notifier.warn(client, text[:300]), str)
 

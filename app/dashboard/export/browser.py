@@ -70,13 +70,10 @@ def browser_path(bundled: str) -> str | None:
         if not Path(chosen).exists():
             raise BrowserError(f"{VARIABLE}={chosen} does not exist")
         return chosen
-    for name in _NAMES:
-        if found := shutil.which(name):
-            return found
-    if sys.platform == "darwin":
-        for path in _APPLICATIONS:
-            if Path(path).exists():
-                return path
+    applications = _APPLICATIONS if sys.platform == "darwin" else ()
+    for path in (*map(shutil.which, _NAMES), *filter(os.path.exists, applications)):
+        if path:
+            return path
     if Path(bundled).exists():
         return None
     raise BrowserError(

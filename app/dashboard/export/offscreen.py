@@ -23,18 +23,10 @@ from PIL import Image, ImageDraw, ImageFont
 from app.border.dbb import Cloud
 from app.dashboard.export import Layer, Look
 from app.dashboard.export.browser import new_context
+from app.dashboard.scene import colours
 from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
-from app.dashboard.scene.canvas import Lens
-from app.dashboard.scene.colours import (
-    BACKGROUND,
-    CONTACT,
-    GHOSTS,
-    PERSON,
-    TRAIL_BASE,
-    Rgb,
-    css,
-    set_theme,
-)
+from app.dashboard.scene.canvas import Lens, in_world
+from app.dashboard.scene.colours import Rgb, css, set_theme
 from app.dashboard.scene.layers import nearness
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
@@ -162,13 +154,11 @@ class OffscreenScene:
         around = np.vstack([body.mesh.bounds + body.placement.translation for body in base])
         (low_x, low_y), (high_x, high_y) = around.min(axis=0)[:2], around.max(axis=0)[:2]
         xs, ys = (low_x, high_x, high_x, low_x), (low_y, low_y, high_y, high_y)
-        x, y, phi = base_pose
-        corners = np.column_stack([xs, ys, np.full(4, _LIFT)]) @ pin.utils.rotate("z", phi).T
-        corners += (x, y, 0.0)
+        corners = in_world(base_pose, np.column_stack([xs, ys, np.full(4, _LIFT)]))
         self._server.scene.add_line_segments(
             "/start",
             np.stack([corners, np.roll(corners, -1, axis=0)], axis=1),
-            np.array(TRAIL_BASE, np.uint8),
+            np.array(colours.TRAIL_BASE, np.uint8),
             thickness=_OUTLINE,
             thickness_units="screen",
         )
@@ -265,11 +255,8 @@ def _titled(page: str, title: str, text: str) -> str:
 def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServer, web.Page]]:
     """Run a server and open an empty page of the pictures' size; close both at the end."""
     context = new_context(browser, (look.width, look.height))
-    try:
-        with own_server() as server:
-            yield server, context.new_page()
-    finally:
-        context.close()
+    with contextlib.closing(context), own_server() as server:
+        yield server, context.new_page()
 
 
 def send_barrier(server: viser.ViserServer, number: int) -> None:
@@ -289,8 +276,12 @@ def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -
 
     All runs have snapshots at the same times.
     """
+
+    def ghost(s: Snapshot) -> GhostReading:
+        return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, s.clearance)
+
     return [
-        replace(main, ghosts=tuple(map(_ghost, ghosts)))
+        replace(main, ghosts=tuple(map(ghost, ghosts)))
         for main, *ghosts in zip(led, *others, strict=True)
     ]
 
@@ -326,7 +317,7 @@ def film_pictures(
         scene.draw(times[0])
         open_page(page, server)
         page.add_style_tag(content=ONLY_SCENE)
-        ground = css(BACKGROUND[look.dark])
+        ground = css(colours.BACKGROUND[look.dark])
         for k, t in zip(itertools.count(1), times):
             scene.draw(t)
             send_barrier(server, k)
@@ -356,16 +347,16 @@ def story(shown: Snapshot, first: Snapshot) -> list[str | tuple[str, Rgb]]:
         task = f"task: the hand follows a line, error {millimetres(shown.ee_error)}"
     return [
         method.capitalize(),
-        (task, PERSON),
-        near if shown.clearance >= 0.0 else (near, CONTACT),
-        (f"base moved {moved:.2f} m from the outline", TRAIL_BASE),
+        (task, colours.PERSON),
+        near if shown.clearance >= 0.0 else (near, colours.CONTACT),
+        (f"base moved {moved:.2f} m from the outline", colours.TRAIL_BASE),
     ]
 
 
 def captioned(picture: Image.Image, snapshot: Snapshot, look: Look) -> Image.Image:
     """Draw scenario, time, and the clearance of each robot into a picture."""
     title = f"{snapshot.scenario}, " if snapshot.scenario else ""
-    robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *GHOSTS), strict=False)
+    robots = zip((snapshot, *snapshot.ghosts), (INK[look.dark], *colours.GHOSTS), strict=False)
     door, words = snapshot.door is not None, METHOD_WORDS
     lines = [
         (f"{words.get(robot.controller, robot.controller)}: {nearness(robot, door=door)}", colour)
@@ -428,10 +419,6 @@ def write_film(
     return count
 
 
-def _ghost(s: Snapshot) -> GhostReading:
-    return GhostReading(s.controller, s.base_pose, s.q_m, s.wheel_angles, s.p_ee, s.clearance)
-
-
 def label(
     picture: Image.Image, lines: Sequence[str | tuple[str, Rgb]], *, dark: bool
 ) -> Image.Image:
@@ -441,6 +428,6 @@ def label(
     for k, line in enumerate(lines):
         text, colour = (line, INK[dark]) if isinstance(line, str) else line
         at = size, size // 2 + round(_SPACING * k * size)
-        ground, stroke = BACKGROUND[dark], max(size // 12, 1)
+        ground, stroke = colours.BACKGROUND[dark], max(size // 12, 1)
         draw.text(at, text, colour, font, stroke_width=stroke, stroke_fill=ground)
     return picture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from html import escape
 from typing import Any, NamedTuple
 
@@ -19,31 +18,49 @@ from app.dashboard.shared import SharedState
 from app.dashboard.timeline import Timeline
 from app.dashboard.verdict import Verdict
 from app.dashboard.view import View
-from app.dashboard.viser_compat import Channel
+from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import TargetError
-from app.simulation.loop.commands import Pause, StepOnce
+from app.simulation.loop.commands import Pause, Play, Reset, StepOnce
+from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
 PAUSE, CONTINUE, RESTART, BACK = "Pause", "Continue", "Restart", "Back to the free start"
 """Labels of actions, the same on all buttons and in the list of commands."""
+LIGHT = (
+    "Your browser draws without a GPU, so the page uses low detail: fewer triangles and points, no "
+    "shadows. To change this, use “Low detail” in the tab View."
+)
 
 
-@dataclass
 class Viewer:
     """The parts of one viewer's page that its panels use."""
 
-    client: viser.ClientHandle
-    notifier: Notifier
-    shared: SharedState
-    channel: Channel
-    """Messages to and from the page's own scripts."""
-    view: View
-    """The viewer's choices; callbacks assign to its fields."""
-    timeline: Timeline
-    grip: Grip
-    camera: Camera
-    files: Job
-    """Creates the viewer's files, one after the other."""
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        notifier: Notifier,
+        shared: SharedState,
+        before: Viewer | None = None,
+    ) -> None:
+        """Create the parts; `before` has those of the client's closed page of another robot."""
+        self.client, self.notifier, self.shared = client, notifier, shared
+        self.panels: list[Panel] = []
+        """All panels, in the order of their creation."""
+        plots = [plan.title for plan in shared.plans]
+        self.view = (before.view.of_robot if before else View.first)(shared.mobile, plots)
+        """The viewer's choices; callbacks assign to its fields."""
+        if before is None and has_no_gpu(client):
+            self.view.light = True
+            notifier.tell(client, "Drawing", LIGHT)
+        self.timeline = Timeline(shared.loop, shared.strip)
+        self.channel = Channel(client, notifier)
+        """Messages to and from the page's own scripts."""
+        self.grip = Grip(shared.loop, notifier, client.client_id)
+        self.camera = before.camera if before else Camera(client)
+        self.camera.extent = shared.parts.extent
+        self.channel.on("scene", self.camera.cover)
+        self.files = before.files if before else Job()
+        """Creates the viewer's files, one after the other."""
 
     def look(self, preset: str) -> None:
         """Look at the shown snapshot from a preset, a key of `PRESETS`.
@@ -55,6 +72,15 @@ class Viewer:
         if preset == "door" and shown.door is None:
             raise TargetError("there is no door here; the scenario refrigerator has one")
         self.camera.use(preset, shown)
+
+    def play(self, scenario: str) -> None:
+        """Play the scenario of this name, or continue from the free start if the name is empty."""
+        loop = self.shared.loop
+        if scenario:
+            loop.send(Play(scenario_of(self.shared.model.description, scenario)))
+        else:
+            loop.send(Reset())
+            loop.send(Pause(False))
 
     def toggle_pause(self) -> None:
         """Pause or continue the simulation."""
@@ -82,6 +108,7 @@ class Moment(NamedTuple):
 class Panel:
     """Widgets of one viewer, in the GUI container that is open during construction.
 
+    The page updates all panels of its viewer, also those that other panels contain.
     A callback of a widget takes viser's event. Its exceptions are shown to the viewer who used the
     widget. An `update` may assign all values each time, because viser sends only changes.
     """
@@ -90,6 +117,7 @@ class Panel:
         self._viewer, self._shared = viewer, viewer.shared
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
+        viewer.panels.append(self)
 
     def update(self, moment: Moment) -> None:
         """Show changes; called by the drawing thread."""
@@ -109,6 +137,15 @@ class Panel:
         """Add a button; `look` has further arguments of `GuiApi.add_button`."""
         handle = self._gui.add_button(label, icon=icon, **look)
         handle.on_click(self._notifier.guard(act))
+        return handle
+
+    def choice(
+        self, label: str, titles: Mapping[str, str], act: Callable[[str], None], hint: str
+    ) -> Any:
+        """Add a list of titles by name; `act` gets the name of the title that a person chooses."""
+        names = {title: name for name, title in titles.items()}
+        handle = self._gui.add_dropdown(label, tuple(names), hint=hint)
+        self.on_update(handle, lambda event: act(names[event.target.value]))
         return handle
 
     def buttons(
@@ -136,26 +173,26 @@ class Panel:
 class JobStatus(Panel):
     """Progress or result of a job, and a button that cancels the job."""
 
-    def __init__(self, viewer: Viewer, job: Job) -> None:
+    def __init__(self, viewer: Viewer, job: Job, idle: Callable[[], str] = lambda: "") -> None:
+        """Show the status of the job, or the HTML that `idle` returns if no job is running."""
         super().__init__(viewer)
-        self._job = job
+        self._job, self._idle = job, idle
         self.text = self._gui.add_html("", visible=False)
         self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
         self._cancel = self.button(
             "Cancel", lambda _: job.cancel(), viser.Icon.X, color="gray", visible=False
         )
 
-    def show(self, idle: str) -> None:
-        """Show the progress of the job, or the HTML `idle` if no job is running."""
-        progress = self._job.progress
+    def update(self, moment: Moment) -> None:
+        progress, text = self._job.progress, self._idle()
         if progress is not None:
             seconds = time.monotonic() - progress.began
             share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
             far = "cancelling" if self._job.cancelled else f"{progress.text}{share}"
-            idle = f"<b>{escape(progress.title)}</b>: {escape(far)}, {seconds:.0f} s"
+            text = f"<b>{escape(progress.title)}</b>: {escape(far)}, {seconds:.0f} s"
             self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
-        self.text.content = small(idle) if idle else ""
-        self.text.visible = bool(idle)
+        self.text.content = small(text) if text else ""
+        self.text.visible = bool(text)
         self._bar.visible = progress is not None and progress.share >= 0.0
         self._cancel.visible = progress is not None
         self._cancel.disabled = self._job.cancelled

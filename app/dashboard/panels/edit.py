@@ -15,14 +15,13 @@ import viser
 from app.dashboard.markup import small
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.phrases import spoken
+from app.dashboard.robots import new_folder
 from app.dashboard.scene.canvas import to_viser
 from app.dashboard.scene.colours import GHOSTS
 from app.dashboard.scene.scene import node_of
-from app.errors import ConfigError
-from app.onboarding.request import NAME
 from app.onboarding.write import BY_HAND, HandMade, save_by_hand
 from app.robot import shapes
-from app.robot.assets import is_own, robot_folder, robot_names, user_robots
+from app.robot.assets import is_own, robot_folder
 from app.robot.shapes import Shape, shape_mesh
 from app.strict import Array
 
@@ -109,12 +108,9 @@ class EditPanel(Panel):
 
     def _save(self) -> None:
         name, own = self._name.value, self._robot.name
-        if not NAME.fullmatch(name):  # checked before it becomes a part of a path
-            raise ConfigError("a name starts with a letter and has only letters, digits and _")
-        if name in robot_names() and not (name == own and is_own(own)):
-            raise ConfigError(f"a robot {name!r} exists; choose another name")
         there = robot_folder(own)
-        save_by_hand(there, there if name == own else user_robots()[0] / name, self.changes)
+        again = name == own and is_own(own)
+        save_by_hand(there, there if again else new_folder(name), self.changes)
         shared = self._shared
         shared.robot_switch.begin(name, shared.tuning.changes, shared.loop)
 

@@ -1,12 +1,17 @@
 """Help: the tab with method and keys, and the card with introduction, demonstration and tour."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels import Moment, Panel, Viewer
+from app.errors import DbbError
+from app.simulation.loop.commands import Compare, Play, Reset
+from app.simulation.scenarios import scenario_of
+from app.simulation.scenarios.line import LineScenario
+from app.simulation.session import SCENARIO_PERSON
 
 TEXT = """
 **Purpose.** A controller that moves the base of a mobile robot out of its own arm's way. It
@@ -44,6 +49,9 @@ is shared, and the forces of all who pull add up.
 """
 WATCH, PULL, NEXT, SHOW, CLOSE = "Watch it (8 s)", "Pull it yourself", "Next", "Show me", "Close"
 TOUR = "Take the tour"
+SHOWN = "guiding-lateral"
+"""The scenario of the demonstration: the arm is pulled along the wheels' axis."""
+FARTHER = 1.5  # [-] factor on this scenario's path; the arm then hits a base that stays
 
 
 class Card(NamedTuple):
@@ -149,20 +157,42 @@ class Guide(Panel):
     The state is a key of `CARDS`, or empty without a card.
     """
 
-    def __init__(self, viewer: Viewer, shows: Mapping[str, Callable[[], None]], state: str) -> None:
-        """Start in a state; `shows` has the action of `SHOW` for each state, by default "watch".
-
-        `shows["pull"]` ends the demonstration that "watch" has begun.
-        """
+    def __init__(self, viewer: Viewer, state: str) -> None:
         super().__init__(viewer)
-        self.state, self._shown, self._shows = state, "", shows
+        self.state, self._shown = state, ""
         self._channel = viewer.channel
         viewer.channel.on("tour", lambda: self.go("welcome"))
         viewer.channel.on("card", self._press, str)
 
     def go(self, state: str) -> None:
-        """Show the card of a state, or no card if the state is empty."""
-        self.state = state
+        """Show the card of a state, or no card if the state is empty.
+
+        The demonstration ends with its card "demo", and if a viewer who watches it wants to pull.
+        """
+        before, self.state = self.state, state
+        if (before, state) == ("watch", "pull") or (
+            before == "demo" and state not in ("demo", "watch")
+        ):
+            self._end()
+
+    def watch(self, state: str) -> None:
+        """Play the demonstration, and show the card "watch" or "demo".
+
+        Raises:
+            UnreachableError: The robot has no line for this scenario.
+        """
+        # The card first: otherwise, the drawing thread could end the beginning demonstration.
+        before, self.state = self.state, state
+        try:
+            self._play()
+        except DbbError:
+            self.state = before
+            raise
+
+    def leave_demonstration(self) -> None:
+        """Close the card of the repeated demonstration, if it is shown."""
+        if self.state == "demo":
+            self.go("")
 
     def update(self, moment: Moment) -> None:
         if self.state == self._shown:
@@ -177,18 +207,42 @@ class Guide(Panel):
         """Handle a click on a button of the card.
 
         Ignore a label that the card does not have, except for the labels of a card that the same
-        click has just closed (`Demonstration`).
+        click has just closed (`leave_demonstration`).
         """
         card = CARDS.get(self.state)
         if label not in (card.buttons if card else (WATCH, PULL)):
             return
-        if label in (WATCH, SHOW):
-            self._shows.get(self.state, self._shows["watch"])()
-        elif label == PULL and self.state == "watch":
-            self._shows["pull"]()
-        if label == WATCH:
-            self.go("watch")
+        if label == SHOW:
+            self._show()
+        elif label == WATCH:
+            self.watch("watch")
         elif label == NEXT:
             self.go(f"tour {int(self.state[-1]) + 1}")
-        elif label != SHOW:
+        else:
             self.go({PULL: "pull", TOUR: "tour 1"}.get(label, ""))
+
+    def _show(self) -> None:
+        """Show the subject of a step of the tour."""
+        if self.state == "tour 5":
+            self._play()
+        elif self.state == "tour 4":
+            self._viewer.timeline.step(-3.0)
+        else:
+            self._viewer.play(SHOWN)
+
+    def _play(self) -> None:
+        """Play the demonstration on a robot and on a ghost without avoidance."""
+        scenario = scenario_of(self._shared.model.description, SHOWN)
+        if isinstance(scenario, LineScenario):
+            x, y, z = (FARTHER * part for part in scenario.move)
+            scenario = scenario.changed(move=(x, y, z))
+        self._shared.loop.send(Compare(("none",)))
+        self._shared.loop.send(Play(scenario))
+
+    def _end(self) -> None:
+        """Remove the ghost, and put the robot at the free start unless a viewer holds it."""
+        loop = self._shared.loop
+        loop.send(Compare())
+        held = any(pull.who != SCENARIO_PERSON for pull in loop.latest().pulls)
+        if not (held or self._viewer.grip.holds_anything):  # whose pull can be newer
+            loop.send(Reset())

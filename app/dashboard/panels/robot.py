@@ -9,11 +9,11 @@ import viser
 from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.edit import EditPanel
-from app.dashboard.robots import Package, RobotBuild, RobotEntry
+from app.dashboard.robots import Package, RobotBuild, RobotEntry, new_folder
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
 from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
-from app.onboarding.request import BOUNDS, NAME, Request, check_request, option
+from app.onboarding.request import BOUNDS, Request, check_request, option
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 from app.strict import file_text
@@ -68,7 +68,7 @@ class RobotPanel(Panel):
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()
         self._choose(shared.model.description.name)
-        self.edit = EditPanel(viewer)
+        EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
@@ -83,8 +83,6 @@ class RobotPanel(Panel):
         self.about.content = (about_html(chosen, here=here) if chosen else "") + failed
         self._use.disabled = progress is not None or not usable
         self._report.visible = chosen is not None and chosen.report
-        self.edit.update(moment)
-        self.own.update(moment)
 
     def _begin(self, _: viser.GuiEvent) -> None:
         shared, chosen = self._shared, self._chosen()
@@ -140,11 +138,18 @@ class NewRobotPanel(Panel):
         self._build, self._package = build, None
         self._shown_urdf = ""
         with gui.add_folder("Your own robot", expand_by_default=False):
-            gui.add_html(upload_html())
+            gui.add_html(
+                small(
+                    f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
+                    f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro "
+                    "first; nothing is executed. The robot's description, border and report are "
+                    f"saved in<br><code>{escape(str(user_robots()[0]))}</code>"
+                )
+            )
             self.uploads = self.upload(
                 "Upload a zip", self._receive, mime_type=".zip,application/zip"
             )
-            self.status = JobStatus(viewer, build)
+            self.status = JobStatus(viewer, build, lambda: outcome_html(build))
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
             self._make = self.button(
                 "Create robot",
@@ -157,8 +162,10 @@ class NewRobotPanel(Panel):
         package, progress = self._build.package, self._build.progress
         if package is not self._package:
             self._package = package
+            self._shown_urdf = ""  # another zip may have the same path with other links
             if package is not None:
-                self._offer_files(package)
+                self.fields["file"].options = tuple(package.urdfs)
+                self.fields["out"].value = robot_name(package.archive.stem)
         if package is not None and self.fields["file"].value != self._shown_urdf:
             self._offer_links(package)
         asks = package is not None and progress is None
@@ -166,7 +173,6 @@ class NewRobotPanel(Panel):
             field.visible = asks and self._suits(name)
         self._make.visible = asks
         self.uploads.disabled = progress is not None
-        self.status.show(outcome_html(self._build))
 
     def request(self) -> Request:
         """Return the request for a robot from the fields; fields that do not apply are ignored.
@@ -178,8 +184,7 @@ class NewRobotPanel(Panel):
         if package is None:
             raise ConfigError("upload a zip file first")
         value = {name: field.value for name, field in self.fields.items()}
-        if not NAME.fullmatch(value["out"]):  # checked before it becomes a part of a path
-            raise ConfigError("a name starts with a letter and has only letters, digits and _")
+        folder = new_folder(value["out"])
         left, right = (
             value[name] if self._suits(name) and value[name] != FIND else ""
             for name in ("left", "right")
@@ -195,7 +200,7 @@ class NewRobotPanel(Panel):
             str(package.archive),
             value["base"],
             value["tip"],
-            user_robots()[0] / value["out"],
+            folder,
             wheels=(left, right) if left else None,
             kind=value["kind"],
             assume_inertia=value["assume_inertia"],
@@ -220,12 +225,6 @@ class NewRobotPanel(Panel):
         if name == "file":
             return self._package is not None and len(self._package.urdfs) > 1
         return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
-
-    def _offer_files(self, package: Package) -> None:
-        """Offer the URDFs of a new zip, and a name for the robot."""
-        self._shown_urdf = ""  # another zip may have the same path with other links
-        self.fields["file"].options = tuple(package.urdfs)
-        self.fields["out"].value = robot_name(package.archive.stem)
 
     def _offer_links(self, package: Package) -> None:
         """Offer the links and wheel joints of the chosen URDF, by default its two end links."""
@@ -258,16 +257,6 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
 def report_html(page: str) -> str:
     """Return a frame with a report that executes no scripts, because the robot may be untrusted."""
     return _REPORT.format(escape(page))
-
-
-def upload_html() -> str:
-    """Describe an acceptable zip, and name the folder of the user's robots."""
-    return small(
-        f"A zip of a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, {MOST_FILES} "
-        f"files, {LARGEST_CONTENT / 1e6:.0f} MB unpacked. Expand xacro first; nothing is executed. "
-        "The robot's description, border and report are saved in<br>"
-        f"<code>{escape(str(user_robots()[0]))}</code>"
-    )
 
 
 def outcome_html(build: RobotBuild) -> str:
@@ -305,7 +294,6 @@ def robot_name(stem: str) -> str:
 
 
 def _field(gui: viser.GuiApi, name: str) -> Any:
-    """Create the widget of a question."""
     label, hint = _QUESTIONS[name]
     if name in BOUNDS:
         return gui.add_number(label, 0.0, min=0.0, max=BOUNDS[name].high, step=0.001, hint=hint)

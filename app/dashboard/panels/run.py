@@ -17,7 +17,6 @@ from app.dashboard.markup import (
     banner,
     bar,
     cell,
-    chip,
     mark,
     reading,
     row,
@@ -25,12 +24,13 @@ from app.dashboard.markup import (
     table,
 )
 from app.dashboard.panels import BACK, CONTINUE, PAUSE, RESTART, Moment, Panel, Viewer
-from app.dashboard.panels.why import BAR_RANGE
+from app.dashboard.panels.why import BAR_RANGE, state_chip
 from app.dashboard.record import Course, pulled
-from app.dashboard.scene.colours import GHOSTS, SERIES, css, ink
-from app.dashboard.verdict import COLOURS, State, Verdict
-from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
-from app.simulation.scenarios import SCENARIOS, scenario_of
+from app.dashboard.scene.colours import GHOSTS, SERIES, css
+from app.dashboard.verdict import COLOURS, LATE, State, Verdict, is_slow
+from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Restart, Speed
+from app.simulation.scenarios import SCENARIOS
+from app.simulation.session import DT
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, kept, millimetres, outcome
 
@@ -42,9 +42,7 @@ METHOD_TITLES = {name: f"{name}: {METHOD_WORDS[name]}" for name in CONTROLLERS}
 """Entries of the lists of controllers, by the controllers' names."""
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
 """Values of `Compare.same` by their labels."""
-STEP = 0.001  # [s] of one control step
 _SIZE = "font-size:.82em"
-LATE = 0.05  # [-] share of late steps, or of missing real time, above which a row is coloured
 _SCORES = (
     ("least distance to base [mm]", "clearance", lambda d: _distance(d), max),
     ("hand error, final [mm]", "error", lambda d: f"{1000 * d:.1f}", min),
@@ -63,12 +61,13 @@ class RunPanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui = self._gui
-        sink = self._sink = viewer.shared.loop
+        sink = viewer.shared.loop
         hint = "A scenario starts at once. A pull of the hand ends it."
-        self._scenario = gui.add_dropdown("Scenario", (FREE, *TITLES.values()), hint=hint)
-        self._controller = gui.add_dropdown(
+        self._scenario = self.choice("Scenario", {"": FREE, **TITLES}, viewer.play, hint)
+        self._controller = self.choice(
             "Controller",
-            tuple(METHOD_TITLES.values()),
+            METHOD_TITLES,
+            lambda name: sink.send(Choose(name)),
             hint="dbb: the base gives way, as in the paper. hqp: the paper's hierarchy as printed, "
             "slower than real time. repulsive: a repulsive acceleration moves the arm only. "
             "barrier: a minimum distance as a constraint. none: no avoidance.",
@@ -77,23 +76,8 @@ class RunPanel(Panel):
         self._restart = self.button(
             RESTART, lambda _: sink.send(Restart()), viser.Icon.REFRESH, color="gray"
         )
-        self.button(BACK, lambda _: self.play(FREE), viser.Icon.HOME, color="gray")
+        self.button(BACK, lambda _: viewer.play(""), viser.Icon.HOME, color="gray")
         self._course, self._pairs = (gui.add_html("") for _ in range(2))
-        self.on_update(
-            self._scenario, lambda event: self.play(named(event.target.value, TITLES) or FREE)
-        )
-        self.on_update(
-            self._controller,
-            lambda event: sink.send(Choose(named(event.target.value, METHOD_TITLES))),
-        )
-
-    def play(self, scenario: str) -> None:
-        """Start the scenario of this name, or the free start for `FREE`."""
-        if scenario == FREE:
-            self._sink.send(Reset())
-            self._sink.send(Pause(False))
-        else:
-            self._sink.send(Play(scenario_of(self._shared.model.description, scenario)))
 
     def update(self, moment: Moment) -> None:
         """Update the choices from the newest snapshot, and the readings from the shown one.
@@ -107,8 +91,9 @@ class RunPanel(Panel):
         self.follow(self._scenario, TITLES.get(newest.scenario or course.name, FREE))
         self._restart.label = f"{RESTART} {course.name}".strip()
         beside = () if course.running or newest.busy else newest.scores[1:]
+        about = "A sudden change would push an arm inside the buffer away."
         self._course.content = (
-            notice_html(newest)
+            (banner("notice", newest.changing, about) if newest.changing else "")
             + course_html(course, newest.busy)
             + (small(outcomes_html(beside)) if beside else "")
         )
@@ -182,14 +167,9 @@ class ComparePanel(Panel):
         self._scores.content = outcomes + scores_html(moment.shown.scores)
 
     def _choose(self) -> None:
-        names = (named(handle.value, METHOD_TITLES) for handle in self._choices)
-        others = tuple(filter(None, names))
+        names = {title: name for name, title in METHOD_TITLES.items()}
+        others = tuple(names[handle.value] for handle in self._choices if handle.value != OFF)
         self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
-
-
-def named(title: str, titles: Mapping[str, str]) -> str:
-    """Return the name whose entry in `titles` is `title`, or an empty text."""
-    return next((name for name, each in titles.items() if each == title), "")
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
@@ -207,7 +187,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
     ends = [outcome(score.clearance, touched=bool(score.contacts)) for score in scores]
     valid = [end == "no contact" for end in ends]
     texts = [
-        end if good else state_chip(end, "contact") for end, good in zip(ends, valid, strict=True)
+        end if good else state_chip("contact", end) for end, good in zip(ends, valid, strict=True)
     ]
     rows = [row(cell("outcome", FAINT), *(cell(text, RIGHT) for text in texts))]
     for label, name, text, best in _SCORES:
@@ -233,7 +213,7 @@ def _marked(
 def _distance(d: float) -> str:
     """Return a distance [m] in millimetres, on the colour of contact if it is negative."""
     text = millimetres(d)[:-3]
-    return text if d >= 0.0 else state_chip(text, "contact")
+    return text if d >= 0.0 else state_chip("contact", text)
 
 
 def compared_html(shown: Snapshot, last: str) -> str:
@@ -255,12 +235,6 @@ def outcomes_html(scores: Sequence[Score]) -> str:
     return "<br>".join(lines)
 
 
-def notice_html(newest: Snapshot) -> str:
-    """Return a notice while a parameter approaches its new value gradually; otherwise ""."""
-    text = "A sudden change would push an arm inside the buffer away."
-    return banner("notice", newest.changing, text) if newest.changing else ""
-
-
 def course_html(course: Course, busy: str) -> str:
     """Return preparation, progress or result of the scenario; empty before the first one.
 
@@ -273,7 +247,7 @@ def course_html(course: Course, busy: str) -> str:
         return ""
     about = f"{_sentence(SCENARIOS[course.name].about)}." if course.name in SCENARIOS else ""
     if course.running:
-        share = min(course.until / max(course.duration, STEP), 1.0)
+        share = min(course.until / max(course.duration, DT), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
         return small(f"{about}{bar(share)}{title}")
     title = f"{course.name} {f'stopped at {course.until:.1f} s' if course.stopped else 'ended'}"
@@ -316,10 +290,9 @@ def status_rows(snapshot: Snapshot, verdict: Verdict) -> list[str]:
 
 def machine_rows(snapshot: Snapshot) -> list[str]:
     """Return the load of the machine as rows of a table; values beyond a limit are coloured."""
-    late = min(snapshot.overruns / max(round(snapshot.t / STEP), 1), 1.0)
-    slow = not snapshot.paused and snapshot.realtime_factor < (1.0 - LATE) * snapshot.speed
+    late = min(snapshot.overruns / max(round(snapshot.t / DT), 1), 1.0)
     rows = [
-        ("real-time factor", _number(snapshot.realtime_factor, ".2f"), slow),
+        ("real-time factor", _number(snapshot.realtime_factor, ".2f"), is_slow(snapshot)),
         ("control step", f"{_number(snapshot.step_time_us, '.0f')} µs", False),
         ("late steps", f"{100.0 * late:.1f} %", late > LATE),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
@@ -333,17 +306,12 @@ def _number(value: float, form: str) -> str:
 
 
 def _status_row(label: str, value: str, state: State) -> str:
-    return reading(label, value if state == "clear" else state_chip(value, state))
+    return reading(label, value if state == "clear" else state_chip(state, value))
 
 
 def _sentence(text: str) -> str:
     """Return a text with a capital first letter."""
     return f"{text[:1].upper()}{text[1:]}"
-
-
-def state_chip(text: str, state: State) -> str:
-    """Return a text on the colour of a state, legible in both themes."""
-    return chip(text, css(COLOURS[state]), ink(COLOURS[state]))
 
 
 def pairs_html(

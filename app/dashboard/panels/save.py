@@ -15,7 +15,7 @@ from app.config import Config
 from app.dashboard.export import Look, Side
 from app.dashboard.export.offscreen import CODECS, captioned
 from app.dashboard.job import FILM_RATE, write_film_of, write_replay, write_report
-from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
+from app.dashboard.panels import JobStatus, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.viser_compat import scene_picture
@@ -37,7 +37,7 @@ class SavePanel(Panel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         gui, self._job = self._gui, viewer.files
-        self._status = JobStatus(viewer, viewer.files)
+        JobStatus(viewer, viewer.files)
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
@@ -74,9 +74,6 @@ class SavePanel(Panel):
                 hint="The last scenario with its parameters, for dbb serve --case FILE",
             )
         gui.add_markdown("The tab *Tune* saves parameters.")
-
-    def update(self, moment: Moment) -> None:
-        self._status.show("")
 
     def _file(
         self,

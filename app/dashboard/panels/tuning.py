@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any, NamedTuple
+from typing import Any
 
 import viser
 
@@ -28,7 +28,8 @@ class TuningPanel(Panel):
         self._tuning = viewer.shared.tuning
         self.widgets: dict[str, ParameterWidget] = {}
         """Widget of each parameter, by the parameter's path."""
-        self._folders: list[_Folder] = []
+        self._folders: list[tuple[Any, Any, str, tuple[str, ...]]] = []
+        """Folder of each section, its button that resets it, its title, and its parameters."""
         tuning = self._tuning
         self.buttons(
             "Changes",
@@ -45,12 +46,13 @@ class TuningPanel(Panel):
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
-        for each in self.widgets.values():
-            each.update(moment)
-        for folder in self._folders:
-            count = sum(self.widgets[path].is_marked for path in folder.paths)
-            folder.handle.label = f"{folder.title} · {count} changed" if count else folder.title
-            folder.reset.disabled = not count
+        changes = self._tuning.changes
+        for path, widget in self.widgets.items():
+            widget.is_marked = path in changes
+        for folder, reset, title, paths in self._folders:
+            count = sum(path in changes for path in paths)
+            folder.label = f"{title} · {count} changed" if count else title
+            reset.disabled = not count
         self._show_advanced()
 
     def _add_file(self) -> None:
@@ -73,8 +75,8 @@ class TuningPanel(Panel):
             )
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
-        handle = self._gui.add_folder(title, expand_by_default=expand)
-        with handle:
+        folder = self._gui.add_folder(title, expand_by_default=expand)
+        with folder:
             for path in paths:
                 self.widgets[path] = ParameterWidget(self._viewer, path)
             reset = self.button(
@@ -85,7 +87,7 @@ class TuningPanel(Panel):
                 disabled=True,
                 hint="Reset the parameters of this folder",
             )
-        self._folders.append(_Folder(handle, reset, title, paths))
+        self._folders.append((folder, reset, title, paths))
 
     def _show_advanced(self) -> None:
         advanced = self._all.value
@@ -114,17 +116,6 @@ class TuningPanel(Panel):
         self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
 
 
-class _Folder(NamedTuple):
-    """Folder of parameters, whose label shows the number of changed ones."""
-
-    handle: Any
-    reset: Any
-    """Button that resets the folder's parameters."""
-    title: str
-    paths: tuple[str, ...]
-    """Paths of the folder's parameters."""
-
-
 def file_name(name: str) -> str:
     """Return a file name that is valid on all systems, such as `stiff arm.toml`."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
@@ -143,19 +134,17 @@ class ParameterWidget(Panel):
         super().__init__(viewer)
         self.about = tunable(path)
         self.is_marked = False
-        """Whether the value differed from its default at the last update."""
+        """Whether the value differs from its default; set before each update."""
         self._tuning, self._title = viewer.shared.tuning, unbroken(self.about.title)
-        self.handle = _widget(self._gui, self.about, self._title, self._tuning.config.value(path))
-        self.on_update(self.handle, self._set)
-        self.exponent = _exponent(self._gui, self.about, self.handle.value)
-        """The slider of the value's decimal logarithm, or None."""
-        if self.exponent is not None:
-            self.on_update(self.exponent, self._set)
+        value = self._tuning.config.value(path)
+        self.handle, self.exponent = _widgets(self._gui, self.about, self._title, value)
+        """The widget, and the slider of the value's decimal logarithm or None."""
+        for handle in filter(None, (self.handle, self.exponent)):
+            self.on_update(handle, self._set)
 
     def update(self, moment: Moment) -> None:
         value = self._tuning.config.value(self.about.path)
         self.follow(self.handle, value)
-        self.is_marked = value != self._tuning.usual.value(self.about.path)
         self.handle.label = self._title + (MARK if self.is_marked else "")
         if self.exponent is not None:
             self.follow(self.exponent, _power_of(value))
@@ -169,26 +158,24 @@ class ParameterWidget(Panel):
             event.target.value = _power_of(value) if is_power else value
 
 
-def _widget(gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str) -> Any:
-    """Create a list of choices, a slider, or a number box for a range of several powers of ten."""
+def _widgets(
+    gui: viser.GuiApi, about: Parameter | Choice, title: str, value: float | str
+) -> tuple[Any, Any]:
+    """Create a list of choices, a slider, or a number box with the slider of its logarithm."""
+    exponent = None
     if isinstance(about, Choice):
-        return gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
+        handle = gui.add_dropdown(title, about.choices, initial_value=str(value), hint=about.help)
+        return handle, exponent
     low, high, hint = about.low, about.high, f"{about.help} {about.allowed}"
     if about.log:
         handle = gui.add_number(title, float(value), min=low, max=high, step=1.0, hint=hint)
+        label, least, most = f"{about.label}, 10ˣ", math.log10(low), math.log10(high)
+        look = {"marks": ((least, f"{low:g}"), (most, f"{high:g}")), "hint": about.help}
+        exponent = gui.add_slider(label, least, most, 0.01, _power_of(value), **look)
     else:
         handle = gui.add_slider(title, low, high, slider_step(low, high), float(value), hint=hint)
     handle.precision = DECIMALS
-    return handle
-
-
-def _exponent(gui: viser.GuiApi, about: Parameter | Choice, value: float) -> Any:
-    """Create the slider of a value's decimal logarithm; None unless its parameter is so scaled."""
-    if isinstance(about, Choice) or not about.log:
-        return None
-    low, high = math.log10(about.low), math.log10(about.high)
-    label, ends = f"{about.label}, 10ˣ", ((low, f"{about.low:g}"), (high, f"{about.high:g}"))
-    return gui.add_slider(label, low, high, 0.01, _power_of(value), marks=ends, hint=about.help)
+    return handle, exponent
 
 
 def _value_of(power: float) -> float:

@@ -9,7 +9,7 @@ from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, bar, cell, chip, row, s
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.colours import css, ink
 from app.dashboard.scene.legend import legend_html, measure_of
-from app.dashboard.verdict import Verdict, base_cannot_help
+from app.dashboard.verdict import COLOURS, State, Verdict, base_cannot_help, is_slow
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.words import millimetres
@@ -30,7 +30,6 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture", "joint accelerations of the posture task, or of the free arm", ("posture", "free")),
 )
 """Label, hint, and names of the possible levels of each row."""
-_SLOW = 0.9  # [-] share of the desired speed below which the header states the cause
 _BEHIND = -0.5  # [-] x of a normal; above it, the near body is in front of the base or beside it
 
 
@@ -61,7 +60,7 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     colour = css(verdict.colour)
     return (
         f'<div style="border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
-        f'min-height:5.6em;font-size:.85em;line-height:1.4">{verdict_chip(verdict)}'
+        f'min-height:5.6em;font-size:.85em;line-height:1.4">{state_chip(verdict.state)}'
         f"<br>{sentence(snapshot)}</div>"
         f'<div style="{_BODY}">{table(_first_rows(snapshot))}</div>'
     )
@@ -72,7 +71,14 @@ def details_html(snapshot: Snapshot) -> str:
     why = snapshot.explanation
     if why is None or why.bearing is None:
         return small("Avoidance does not act: no link pair is inside its buffer.")
-    return f'<div style="{_BODY}">{_tables(snapshot, why)}</div>'
+    tables = (
+        _table("Nearest active pair", _near_rows(snapshot, why, why.bearing))
+        + _table("Force on the base", _force_rows(why), _columns(why.axes))
+        + _table("Acting point p_act", _score_rows(why))
+        + _table("Task error, by priority", _level_rows(why.levels))
+        + _table("Active limits", _bound_rows(why))
+    )
+    return f'<div style="{_BODY}">{tables}</div>'
 
 
 def _first_rows(snapshot: Snapshot) -> list[str]:
@@ -94,21 +100,20 @@ def header_html(snapshot: Snapshot, verdict: Verdict, spoken: Mapping[str, str])
     pair, d_b, factor = snapshot.nearest, snapshot.d_b, snapshot.realtime_factor
     share = bar(min(max(pair.d, 0.0) / BAR_RANGE, 1.0), css(verdict.colour), d_b / BAR_RANGE)
     pace = "" if math.isnan(factor) else f"{factor:.2f} × real time"
-    if factor < _SLOW * snapshot.speed:
-        pace += " (busy computer)"
+    pace += " (busy computer)" if is_slow(snapshot) else ""
     pace = "paused" if snapshot.paused else pace
     hint = f"Nearest link pair; the mark is its buffer d_b = {millimetres(d_b)}"
     return (
-        f'<div class="dbb-say">{verdict_chip(verdict)} {sentence(snapshot)}</div>'
+        f'<div class="dbb-say">{state_chip(verdict.state)} {sentence(snapshot)}</div>'
         f'<div class="dbb-numbers"><span title="{hint}">{spoken[pair.name]} '
         f'<b>{millimetres(pair.d)}</b></span><span class="dbb-bar" title="{hint}">{share}</span>'
         f"<span>base {words.speeds(snapshot.base_velocity)}</span><span>{pace}</span></div>"
     )
 
 
-def verdict_chip(verdict: Verdict) -> str:
-    """Return the state of a verdict on its colour."""
-    return chip(verdict.state.capitalize(), css(verdict.colour), ink(verdict.colour))
+def state_chip(state: State, text: str = "") -> str:
+    """Return a text, by default the state, on the colour of a state, legible in both themes."""
+    return chip(text or state.capitalize(), css(COLOURS[state]), ink(COLOURS[state]))
 
 
 def sentence(snapshot: Snapshot) -> str:
@@ -118,15 +123,6 @@ def sentence(snapshot: Snapshot) -> str:
         return "There is no explanation for this instant."
     touch = "Contact within the arm. " if snapshot.arm_in_contact else ""
     return ("Contact of arm and base. " if snapshot.in_contact else touch) + _answer(snapshot, why)
-
-
-def _hand_is_disturbed(why: Explanation) -> bool:
-    """Whether the end-effector's task has a noticeable slack."""
-    return any(
-        (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
-        for level in why.levels
-        if level.name == "hand"
-    )
 
 
 def _answer(snapshot: Snapshot, why: Explanation) -> str:
@@ -156,7 +152,7 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     if why.controller == "none":
         return f"{text}. Avoidance is off."
     text += f" (buffer {words.length(snapshot.d_b)})"
-    moves = _motion(snapshot, why, ahead=False)
+    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=False)
     if moves is None:
         return f"{text}."
     if why.mode == "tracking":
@@ -223,18 +219,12 @@ def _cause(pair: NearPair, why: Explanation, d_b: float | None) -> str:
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
     """Return the motion of the base, by default its next motion; None without both."""
     ahead = pair.n[0] > _BEHIND
-    moves = _motion(snapshot, why, ahead=ahead)
+    moves = words.motion(planar(why.axes, snapshot.base_velocity), ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
         return f"the base {moves}" + (", at its speed limit" if top else "")
-    commanded = planar(why.axes, why.base_asked)
-    will = words.intention(commanded.forward, commanded.turn, ahead=ahead, left=commanded.left)
+    will = words.motion(planar(why.axes, why.base_asked), ahead=ahead, intended=True)
     return None if will is None else f"the base is about to {will}"
-
-
-def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
-    v = planar(why.axes, snapshot.base_velocity)
-    return words.motion(v.forward, v.turn, ahead=ahead, left=v.left)
 
 
 def _hand(why: Explanation, *, held: bool = False) -> str:
@@ -244,9 +234,12 @@ def _hand(why: Explanation, *, held: bool = False) -> str:
     """
     if why.mode == "guiding":
         return "the arm resists further guiding" if held else "the arm can still be guided freely"
-    if _hand_is_disturbed(why):
-        return "the end-effector's task is reduced"
-    return "the end-effector's task is not affected"
+    disturbed = any(
+        (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
+        for level in why.levels
+        if level.name == "hand"
+    )
+    return f"the end-effector's task is {'reduced' if disturbed else 'not affected'}"
 
 
 def _off_target(snapshot: Snapshot) -> str:
@@ -268,19 +261,7 @@ def _the(name: str, why: Explanation) -> str:
     return f"the {words.body(name, why.chain)}"
 
 
-def _tables(snapshot: Snapshot, why: Explanation) -> str:
-    return (
-        _table("Nearest active pair", _near_rows(snapshot, why))
-        + _table("Force on the base", _force_rows(why), _columns(why.axes))
-        + _table("Acting point p_act", _score_rows(why))
-        + _table("Task error, by priority", _level_rows(why.levels))
-        + _table("Active limits", _bound_rows(why))
-    )
-
-
-def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
-    pair = why.bearing
-    assert pair is not None, "there is an active pair"
+def _near_rows(snapshot: Snapshot, why: Explanation, pair: NearPair) -> list[str]:
     more = f" (+{len(why.near) - 1})" if len(why.near) > 1 else ""
     name = words.pair(pair.a, pair.b, why.chain) + more
     distance = f"{millimetres(pair.d)} (buffer {millimetres(snapshot.d_b)})"
@@ -346,14 +327,11 @@ def _level_rows(levels: Sequence[Level]) -> list[str]:
     rows = []
     for label, hint, names in _LEVELS:
         level = next((by_name[name] for name in names if name in by_name), None)
-        rows.append(_row(label, hint, _NONE if level is None else _given_up(level)))
+        parts = ((level.linear, "m/s²"), (level.angular, "rad/s²")) if level else ()
+        texts = [f"{value:.2f} {unit}" for value, unit in parts if (value or 0.0) >= 0.005]
+        none = '<span style="opacity:.8">0</span>' if level else _NONE
+        rows.append(_row(label, hint, ", ".join(texts) or none))
     return rows
-
-
-def _given_up(level: Level) -> str:
-    parts = ((level.linear, "m/s²"), (level.angular, "rad/s²"))
-    texts = [f"{value:.2f} {unit}" for value, unit in parts if value is not None and value >= 0.005]
-    return ", ".join(texts) or '<span style="opacity:.8">0</span>'
 
 
 def _bound_rows(why: Explanation) -> list[str]:
@@ -371,8 +349,9 @@ def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] =
     return table((head, *rows), "border-spacing:0;margin-bottom:.4em", tight=True)
 
 
-def _row(label: str, hint: str, value: str, *, span: int = 1) -> str:
-    return row(cell(label, FAINT, ONE_LINE), cell(value, RIGHT, ONE_LINE, span=span), hint=hint)
+def _row(label: str, hint: str, *values: str, span: int = 1) -> str:
+    cells = (cell(value, RIGHT, ONE_LINE, span=span) for value in values)
+    return row(cell(label, FAINT, ONE_LINE), *cells, hint=hint)
 
 
 def _acceleration(
@@ -386,8 +365,7 @@ def _acceleration(
     """Return a row with the size of a force [N] and accelerations; dashes unless `on`."""
     newtons = "" if f is None else f"{math.hypot(*f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
-    values = values if on else [_NONE] * len(values)
-    return row(cell(label, FAINT, ONE_LINE), *(cell(value, RIGHT) for value in values), hint=hint)
+    return _row(label, hint, *(values if on else [_NONE] * len(values)))
 
 
 def _sum(vectors: Sequence[Sequence[float]], n: int) -> list[float]:

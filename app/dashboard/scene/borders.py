@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import viser
 
 from app.avoidance.acting_point import ActingPointFinder, avoidance_force, resultant_force
@@ -14,7 +13,8 @@ from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.scene.canvas import ROOT, Canvas, Lens
+from app.dashboard.markup import minus
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, in_world
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
 from app.dashboard.scene.legend import QUANTITIES, Legend, measure_of, title_of
@@ -49,13 +49,23 @@ class ColouredCloud(NamedTuple):
     legend: Legend
 
 
+class _Probe(NamedTuple):
+    """A point of the border with its values in words, and the effect of an arm near it."""
+
+    p: Array
+    """(3,) [m] the point in the base's frame, as `p_act`."""
+    p_act: Array
+    """(3,) [m] acting point for an arm there, at the distance `_INSIDE` d_b from the base."""
+    acceleration: Array
+    """(n_b,) [m/s² or rad/s²] acceleration of the base by this arm, (16)."""
+    text: str
+
+
 class Borders:
     """Colours borders, with a cache that all viewers share."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Start with an empty cache; `clouds` has P_i of each pair of L_m, by the pair's name."""
-        self.pairs = frozenset(clouds)
-        """Names of the pairs of L_m."""
         self.body = MobileBody(model)
         """Shape of the mobile robot l_m, in the base's frame."""
         self.top = float(self.body.upper[2])
@@ -103,29 +113,35 @@ class Borders:
         legend = Legend(pair, title, unit, d_b, low, high, len(keep), len(points), top)
         return ColouredCloud(points[keep], viridis(u), legend)
 
+    def probe(self, pair: str, p: Array, snapshot: Snapshot) -> _Probe:
+        """Return the probe at a point p (3,) [m] of a pair's border, in the base's frame."""
+        field, base, config = self.fields[pair], self._model.description.base, snapshot.config
+        ends = self.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
+        n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
+        d_b = snapshot.d_b
+        d = _INSIDE * d_b
+        p_b = p - (d_b - d) * n
+        finder = ActingPointFinder(BorderSearch(self.surface(snapshot.border)), field)
+        found = finder.find_acting_point(p_b, d, config.force)
+        assert found is not None, "a drawn border has contours"
+        f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
+        acceleration = field.base.A_b @ resultant_force(f[None], found.p_act[None])
+        forward, left, turn = planar(base.axes, acceleration)
+        way = f"{forward:+.2f} m/s² forward"
+        way += f", {left:+.2f} m/s² left" if abs(left) > 0.005 else ""
+        text = (
+            f"score S {field.score(p):.3g} {measure_of(base.kind).unit}, "
+            f"mobility {field.singularity(p):.3g}, reachability {field.reachability(p):.0f}\n"
+            f"acceleration of the base by an arm here: {way}, {turn:+.2f} rad/s²"
+        )
+        return _Probe(p, found.p_act, acceleration, text)
+
 
 def subsample(total: int, most: int) -> Array:
     """Return at most `most` of `total` indices: always the same ones, without a visible pattern."""
     if total <= most:
         return np.arange(total)
     return np.random.default_rng(0).permutation(total)[:most]
-
-
-class Probe(NamedTuple):
-    """Quantities at a point of the border, in the base's frame."""
-
-    p: Array
-    """(3,) [m] the point."""
-    det: float
-    """Measure of the base at the point, for a differential base det(J_c J_cᵀ) of (7)."""
-    reach: float
-    """Reachability R of (9) at the point."""
-    score: float
-    """Score S of (10) at the point."""
-    p_act: Array
-    """(3,) [m] acting point for an arm there, at the distance `_INSIDE` d_b from the base."""
-    acceleration: Array
-    """(n_b,) [m/s² or rad/s²] acceleration of the base by this arm, (16)."""
 
 
 class _Drawn(NamedTuple):
@@ -144,7 +160,8 @@ class DrawnBorders:
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
         self._scene, self._borders, self._model = scene, borders, model
         self._drawn: dict[str, _Drawn] = {}
-        self._probed: tuple[object, Probe | None] = (), None
+        self._probed: tuple[object, _Probe | None] = (), None
+        self._slice: tuple[object, list[Array]] = (), []
         self.pointer: tuple[float, ...] = ()
         """[px] position of the pointer, to the right and up from the scene's centre; empty if the
         pointer is elsewhere."""
@@ -202,82 +219,46 @@ class DrawnBorders:
         """
         if not self.pointer or lens is None:
             return
-        place = np.array(snapshot.base_pose)
-        key = (self.pointer, *lens.eye, *place, snapshot.config)
+        key = (self.pointer, *lens.eye, *snapshot.base_pose, snapshot.config)
         if key != self._probed[0]:
             self._probed = key, self._find(snapshot, lens)
         if (probe := self._probed[1]) is None:
             return
-        base = self._model.description.base
-        forward, left, turn = planar(base.axes, probe.acceleration)
-        way = f"{forward:+.2f} m/s² forward"
-        way += f", {left:+.2f} m/s² left" if abs(left) > 0.005 else ""
-        text = (
-            f"score S {probe.score:.3g} {measure_of(base.kind).unit}, mobility {probe.det:.3g}, "
-            f"reachability {probe.reach:.0f}\n"
-            f"acceleration of the base by an arm here: {way}, {turn:+.2f} rad/s²"
-        )
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
         canvas.lines(f"{ROOT}/probe/step", [np.array([probe.p, probe.p_act])], ACTING, 2.0)
-        x, y, phi = place
-        at = pin.utils.rotate("z", phi) @ probe.p + (x, y, 0.0)
-        canvas.label("/probe/text", at, text.replace("-", "−"))
-        draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, base.axes, top)
+        canvas.label("/probe/text", in_world(snapshot.base_pose, probe.p), minus(probe.text))
+        axes = self._model.description.base.axes
+        draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, axes, top)
 
-    def _find(self, snapshot: Snapshot, lens: Lens) -> Probe | None:
+    def draw_slice(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
+        """Draw the border at the height of p_b of the nearest pair of L_m; nothing without one.
+
+        The line has a colour for a dark or a light page.
+        """
+        mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.fields]
+        if not mobile:
+            return
+        z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
+        key = (round(z / _GRAIN), snapshot.border.d_b)
+        if key != self._slice[0]:
+            curves = self._borders.surface(snapshot.border).curves(z)
+            thin = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
+            self._slice = key, thin
+        if self._slice[1]:
+            canvas.lines(f"{ROOT}/slice", self._slice[1], _ON_DARK if dark else _ON_LIGHT, 2.5)
+
+    def _find(self, snapshot: Snapshot, lens: Lens) -> _Probe | None:
         """Return the probe at the foremost drawn point under the pointer, or None."""
-        x, y, phi = snapshot.base_pose
-        R, nearest, found = pin.utils.rotate("z", phi), np.inf, None
+        nearest, found = np.inf, None
         for pair, (_, cloud, _) in self._drawn.items():
             if cloud is None:
                 continue
-            points = cloud.points @ R.T + (x, y, 0.0)
+            points = in_world(snapshot.base_pose, cloud.points)
             u, v, depth = lens.axes @ (points - lens.eye).T
             scale = lens.focal / np.maximum(depth, 1e-3)
             off = np.hypot(scale * u - self.pointer[0], scale * v - self.pointer[1])
             depth[(depth <= 0.0) | (off > _NEAR)] = np.inf
             if depth.min() < nearest:
                 nearest, found = depth.min(), (pair, cloud.points[depth.argmin()])
-        return None if found is None else probe_at(self._borders, found[0], snapshot, found[1])
-
-
-class BorderSlice:
-    """A line around the base: the border at the height of p_b of the nearest pair of L_m."""
-
-    def __init__(self, borders: Borders) -> None:
-        self._borders = borders
-        self._key: tuple[object, ...] = ()
-        self._curves: list[Array] = []
-
-    def draw(self, canvas: Canvas, snapshot: Snapshot, *, dark: bool) -> None:
-        """Draw the slice in a colour for a dark or a light page; nothing without a border there."""
-        mobile = [pair for pair in snapshot.pairs if pair.name in self._borders.pairs]
-        if not mobile:
-            return
-        border = snapshot.border
-        z = float(min(mobile, key=lambda pair: pair.d).p_b[2])
-        key = (round(z / _GRAIN), border.d_b)
-        if key != self._key:
-            curves = self._borders.surface(border).curves(z)
-            self._key = key
-            self._curves = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
-        if self._curves:
-            canvas.lines(f"{ROOT}/slice", self._curves, _ON_DARK if dark else _ON_LIGHT, 2.5)
-
-
-def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array) -> Probe:
-    """Return the probe at a point p (3,) [m] of a pair's border, in the base's frame."""
-    config, field = snapshot.config, borders.fields[pair]
-    ends = borders.body.distance(np.vstack([p + _SMALL * np.eye(3), p - _SMALL * np.eye(3)]))
-    n = (ends[:3] - ends[3:]) / np.linalg.norm(ends[:3] - ends[3:])
-    d_b, border = snapshot.d_b, snapshot.border
-    d = _INSIDE * d_b
-    p_b = p - (d_b - d) * n
-    finder = ActingPointFinder(BorderSearch(borders.surface(border)), field)
-    found = finder.find_acting_point(p_b, d, config.force)
-    assert found is not None, "a drawn border has contours"
-    f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
-    acceleration = field.base.A_b @ resultant_force(f[None], found.p_act[None])
-    det, reach = field.singularity(p), field.reachability(p)
-    return Probe(p, float(det), float(reach), float(field.score(p)), found.p_act, acceleration)
+        return None if found is None else self._borders.probe(*found, snapshot)

@@ -11,7 +11,7 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.drag import SCALE
-from app.dashboard.scene.canvas import Lens
+from app.dashboard.scene.canvas import Lens, in_world
 from app.dashboard.viser_compat import image_size
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 from app.strict import Array
@@ -92,16 +92,6 @@ PRESETS = {
 """Views by name."""
 
 
-class _Look(NamedTuple):
-    """The preset that the viewer chose last."""
-
-    name: str
-    window: Window | None
-    """Window for which the camera was set; None once the viewer has moved the camera."""
-    eye: Array
-    """(3,) [m] position that was set last, including later motion with the base."""
-
-
 class Camera:
     """Moves the camera of one client.
 
@@ -112,10 +102,12 @@ class Camera:
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self._extent = np.zeros((1, 3))
-        self._looked: _Look | None = None
+        self.extent: Array = np.zeros((1, 3))
+        """(N, 3) [m] points of the robot to show, in the base's frame."""
+        self._preset = "iso"  # the preset that was used last
+        self._eye = np.full(3, np.inf)  # [m] its position, with the later motion with the base
+        self._fitted: Window | None = None  # its window; None once the viewer has moved the camera
         self._arrived = False
-        self._preset = "iso"
         self._before: Snapshot | None = None
         self._seen_at: Array | None = None
         self._begun = False  # a run has started, and the robot was not seen since
@@ -147,32 +139,14 @@ class Camera:
             return None
         return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
-    def fit(self, extent: Array) -> None:
-        """Set the points (N, 3) [m] of the robot to show, in the base's frame."""
-        self._extent = extent
-
     def begin(self, snapshot: Snapshot) -> None:
         """Use `first_view`."""
         self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look at the robot of a snapshot from a preset, a key of `PRESETS`."""
-        window, self._preset = self.window, name
-        eye, target = placed(PRESETS[name], [snapshot], self._extent, window)
-        self.put(eye, target)
-        self._followed = np.array(snapshot.base_pose[:2])
-        self._looked = _Look(name, window, np.array(eye))
-
-    @property
-    def preset(self) -> str:
-        """The key of the preset in use; empty once the viewer has moved the camera."""
-        look, eye = self._looked, self._client.camera.position
-        away = np.inf if look is None else np.linalg.norm(eye - look.eye)
-        return self._preset if self._waits() or away < _SAME else ""
-
-    def put(self, eye: Array, target: Array) -> None:
-        """Look from a position `eye` (3,) [m] at a target (3,) [m] in the world."""
-        camera = self._client.camera
+        camera, self._fitted, self._preset = self._client.camera, self.window, name
+        eye, target = placed(PRESETS[name], [snapshot], self.extent, self._fitted)
         if self._set is None:
             self._from = np.array(camera.position)
         with self._client.atomic():
@@ -180,8 +154,14 @@ class Camera:
             camera.position = eye
             camera.look_at = target
             camera.fov = FIELD_OF_VIEW
-        self._followed = self._looked = None
         self._set, self._set_at, self._arrived = eye, monotonic(), False
+        self._eye, self._followed = np.array(eye), np.array(snapshot.base_pose[:2])
+
+    @property
+    def preset(self) -> str:
+        """The key of the preset in use; empty once the viewer has moved the camera."""
+        away = np.linalg.norm(self._client.camera.position - self._eye)
+        return self._preset if self._waits() or away < _SAME else ""
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
         """Use the preset again if the window has changed and the viewer has not moved the camera.
@@ -189,13 +169,12 @@ class Camera:
         The panels narrow the scene only after the first picture, and a drawer opens later. While
         the viewer is `busy` with a drag, the camera does not move.
         """
-        look, window = self._looked, self.window
-        if look is None or look.window is None or busy:
+        if self._fitted is None or busy:
             return
-        if self._left(look):
-            self._looked = look._replace(window=None)
-        elif look.window != window:
-            self.use(look.name, snapshot)
+        if self._left():
+            self._fitted = None
+        elif self._fitted != self.window:
+            self.use(self._preset, snapshot)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
         """Move the camera by the base's displacement since the last call that moved it, if `on`.
@@ -210,10 +189,9 @@ class Camera:
         step = np.append(base_position - self._followed, 0.0)
         if self._waits() or np.linalg.norm(step) < _LEAST_STEP:
             return
-        self._followed, look = np.array(base_position), self._looked
-        if look is not None:
-            window = None if self._left(look) else look.window
-            self._looked = look._replace(window=window, eye=look.eye + step)
+        if self._left():
+            self._fitted = None
+        self._followed, self._eye = np.array(base_position), self._eye + step
         self._from = np.array(self._client.camera.position)
         self._set, self._set_at = self._from + step, monotonic()
         # viser moves the target by the same step as the position.
@@ -245,7 +223,7 @@ class Camera:
         camera, base_pose = self._client.camera, np.array(snapshot.base_pose)
         base = base_pose[:2]
         eye, target, window = camera.position, camera.look_at, self.window
-        seen = sees(eye, target, _in_world(base_pose, self._extent), window)
+        seen = sees(eye, target, in_world(base_pose, self.extent), window)
         around = np.concatenate([robot.p_ee + _HAND for robot in _robots(snapshot)])
         lens = lens_of(eye, target, 1.0, window)
         hands = [lens.has(lens.pixel(corner)) for corner in around]
@@ -261,9 +239,9 @@ class Camera:
         """Whether the browser has not confirmed the last position yet."""
         return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
-    def _left(self, look: _Look) -> bool:
+    def _left(self) -> bool:
         """Whether the viewer has moved the camera; False until the browser confirms a position."""
-        away = float(np.linalg.norm(self._client.camera.position - look.eye))
+        away = float(np.linalg.norm(self._client.camera.position - self._eye))
         return self._arrived and self._set is None and away > _LEAST_STEP
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
@@ -307,7 +285,7 @@ def placed(
 def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
     """Return the points (N, 3) [m] that a picture of a snapshot must show; `of` as in `Preset`."""
     hand, robots = snapshot.p_ee, _robots(snapshot)
-    seen = [_in_world(robot.base_pose, extent) for robot in robots]
+    seen = [in_world(robot.base_pose, extent) for robot in robots]
     seen += [robot.p_ee + _HAND for robot in robots]
     if of == "hand":
         seen = [hand + _NEAR_HAND]
@@ -344,12 +322,6 @@ def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
     return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 
 
-def _in_world(base_pose: Array, extent: Array) -> Array:
-    """Transform points (N, 3) [m] of a robot from its base's frame to the world."""
-    x, y, phi = base_pose
-    return np.array([x, y, 0.0]) + extent @ pin.utils.rotate("z", phi).T
-
-
 def _axes(forward: Array) -> Array:
     """Return the right, up and forward axes (3, 3) of a camera, which must not look vertically."""
     forward = forward / np.linalg.norm(forward)
@@ -376,36 +348,17 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
         Eye (3,) [m], and target (3,) [m] on the optical axis, at the middle of the points' depths.
     """
     axes = _axes(-away)
-    forward = axes[2]
-    u, v, depth = axes @ points.T
-    high = np.tan(FIELD_OF_VIEW / 2)
-    across = _Strip(u, depth, -high * window.aspect, high * window.aspect)
-    low, top = window.edges
-    along = _Strip(v, depth, low * high, top * high)
-    nearest = min(across.nearest, along.nearest)
-    eye = axes.T @ np.array([across.middle(nearest), along.middle(nearest), nearest])
-    return eye, eye + ((depth.min() + depth.max()) / 2 - nearest) * forward
-
-
-class _Strip:
-    """Constraints on the camera's position from one direction of the picture.
-
-    A camera at coordinate u₀ and depth w₀ shows a point with coordinate u and depth w at
-    (u − u₀)/(w − w₀). This value must be between `low` and `high`, plus margins: each point gives
-    two half-planes of (u₀, w₀).
-    """
-
-    def __init__(self, u: Array, depth: Array, low: float, high: float) -> None:
-        spare = _MARGIN / 2 * (high - low)
-        self._low, self._high = low + spare, high - spare
-        self._least = float(np.max(u - self._high * depth))
-        self._most = float(np.min(u - self._low * depth))
-
-    @property
-    def nearest(self) -> float:
-        """[m] depth of the camera that is nearest to the points."""
-        return (self._most - self._least) / (self._high - self._low)
-
-    def middle(self, depth: float) -> float:
-        """Return the position [m] of the camera at a depth with equal margins on both sides."""
-        return (self._least + self._high * depth + self._most + self._low * depth) / 2
+    across, depth = np.vsplit(axes @ points.T, [2])
+    low, high = (
+        np.tan(FIELD_OF_VIEW / 2) * np.array([(-window.aspect, window.aspect), window.edges]).T
+    )
+    spare = _MARGIN / 2 * (high - low)
+    low, high = low + spare, high - spare
+    # A camera at coordinate u_0 and depth w_0 shows a point at (u - u_0)/(w - w_0). This is between
+    # `low` and `high`: in each direction, all points give two half-planes of (u_0, w_0).
+    least = (across - high[:, None] * depth).max(axis=1)
+    most = (across - low[:, None] * depth).min(axis=1)
+    nearest = float(((most - least) / (high - low)).min())
+    middle = (least + high * nearest + most + low * nearest) / 2  # equal margins on both sides
+    eye = axes.T @ np.array([*middle, nearest])
+    return eye, eye + ((depth.min() + depth.max()) / 2 - nearest) * axes[2]

@@ -142,24 +142,16 @@ class Canvas:
 
     def point(self, name: str, place: Array, colour: Rgb, radius: float) -> None:
         """Draw a ball of a radius [m] at a position (3,) [m]; later calls only move it."""
-        node = self._node(
-            name,
-            lambda: self._scene.add_icosphere(
-                name, radius=radius, color=colour, cast_shadow=False, visible=False
-            ),
-        )
+        add = self._scene.add_icosphere
+        node = self._node(name, add, radius=radius, color=colour, cast_shadow=False)
         node.position = place
 
     def label(self, name: str, place: Array, text: str) -> None:
         """Draw a text at a position (3,) [m] in the world; labels drawn earlier have priority."""
         if not self.labels:
             return
-        node = self._node(
-            name,
-            lambda: self._scene.add_label(
-                name, text, anchor=ANCHORS[0], font_screen_scale=FONT_SCALE, visible=False
-            ),
-        )
+        look = {"anchor": ANCHORS[0], "font_screen_scale": FONT_SCALE}
+        node = self._node(name, self._scene.add_label, text, **look)
         if self._texts:
             node.text = text
         self._places[name] = place, node.text
@@ -178,39 +170,24 @@ class Canvas:
 
         Colours are uint8: (3,) in sRGB for all segments, or (N, 2, 3) in linear colours.
         """
-        node = self._node(
-            name,
-            lambda: self._scene.add_line_segments(
-                name, ends, colours, thickness=pixels, thickness_units="screen", visible=False
-            ),
-        )
+        look = {"thickness": pixels, "thickness_units": "screen"}
+        node = self._node(name, self._scene.add_line_segments, ends, colours, **look)
         node.colors = colours
         node.points = ends
 
     def arrow(self, name: str, start: Array, end: Array, colour: Rgb) -> None:
         """Draw an arrow between two points (3,) [m]; later calls do not change its colour."""
         ends = np.array([[start, end]])
-        node = self._node(
-            name,
-            lambda: self._scene.add_arrows(
-                name,
-                ends,
-                linear(np.array([colour]))[0],
-                shaft_radius=0.008,
-                head_radius=0.020,
-                head_length=HEAD_LENGTH,
-                visible=False,
-            ),
-        )
+        look = {"shaft_radius": 0.008, "head_radius": 0.020, "head_length": HEAD_LENGTH}
+        shade = linear(np.array([colour]))[0]
+        node = self._node(name, self._scene.add_arrows, ends, shade, **look)
         node.points = ends
 
     def box(
         self, name: str, T: pin.SE3, size: Sequence[float], colour: Rgb, opacity: float | None
     ) -> None:
         """Draw a box of a size (3,) [m] with its centre at the pose T."""
-        node = self._node(
-            name, lambda: self._scene.add_box(name, color=colour, opacity=opacity, visible=False)
-        )
+        node = self._node(name, self._scene.add_box, color=colour, opacity=opacity)
         node.dimensions = tuple(map(float, size))
         node.position, node.wxyz = to_viser(T)
 
@@ -227,10 +204,11 @@ class Canvas:
                 up = spot.rise * lens.pixel(place)[2] / lens.focal * lens.axes[1]
             self._handles[name].position, self._handles[name].anchor = place + up, spot.anchor
 
-    def _node(self, name: str, send: Callable[[], Any]) -> Any:
+    def _node(self, name: str, add: Callable[..., Any], *values: Any, **look: Any) -> Any:
+        """Return the scene node of a name; at first, add it with its values and look."""
         self._drawn.add(name)
         if name not in self._handles:
-            self._handles[name] = send()
+            self._handles[name] = add(name, *values, visible=False, **look)
         return self._handles[name]
 
 
@@ -240,6 +218,7 @@ def to_viser(T: pin.SE3) -> tuple[Array, Array]:
     return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
 
 
-def from_viser(position: Array, wxyz: Array) -> pin.SE3:
-    """Return the pose with a position (3,) [m] and a unit quaternion wxyz (4,)."""
-    return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))
+def in_world(base_pose: Array, points: Array) -> Array:
+    """Transform points (..., 3) [m] from the base's frame, whose origin is `ROOT`, to the world."""
+    x, y, phi = base_pose
+    return points @ pin.utils.rotate("z", phi).T + (x, y, 0.0)

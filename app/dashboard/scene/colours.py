@@ -11,23 +11,8 @@ BRAND: Rgb = (24, 104, 176)  # of buttons, whose text is white: the contrast is 
 BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
 """Background of the scene on a dark and on a light page."""
 
-_VIRIDIS = np.array(
-    [
-        (68, 1, 84),
-        (72, 36, 117),
-        (65, 68, 135),
-        (53, 95, 141),
-        (42, 120, 142),
-        (33, 145, 140),
-        (34, 168, 132),
-        (68, 191, 112),
-        (122, 209, 81),
-        (189, 223, 38),
-        (253, 231, 37),
-    ],
-    dtype=float,
-)
-"""(11, 3) evenly spaced colours of matplotlib's public-domain map "viridis", low to high."""
+_VIRIDIS = "440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725"
+"""Evenly spaced colours of matplotlib's public-domain map "viridis", low to high."""
 
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
 """Colours of curves and link pairs, in their order; distinct on white and on black."""
@@ -48,14 +33,14 @@ GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))  # robots of other c
 
 def viridis(u: Array) -> Array:
     """Return colours (N, 3) uint8 of values (N,), which are clipped to [0, 1]."""
-    at = np.linspace(0.0, 1.0, len(_VIRIDIS))
-    u = np.clip(u, 0.0, 1.0)
-    return np.stack([np.interp(u, at, channel) for channel in _VIRIDIS.T], axis=-1).astype(np.uint8)
+    colours = np.frombuffer(bytes.fromhex(_VIRIDIS), np.uint8).reshape(-1, 3)
+    at = np.linspace(0.0, 1.0, len(colours))  # `interp` clips to its ends
+    return np.stack([np.interp(u, at, channel) for channel in colours.T], axis=-1).astype(np.uint8)
 
 
 def viridis_css() -> str:
     """Return the colour map as a CSS gradient, low at the left."""
-    return ", ".join(f"rgb({r:.0f},{g:.0f},{b:.0f})" for r, g, b in _VIRIDIS)
+    return f"#{_VIRIDIS.replace(' ', ', #')}"
 
 
 def css(colour: Rgb) -> str:

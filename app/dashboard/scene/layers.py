@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pinocchio as pin
 
 from app.dashboard import phrases as words
 from app.dashboard.scene import colours
@@ -13,6 +12,7 @@ from app.dashboard.scene.canvas import (
     METRES_PER_NEWTON,
     ROOT,
     Canvas,
+    in_world,
 )
 from app.dashboard.scene.colours import Rgb, linear
 from app.dashboard.verdict import COLOURS, Verdict
@@ -20,13 +20,7 @@ from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
-from app.simulation.trace.snapshot import (
-    ActingReading,
-    DoorView,
-    GhostReading,
-    PairReading,
-    Snapshot,
-)
+from app.simulation.trace.snapshot import DoorView, GhostReading, PairReading, Snapshot
 from app.simulation.trace.words import METHOD_WORDS, millimetres
 from app.strict import Array
 
@@ -115,24 +109,16 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         if view.labels == "all":
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
-        place = _draw_force(canvas, node, reading, top)
+        # The arrow ends at p_act, because the base would hide an arrow that starts there. Below the
+        # base's top, the arm would hide it: then it is above the top.
+        x, y, z = reading.p_act
+        end = np.array([x, y, max(z, top + _FORCE_LIFT)])
+        start = end - METRES_PER_NEWTON * reading.f
+        canvas.arrow(f"{node}/force", start, end, colours.ACTING)
+        canvas.lines(f"{node}/stem", [np.array([reading.p_act, end])], colours.ACTING, 2.0)
         force = f"base pushed {size:.0f} N"
         text = f"p_act  {force}" if view.labels == "all" else force
-        canvas.label(f"{node}/p_act_label", place, text)
-
-
-def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
-    """Draw the force on the base at p_act as an arrow, and return the position of its label.
-
-    The arrow ends at p_act, because the base would hide an arrow that starts there. If p_act is
-    lower than the base's `top` [m], the arrow is above the top, because the arm would hide it.
-    """
-    p_act = reading.p_act
-    end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
-    start = end - METRES_PER_NEWTON * reading.f
-    canvas.arrow(f"{node}/force", start, end, colours.ACTING)
-    canvas.lines(f"{node}/stem", [np.array([p_act, end])], colours.ACTING, 2.0)
-    return start
+        canvas.label(f"{node}/p_act_label", start, text)
 
 
 def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: float) -> None:
@@ -190,8 +176,7 @@ def draw_names(canvas: Canvas, snapshot: Snapshot, at: Array) -> None:
     if all(coincides(ghost, snapshot) for ghost in snapshot.ghosts):
         return
     for i, robot in enumerate((snapshot, *snapshot.ghosts)):
-        x, y, phi = robot.base_pose
-        place = pin.utils.rotate("z", phi) @ at + (x, y, 0.0)
+        place = in_world(robot.base_pose, at)
         name = METHOD_WORDS.get(robot.controller, robot.controller)
         near = nearness(robot, door=snapshot.door is not None)
         canvas.label(f"/names/{i}", place, f"{_LOOKS[i]}, {name}: {near}")

@@ -205,18 +205,13 @@ def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     look round.
     """
     if len(mesh.faces) > MAX_FACES:
-        mesh = _decimated(mesh)
+        whole = mesh.copy()
+        whole.merge_vertices(merge_tex=True, merge_norm=True)  # else no triangles are connected
+        for aggression in AGGRESSIONS:
+            mesh = whole.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
+            if len(mesh.faces) <= MOST_FACES:
+                break
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)
-
-
-def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    mesh = mesh.copy()
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # otherwise, no triangles are connected
-    for aggression in AGGRESSIONS:
-        light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
-        if len(light.faces) <= MOST_FACES:
-            break
-    return light
 
 
 def _light(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:

@@ -10,11 +10,11 @@ from app.border.dbb import Cloud
 from app.dashboard import phrases as words
 from app.dashboard.record import Course, Strip, Track
 from app.dashboard.scene import layers
-from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
-from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
+from app.dashboard.scene.borders import Borders, DrawnBorders
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
 from app.dashboard.scene.robot import RobotParts, Visual
-from app.dashboard.verdict import judge
+from app.dashboard.verdict import Verdict, judge
 from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
@@ -133,18 +133,17 @@ class RobotScene:
         of `LinkPoses.update`.
         """
         x, y, phi = base_pose
-        self.root.position = (x, y, 0.0)
-        self.root.wxyz = (np.cos(phi / 2), 0.0, 0.0, np.sin(phi / 2))
+        root = pin.SE3(pin.utils.rotate("z", float(phi)), np.array([x, y, 0.0]))
         poses = self._parts.kinematics.update(q_m, wheel_angles)
+        self._placed = root, poses
+        self.root.position, self.root.wxyz = to_viser(root)
         for joint, frame in self._frames.items():
             frame.position, frame.wxyz = to_viser(poses[joint])
 
     def world_pose(self, joint: int) -> pin.SE3:
         """Return T_world_joint of a joint at the last drawing."""
-        frame = self._frames[joint]
-        return from_viser(self.root.position, self.root.wxyz) * from_viser(
-            frame.position, frame.wxyz
-        )
+        root, poses = self._placed
+        return root * poses[joint]
 
     def _add(
         self, visual: Visual, colour: Rgb, opacity: float | None, light: bool = False
@@ -181,16 +180,18 @@ class Scene:
         self._ghosts: list[RobotScene] = []
         self.canvas = Canvas(scene)
         self.border = DrawnBorders(scene, data.borders, data.model)
-        self._slice = BorderSlice(data.borders)
         self._trails: dict[str, Array] = {}
         self._dark, self._light, self._plain = view.dark, view.light, False
         self._light_up()
 
-    def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
+    def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> Verdict:
         """Draw a snapshot without its border; update texts of labels, and trails, only if `texts`.
 
         The lens determines the positions of labels and the point under the pointer. Borders are
         drawn by `border.update`; this takes milliseconds, and `atomic` would delay all messages.
+
+        Returns:
+            The verdict on the snapshot, in whose colours the lines are drawn.
         """
         view = self._view
         if (self._dark, self._light) != (view.dark, view.light):
@@ -203,9 +204,11 @@ class Scene:
         self._draw_ghosts(snapshot)
         if texts and view.trails:
             self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
+        verdict = judge(snapshot, self._data.spoken)
         with self.canvas.picture(texts=texts, lens=lens, t=snapshot.t):
-            self._draw_layers(snapshot)
+            self._draw_layers(snapshot, verdict)
             self.border.draw_probe(self.canvas, snapshot, self._data.borders.top, lens)
+        return verdict
 
     def _light_up(self) -> None:
         """Add the floor, a grid of 0.1 m, and lights that leave no side of the robot black.
@@ -240,12 +243,12 @@ class Scene:
             infinite_grid=True,
         )
 
-    def _draw_layers(self, snapshot: Snapshot) -> None:
+    def _draw_layers(self, snapshot: Snapshot, verdict: Verdict) -> None:
         view, canvas, top = self._view, self.canvas, self._data.borders.top
         if view.slice:
-            self._slice.draw(canvas, snapshot, dark=view.dark)
+            self.border.draw_slice(canvas, snapshot, dark=view.dark)
         if view.distances:
-            layers.draw_distances(canvas, snapshot, judge(snapshot), view, self._data.spoken)
+            layers.draw_distances(canvas, snapshot, verdict, view, self._data.spoken)
         if view.acting:
             layers.draw_acting_points(canvas, snapshot, view, top)
         if view.motion:
