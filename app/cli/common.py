@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 def load_model(robot: str) -> RobotModel:
     """Load the model of a robot by its name."""
-    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -45,7 +44,7 @@ def show(text: str) -> None:
 
 def print_json(result: object) -> None:
     """Print one JSON object on standard output."""
-    sys.stdout.write(as_json(result))
+    print(json.dumps(result, indent=2, allow_nan=False))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
@@ -61,11 +60,6 @@ def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
         else:
             text = f"{value:.4g}" if isinstance(value, float) else number_text(value)
             show(f"{indent}{key:28} {text}".rstrip())
-
-
-def as_json(result: object) -> str:
-    """The text of one JSON object with a final line break."""
-    return json.dumps(result, indent=2, allow_nan=False) + "\n"
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:

@@ -41,7 +41,6 @@ def reproduce(
         out: Folder for a PNG and CSV files of each figure, `metrics.json` and `index.html`.
         seed: Seed of all random numbers of the runs.
     """
-    # Imported here: matplotlib and scipy would delay the start of every other command.
     from app.studies.paper import report
 
     names = report.chosen(figures)
@@ -99,10 +98,6 @@ def sweep(
     made = SweepPlan(**plan, config=tuned)
     options.check_seed(made.seed)
     side_by_side = options.check_processes(processes)
-    # Imported here: matplotlib and scipy would delay the start of every other command.
-    from app.robot.description import load_robot
-
-    load_robot(made.robot)
     options.make_folder(out)
     from app.studies.sweep.sweep import sweep as make
     from app.studies.sweep.sweep import write_sweep
@@ -170,7 +165,6 @@ def study(
     chosen = asdict(options.Setup(**setup))
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
     side_by_side = options.check_processes(processes)
-    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
 
     load_robot(parameters.robot)
@@ -189,7 +183,6 @@ def study(
     if json:
         print_json(result)
         return
-    # Imported here: matplotlib is needed only when all cases are done.
     from app.studies.pulls.report import outcome
 
     for part in outcome(result):

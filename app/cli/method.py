@@ -76,7 +76,6 @@ def border(
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
     options.make_folder(out)
-    # Imported here, because the import takes longer than finding an error in the options.
     import numpy as np
 
     from app.border.cache import load_border_data

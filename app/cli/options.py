@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -115,16 +114,15 @@ def configured(
         ConfigError: The file cannot be read, or a parameter is unknown or out of range.
         DbbError: The robot does not exist, or its description is invalid.
     """
-    override = partial(_configured, file, given or {}, paths)
-    override(Config())
-    # Imported here, because the import takes longer than finding an error in the options.
+
+    def override(usual: Config) -> Config:
+        read = usual if file is None else _read(file, usual).config
+        return changed(read, given or {}, paths)
+
+    override(Config())  # finds an error before the import
     from app.robot.description import load_robot
 
     return override(load_robot(robot).config)
-
-
-def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual: Config) -> Config:
-    return changed(usual if file is None else _read(file, usual).config, given, paths)
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:

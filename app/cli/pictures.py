@@ -81,7 +81,6 @@ def screenshot(
 
 
 def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
-    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.screenshot import strip, take_pictures
 
@@ -143,7 +142,6 @@ def film(
         start: [m] start of the end-effector, in the world, as in `dbb run`.
         move: [m] displacement of the end-effector, in the world, as in `dbb run`.
     """
-    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.offscreen import CODECS
 
     is_case(scenario)
@@ -228,7 +226,6 @@ def replay(
             executed.
         out: The HTML file.
     """
-    # Imported here: viser and pyarrow would delay the start of every other command.
     from app.dashboard.export.offscreen import replay_html
 
     look = Look(**looks)
@@ -262,7 +259,6 @@ def report(
             executed.
         out: The HTML file.
     """
-    # Imported here: matplotlib and pyarrow would delay the start of every other command.
     from app.studies.run_report import key_numbers, run_report
 
     options.check_file("--out", out, (".html",))

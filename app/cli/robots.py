@@ -34,7 +34,6 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 
 def robots(json: Json = False) -> None:
     """List all robots, with the errors of invalid descriptions."""
-    # Imported here, because it needs the readers of descriptions.
     from app.robot.assets import robot_names, wrong_folders
     from app.robot.description import load_robot
 
@@ -93,7 +92,6 @@ def check_robot(
 
     config = options.configured(name, None, parameters, _OF_CHECK)
     description = load_robot(name).model_copy(update={"config": config})
-    # Imported here, because it needs scipy, trimesh and the engines.
     from app.onboarding import check
 
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
@@ -131,12 +129,10 @@ def new_robot(
     """
     asked = Request(**request)
     check_request(asked)
-    # Imported here: the import would delay the start of every other command.
     from app.onboarding.whole import whole_robot
 
     begin = perf_counter()
     whole = None if asked.zipped else whole_robot(asked)  # refuses a wrong file before slow imports
-    # Imported here: matplotlib, scipy and trimesh would delay a refusal.
     from app.border.config import QUICK
     from app.onboarding.new_robot import finish
 

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 from app.cli.common import load_robot_and_border, say
 from app.cli.options import Setup, configured
 from app.cli.records import Given
-from app.config import Config
 from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
-from app.simulation.case import RunCase, RunSpec, read_case
+from app.simulation.case import RunSpec, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
-from app.simulation.scenarios.leading import Scenario
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -23,8 +21,6 @@ if TYPE_CHECKING:
     from app.simulation.run import RunResult
     from app.simulation.trace.snapshot import Snapshot
     from app.simulation.trace.trace import Trace
-
-_CASE = ".json"
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
@@ -36,35 +32,58 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
         config: File of parameters, or None.
 
     Raises:
-        DbbError: The scenario or case does not exist; or `robot`, `seed` or `config` is set
-            together with a case. A controller or plant in `setup` replaces that of the case.
+        DbbError: The errors of `spec_of_scenario` and `spec_of_case`.
     """
-    # Imported here, because the import takes longer than finding an error in the options.
+    if is_case(word):
+        return spec_of_case(Path(word), setup, word, config=config)
+    return spec_of_scenario(word, setup, config)
+
+
+def spec_of_scenario(
+    name: str,
+    setup: Given,
+    config: Path | None,
+    parameters: Given | None = None,
+    **own: object,
+) -> RunSpec:
+    """The run of a scenario with `own` options; the other arguments as in `configured`.
+
+    Raises:
+        DbbError: The robot or the scenario does not exist, or an option is invalid.
+    """
     from app.robot.description import load_robot
 
-    if not is_case(word):
-        chosen = Setup(**setup)
-        tuned = configured(chosen.robot, config)
-        return spec_with(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
-    own = {name: setup.get(name) for name in ("robot", "seed")}
-    check_no_others({**own, "config": config}, word)
-    return spec_of_case(read(Path(word)), setup)
+    chosen = Setup(**setup)
+    tuned = configured(chosen.robot, config, parameters)
+    scenario = scenario_of(load_robot(chosen.robot), name, **own)
+    return RunSpec(scenario=scenario, config=tuned, **asdict(chosen))
 
 
-def spec_with(setup: Setup, scenario: Scenario, config: Config) -> RunSpec:
-    """The run of a scenario with the options of `Setup`."""
-    return RunSpec(scenario=scenario, config=config, **asdict(setup))
+def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
+    """The run of a case; a controller or plant in `setup` replaces that of the case.
 
+    The `differences` of the case are printed.
 
-def spec_of_case(case: RunCase, setup: Given) -> RunSpec:
-    """The run of a case; a controller or plant in `setup` replaces that of the case."""
+    Args:
+        file: File of the case.
+        setup: Options of `Setup` that the user set.
+        word: Origin of the case, as in `check_no_others`.
+        others: Further options that a case already sets.
+
+    Raises:
+        CaseError: The file cannot be read or is not a valid case.
+        ConfigError: The user set an option that a case already sets, such as `robot` or `seed`.
+    """
+    check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
+    case = read_case(file)
+    for difference in case.differences():
+        say(difference)
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
-    return spec_with(Setup(**(own | setup)), case.scenario(), case.config())
+    return RunSpec(scenario=case.scenario(), config=case.config(), **asdict(Setup(**(own | setup))))
 
 
 def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
     """Execute a run with a progress bar; see `run_from_spec`."""
-    # Imported here: the options are checked before anything is loaded.
     from app.simulation.run import run_from_spec
 
     duration = run.scenario.duration
@@ -88,22 +107,10 @@ def is_case(word: str) -> bool:
     Raises:
         UnknownNameError: The word does not end in .json and is not the name of a scenario.
     """
-    if not word.lower().endswith(_CASE):
+    if not word.lower().endswith(".json"):
         check_name("scenario", word, SCENARIOS)
         return False
     return True
-
-
-def read(path: Path) -> RunCase:
-    """Read a case from a file, and print its `differences`.
-
-    Raises:
-        CaseError: The file cannot be read or is not a valid case.
-    """
-    case = read_case(path)
-    for difference in case.differences():
-        say(difference)
-    return case
 
 
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
@@ -133,7 +140,7 @@ def trace_of(path: Path) -> Trace:
     """
     from app.simulation.trace.log_file import read_trace
 
-    if path.suffix.lower() != _CASE:
+    if path.suffix.lower() != ".json":
         return read_trace(path)
-    run = spec_of_case(read(path), {})
+    run = spec_of_case(path, {})
     return result_of(run, *load_robot_and_border(run.robot), drawn=True).trace

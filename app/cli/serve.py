@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from app.cli import options
 from app.cli.common import load_model, say
 from app.cli.records import Given, from_record
-from app.cli.run_spec import check_no_others, read
+from app.cli.run_spec import spec_of_case
 from app.config import Config
 from app.config_file import checked_host
 from app.simulation.scenarios import free_start
-from app.simulation.scenarios.leading import check_point
+from app.simulation.scenarios.leading import Scenario, check_point
 from app.simulation.scenarios.line import Point
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.jobs.process import Child
     from app.robot.model import RobotModel
-    from app.simulation.case import RunCase
     from app.simulation.loop.process_loop import ProcessLoop
 
 _SWITCH = 0.001  # [s] time after which a thread that serves one viewer lets the drawing thread run
@@ -65,20 +64,14 @@ def serve(
     """Serve the dashboard, a page for pulling the arm with the mouse."""
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
-    case = None
-    if asked.case is not None:
-        case = read(asked.case)
-        own = {"robot": setup.get("robot"), "seed": setup.get("seed")}
-        check_no_others({**own, "start": asked.start, "config": config, **parameters})
-        of_case = {"controller": case.controller, "physics": case.physics}
-        setup = {**of_case, **setup, "robot": case.robot, "seed": case.seed}
-    chosen = options.Setup(**setup)
-    tuned = (
-        options.changed(case.config(), parameters)
-        if case
-        else options.configured(chosen.robot, config, parameters)
-    )
-    # Imported here, because the import takes longer than finding an error in the options.
+    if asked.case is None:
+        chosen, played = options.Setup(**setup), None
+        tuned = options.configured(chosen.robot, config, parameters)
+    else:
+        others = {"start": asked.start, "config": config, **parameters}
+        run = spec_of_case(asked.case, setup, **others)
+        chosen = options.Setup(**{f.name: getattr(run, f.name) for f in fields(options.Setup)})
+        tuned, played = options.changed(run.config, parameters), run.scenario
     from app.robot.assets import check_robot_name
 
     check_robot_name(chosen.robot)
@@ -86,7 +79,7 @@ def serve(
 
     # The simulation's process imports as much as this one: run both imports in parallel.
     with loop_child() as child:
-        _serve(_First(chosen, tuned, asked, case, child))
+        _serve(_First(chosen, tuned, asked, played, child))
 
 
 class _First(NamedTuple):
@@ -95,13 +88,13 @@ class _First(NamedTuple):
     setup: options.Setup
     config: Config
     asked: Serving
-    case: RunCase | None
+    played: Scenario | None
     child: Child
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
         """(n_m,) [rad or m] joint positions of the arm at the start."""
-        if self.case is not None:
-            return self.case.scenario().setting(model, data, self.config, self.setup.seed).q_m
+        if self.played is not None:
+            return self.played.setting(model, data, self.config, self.setup.seed).q_m
         return free_start(model, data, self.config, self.asked.start, self.setup.seed)
 
     def begin_loop(
@@ -135,7 +128,6 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, is_loopback, serve_dashboard
 
@@ -158,7 +150,7 @@ def _serve(first: _First) -> None:
             host=asked.host,
             port=asked.port,
             allowed=asked.allow_host,
-            case=first.case.scenario() if first.case else None,
+            case=first.played,
             parts=parts,
             start_loop=first.begin_loop,
         )

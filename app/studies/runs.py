@@ -52,7 +52,6 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 
     The file is written completely or not at all. None and NaN are empty cells.
     """
-    # Imported here: pyarrow is needed only when all runs are done.
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow

@@ -119,7 +119,6 @@ def _lost_row(parameters: StudyParameters, number: int) -> Row:
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
-    # Imported here: matplotlib is needed only when all cases are done.
     from app.studies.pulls.figures import PICTURES
     from app.studies.pulls.report import report_html, summary_of
     from app.studies.style import png_of, styled

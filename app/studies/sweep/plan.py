@@ -202,7 +202,6 @@ class SweepPlan:
 
     def approaches(self, model: RobotModel) -> list[Approach]:
         """All paths; each is for all speeds and controllers."""
-        # Imported here, so that a plan is checked before slow imports.
         from app.border.mobile import MobileBody
 
         found = list(ring(self.heights, self.step))

@@ -222,7 +222,6 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
 
 def write_sweep(result: Row, out: Path) -> list[str]:
     """Write the result of a sweep into an existing folder, and return the names of the files."""
-    # Imported here: matplotlib is needed only when all runs are done.
     from app.studies.style import png_of, styled
     from app.studies.sweep.maps import above_map, polar_map
 
