@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import tomlkit
-from tomlkit.items import Table
 
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
-from app.parameters import Parameter, Tunable
+from app.parameters import Parameter
 from app.strict import from_toml, text_of
 
 MAX_BYTES = 64 * 1024  # [bytes] largest file, ten times as large as a file with all parameters
@@ -49,7 +48,16 @@ def save_config(config: Config, name: str = "") -> str:
         table = tomlkit.table()
         table.add(tomlkit.comment(section.about))
         for each in section.tunables:
-            _add(table, each, config.value(each.path))
+            value, allowed = config.value(each.path), each.allowed
+            if isinstance(each, Parameter):
+                allowed = f"[{each.unit}] {each.low:.15g} to {each.high:.15g}"
+            table.add(tomlkit.nl())
+            table.add(tomlkit.comment(f"{allowed}: {each.help}"))
+            item = tomlkit.item(value)
+            if value != each.default:
+                usual = tomlkit.item(each.default).as_string()
+                item.comment(f"the program's default is {usual}")
+            table.add(each.path.partition(".")[2], item)
         document.add(tomlkit.nl())
         document.add(section.name, table)
     return tomlkit.dumps(document)
@@ -132,15 +140,3 @@ def checked_host(name: str) -> str:
             "such as robot.local"
         )
     return host
-
-
-def _add(table: Table, about: Tunable, value: float | str) -> None:
-    allowed = about.allowed
-    if isinstance(about, Parameter):
-        allowed = f"[{about.unit}] {about.low:.15g} to {about.high:.15g}"
-    table.add(tomlkit.nl())
-    table.add(tomlkit.comment(f"{allowed}: {about.help}"))
-    item = tomlkit.item(value)
-    if value != about.default:
-        item.comment(f"the program's default is {tomlkit.item(about.default).as_string()}")
-    table.add(about.path.partition(".")[2], item)

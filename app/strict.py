@@ -8,14 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import (
-    AllowInfNan,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 from typing_extensions import Self
 
@@ -45,9 +38,7 @@ _MAX_LISTED = 1000  # [-] largest number of problems of a listing, which needs 1
 class Strict(BaseModel):
     """A frozen record without unknown fields; the docstring of a field is its help text."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=False
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class Sourced(Strict):
@@ -201,27 +192,25 @@ def file_text(path: Path) -> str:
     return text_of(content_of(path))
 
 
-def parsed(loads: Callable[[str], Any], text: str) -> Any:
+def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
     """Parse an untrusted text with `loads`, a reader of TOML or JSON.
+
+    A `heavy` text is parsed by a child process even if it is short.
 
     Raises:
         ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
             of digits, or takes more time or memory than `within_budget` allows.
     """
-    return _read(loads, text, len(text))
+    if len(text) > LARGEST_DATA:
+        raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
+    return within_budget(_loaded, loads, text, size=max(len(text), heavy * (SMALL + 1)))
 
 
 def from_toml(text: str) -> dict[str, Any]:
     """Parse an untrusted TOML text; raises the errors of `parsed`."""
     # The time for a key or for nested brackets grows with the square of the number of parts.
-    heavy = max(map(_parts, text.splitlines()), default=0) > _MAX_PARTS
-    return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
-
-
-def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
-    if len(text) > LARGEST_DATA:
-        raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
-    return within_budget(_loaded, loads, text, size=size)
+    heavy = any(sum(map(line.count, ".[{")) > _MAX_PARTS for line in text.splitlines())
+    return parsed(tomllib.loads, text, heavy=heavy)
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
@@ -303,10 +292,6 @@ def _slip(text: str) -> str:
             if found := re.search(pattern, line.partition("#")[0] or line):
                 return f"; in line {number} {found[0].strip()!r} {why}"
     return ""
-
-
-def _parts(line: str) -> int:
-    return line.count(".") + line.count("[") + line.count("{")
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

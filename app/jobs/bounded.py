@@ -21,7 +21,6 @@ Read = TypeVar("Read")
 SMALL = 16 * 2**10
 """[bytes] largest size of data that this process reads itself; most configurations are smaller."""
 _AT_ONCE = threading.BoundedSemaphore(2)  # largest number of reading child processes
-_never = threading.Event()
 _limited = threading.Event()  # set in a reading child, which starts no further child
 
 
@@ -62,16 +61,11 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
         return read(*args)
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
-        packed = run_in_process(
-            _limited_read,
-            budget,
-            read,
-            args,
-            report=lambda *_: None,
-            cancelled=_never,
-            niceness=0,
+        never = threading.Event()
+        given = _limited_read, budget, read, args
+        return pickle.loads(
+            run_in_process(*given, report=lambda *_: None, cancelled=never, niceness=0)
         )
-        return pickle.loads(packed)
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 
 

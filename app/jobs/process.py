@@ -24,13 +24,7 @@ from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
 from app.jobs.guard import guarded, wake_without_parent
-from app.system import (
-    end_group,
-    end_when_closed,
-    interrupt_blocked,
-    lead_group,
-    lower_priority,
-)
+from app.system import end_group, end_when_closed, interrupt_blocked, lead_group, lower_priority
 
 Report = Callable[[str, float], None]
 """A function that takes the present activity and the share of the work that is done, 0 to 1, or a

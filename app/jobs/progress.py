@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from time import monotonic, sleep
 from types import FrameType
-from typing import NoReturn
 
 from app.errors import BrowserError, DbbError
 from app.jobs.guard import guarded
@@ -173,17 +172,13 @@ def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) ->
         with os.fdopen(source, "rb", buffering=0) as signals:
             while number := signals.read(1):
                 if number[0] in numbers:
-                    _end_after(longest, 128 + number[0])
-
-
-def _end_after(longest: float, status: int) -> NoReturn:
-    wake_children()
-    sleep(longest)
-    # Temporary folders are removed, as at any end; a removal that hangs delays the end by 1 s only.
-    tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
-    tidying.start()
-    tidying.join(_TIDYING)
-    os._exit(status)
+                    wake_children()
+                    sleep(longest)
+                    # Temporary folders are removed, as at any end; a removal may hang.
+                    tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
+                    tidying.start()
+                    tidying.join(_TIDYING)
+                    os._exit(128 + number[0])
 
 
 def _exception() -> BaseException:

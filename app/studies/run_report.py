@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.config import Config, parameter, tunables
-from app.errors import ConfigError, DbbError
+from app.config import Config, tunables
+from app.errors import DbbError
 from app.robot.description import load_robot
 from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.metrics import extremes, metrics, verdict
@@ -86,19 +86,14 @@ def _finite(value: Any) -> Any:
 
 def _changes(run: Trace) -> Part:
     changes = config_changes([s.config for s in run.snapshots])
-    rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
+    rows = [
+        (path, getattr(tunables()[path], "unit", "").removeprefix("-"), _value(usual), _value(had))
+        for path, usual, had in changes
+    ]
     if not rows:
         return Part("Parameters", "parameters", text=["All parameters had the program's defaults."])
     head = ("changed", "unit", "default", "here")
     return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
-
-
-def _unit(path: str) -> str:
-    try:
-        unit = parameter(path).unit
-    except ConfigError:  # a choice has no unit
-        return ""
-    return "" if unit == "-" else unit
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
