@@ -119,8 +119,7 @@ def _lost_row(parameters: StudyParameters, number: int) -> Row:
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
-    from app.studies.pulls.figures import PICTURES
-    from app.studies.pulls.report import report_html, summary_of
+    from app.studies.pulls.report import PICTURES, report_html, summary_of
     from app.studies.style import png_of, styled
 
     d_b = load_robot(parameters.robot).config.border.d_b
