@@ -84,14 +84,9 @@ class Section(NamedTuple):
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """The parameter of a field.
+    """The parameter of the field `name` of the record of a section.
 
     The field's docstring starts with the unit in brackets. A number must have both bounds.
-
-    Args:
-        section: Name of the section.
-        name: Name of the field.
-        field: The field of the section's record.
     """
     marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
     shown: Shown = marks.get("Shown", Shown())

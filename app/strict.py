@@ -74,13 +74,10 @@ def explain(
     model: type[BaseModel],
     valid_text: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
 ) -> str:
-    """A validation error as one line, with `field: valid value` for each of the first problems.
+    """The error of a record `model` as one line, with `field: valid value` for the first problems.
 
-    Args:
-        error: The error.
-        model: The record that was validated.
-        valid_text: Returns a text about the valid values, from the place and kind of a problem, or
-            None for pydantic's own text.
+    `valid_text` returns a text about the valid values, from the place and kind of a problem, or
+    None for pydantic's own text.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(texts):

@@ -16,6 +16,8 @@ from app.strict import check_range
 from app.system import write_whole
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from app.border.cache import BorderData
     from app.border.dbb import Border
     from app.border.reach import ReachMap
@@ -76,8 +78,6 @@ def border(
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
     options.make_folder(out)
-    import numpy as np
-
     from app.border.cache import load_border_data
     from app.border.config import SamplingConfig
     from app.border.dbb import construct_dbb
@@ -90,14 +90,7 @@ def border(
     selected = perf_counter()
     if out is not None:
         for each in borders:
-            np.savetxt(
-                out / f"{each.pair}.csv",
-                each.points,
-                "%.4f",
-                ",",
-                header="x_m,y_m,z_m",
-                comments="",
-            )
+            _write_csv(out / f"{each.pair}.csv", "x_m,y_m,z_m", each.points, "%.4f")
     result: dict[str, Any] = {
         "robot": robot,
         "seed": seed,
@@ -116,19 +109,15 @@ def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str,
 
     from app.border.mobile import MobileBody
 
-    body = MobileBody(model)
+    body, heights = MobileBody(model), border.heights.tolist()
     deviation = np.abs(body.distance(border.points) - border.d_b)
-    counts: dict[str, object] = {
+    return {
         "points": len(border),
         "cloud_points": len(data.clouds[border.pair]),
         "points_beside_base": int(np.count_nonzero(border.heights <= body.upper[2])),
-    }
-    if not len(border):
-        return counts | dict.fromkeys(("max_deviation_m", "lowest_m", "highest_m"))
-    return counts | {
-        "max_deviation_m": float(deviation.max()),
-        "lowest_m": float(border.heights[0]),
-        "highest_m": float(border.heights[-1]),
+        "max_deviation_m": max(deviation.tolist(), default=None),
+        "lowest_m": min(heights, default=None),
+        "highest_m": max(heights, default=None),
     }
 
 
@@ -217,8 +206,13 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
         (f"reach-{reach_map.body}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions),
         (f"reach-{reach_map.body}-radial.csv", "rho_m,mean,spread,fit,positions", shells),
     ):
-        filled = rows[~np.isnan(rows).any(axis=1)]
-        np.savetxt(out / name, filled, "%.6g", ",", header=header, comments="")
+        _write_csv(out / name, header, rows[~np.isnan(rows).any(axis=1)], "%.6g")
+
+
+def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
+    import numpy as np
+
+    np.savetxt(path, rows, form, ",", header=header, comments="")
 
 
 def config(

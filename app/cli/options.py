@@ -104,11 +104,8 @@ def configured(
 ) -> Config:
     """The robot's defaults, overridden by the file of `--config`, and then by the options.
 
-    Args:
-        robot: Name of the robot.
-        file: File of `--config`, or None.
-        given: Values of the options that the user set.
-        paths: The path of the parameter that each option sets, such as `border.d_b`.
+    `given` are the values of the options that the user set; `paths` has the path of the parameter
+    that each option sets, such as `border.d_b`.
 
     Raises:
         ConfigError: The file cannot be read, or a parameter is unknown or out of range.
@@ -219,12 +216,7 @@ def together(words: Iterable[str]) -> list[str]:
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check, before the work, that a file has a valid ending and can be written.
-
-    Args:
-        option: Name of the option.
-        path: The file, or None.
-        suffixes: The valid endings.
+    """Check, before the work, that the file of an option has a valid ending and can be written.
 
     Raises:
         OutputError: The file has a different ending or cannot be written; the message names the

@@ -165,12 +165,7 @@ def _film(
     asked: RunSpec, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
     from app.dashboard.export.browser import chromium
-    from app.dashboard.export.offscreen import (
-        film_pictures,
-        side_by_side,
-        with_ghosts,
-        write_film,
-    )
+    from app.dashboard.export.offscreen import film_pictures, side_by_side, with_ghosts, write_film
 
     duration = asked.scenario.duration
     begin, end = how.span or (0.0, duration)

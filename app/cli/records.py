@@ -56,8 +56,7 @@ def from_record(
     The command gets a dictionary that has only the options that the user set.
 
     Args:
-        record: A dataclass or pydantic record; or a dataclass instance, whose values are the
-            defaults.
+        record: A dataclass or pydantic record; or a dataclass instance with the defaults.
         only: Names of the included fields; None means all fields.
         leave: Names of the excluded fields.
         names: Name of the option, for each field whose option has a different name.

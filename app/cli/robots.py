@@ -46,21 +46,17 @@ def robots(json: Json = False) -> None:
         except DbbError as error:
             broken[name] = str(error)
     if json:
-        print_json(
+        rows = [
             {
-                "robots": [
-                    {
-                        "name": d.name,
-                        "title": d.title,
-                        "base": d.base.kind,
-                        "arm_joints": len(d.arm.joints),
-                        "bodies": [b.name for b in d.bodies],
-                    }
-                    for d in found
-                ],
-                "broken": broken,
+                "name": d.name,
+                "title": d.title,
+                "base": d.base.kind,
+                "arm_joints": len(d.arm.joints),
+                "bodies": [b.name for b in d.bodies],
             }
-        )
+            for d in found
+        ]
+        print_json({"robots": rows, "broken": broken})
         return
     for d in found:
         show(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")

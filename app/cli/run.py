@@ -54,10 +54,7 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """Select the command for a command line.
-
-    Args:
-        words: The words after `dbb run`.
+    """Select the command for the words after `dbb run`.
 
     Returns:
         Name of the scenario or empty, the command, and the remaining words.

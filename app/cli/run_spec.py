@@ -24,12 +24,7 @@ if TYPE_CHECKING:
 
 
 def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
-    """The run of a scenario or a case.
-
-    Args:
-        word: Name of the scenario, or file of the case.
-        setup: Options of `Setup` that the user set.
-        config: File of parameters, or None.
+    """The run of a scenario, by its name, or of a case, by its file.
 
     Raises:
         DbbError: The errors of `spec_of_scenario` and `spec_of_case`.
@@ -62,13 +57,8 @@ def spec_of_scenario(
 def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
     """The run of a case; a controller or plant in `setup` replaces that of the case.
 
-    The `differences` of the case are printed.
-
-    Args:
-        file: File of the case.
-        setup: Options of `Setup` that the user set.
-        word: Origin of the case, as in `check_no_others`.
-        others: Further options that a case already sets.
+    The `differences` of the case are printed. `others` are further options that a case already
+    sets; `word` is the origin of the case, as in `check_no_others`.
 
     Raises:
         CaseError: The file cannot be read or is not a valid case.
@@ -116,10 +106,9 @@ def is_case(word: str) -> bool:
 def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
     """Check that none of some options, which a case already sets, is set by the user.
 
-    Args:
-        options: Values of options by name; None means that an option is not set. `border` and
-            `buffer_distance` are ignored, because these options override the case.
-        case: Origin of the case for the message: the option `--case`, or the case's file.
+    The options have their values by name; None means that an option is not set. `border` and
+    `buffer_distance` are ignored, because they override the case. `case` is the origin of the case
+    for the message: the option `--case`, or the case's file.
 
     Raises:
         ConfigError: An option is set; the message names the first such option.

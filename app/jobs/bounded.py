@@ -46,12 +46,9 @@ class Budget(NamedTuple):
 
 
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
-    """Call `read(*args)` within the budget for its data, and return the result.
+    """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
-    Args:
-        read: A function of a module, which reads some data; its result must be picklable.
-        args: Arguments of `read`, which must be picklable.
-        size: [bytes] size of the data, which determines the budget.
+    `read` must be a function of a module; its arguments and its result must be picklable.
 
     Raises:
         BudgetError: Reading exceeds the budget.

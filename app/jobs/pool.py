@@ -33,12 +33,10 @@ class Workers(AbstractContextManager["Workers"]):
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
-        """Prepare the processes.
+        """Prepare a number of processes; default: one for each usable core.
 
-        Args:
-            make_context: Makes the data that all jobs share; must be picklable.
-            processes: Number of processes; default: one for each usable core. With 1, this process
-                executes the jobs.
+        With one process, this process executes the jobs. `make_context` makes the data that all
+        jobs share, and must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()

@@ -57,14 +57,7 @@ class Child(AbstractContextManager["Child"]):
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Start the process.
-
-        Args:
-            work: The function.
-            args: Arguments of `work` after the two connections.
-            leads_group: Whether the child leads a group of processes, so that all processes that it
-                starts end with it.
-        """
+        """Start the process; with `leads_group`, all processes that it starts end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
         """Connection to the process."""
@@ -145,14 +138,10 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a `Child` of low priority, and return its result.
+    """Run `work(report, *args)` in a `Child` of a niceness 0 to 19, and return its result.
 
-    Args:
-        work: The function.
-        args: Arguments of `work` after `report`.
-        report: Called in this process with each report of `work`.
-        cancelled: An event that ends the process and all its children.
-        niceness: [-] niceness of the process, 0 to 19.
+    `report` is called in this process with each report of `work`. The event `cancelled` ends the
+    child and all its children.
 
     Raises:
         Cancelled: `cancelled` was set.

@@ -28,12 +28,7 @@ _received: list[int] = []
 def progress_bar(
     text: str, total: float, *, shown: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Show the progress of some work.
-
-    Args:
-        text: Name of the work.
-        total: The total amount of work, in any unit.
-        shown: Whether the progress is displayed.
+    """Display the progress of some work, if `shown`, by the name of the work and its total amount.
 
     Yields:
         A function that takes the amount of work that is done. If a library has swallowed the

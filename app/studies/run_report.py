@@ -27,11 +27,9 @@ _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the page of a run: key numbers, pictures, and changed parameters.
+    """Make the page of a run with snapshots: key numbers, pictures, and changed parameters.
 
-    Args:
-        run: The run, with snapshots.
-        on_progress: Called before each picture with the share of the pictures that are finished.
+    Before each picture, `on_progress` gets the share of the pictures that are finished.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"

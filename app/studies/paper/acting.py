@@ -54,13 +54,8 @@ class Force(NamedTuple):
     @property
     def points(self) -> dict[str, Array]:
         """The points of Algorithm 3, (3,) [m] each, by their names."""
-        acting = self.acting
-        return {
-            "p_b": self.closest.p_b,
-            "p_n": acting.p_n,
-            "p_t": acting.p_t,
-            "p_act": acting.p_act,
-        }
+        others = {name: getattr(self.acting, name) for name in ("p_n", "p_t", "p_act")}
+        return {"p_b": self.closest.p_b, **others}
 
     def measured(self) -> dict[str, float]:
         """Distance, step α, and magnitudes of the force and of its components, by key."""

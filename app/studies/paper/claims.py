@@ -82,14 +82,9 @@ def compare(
     low: Threshold | None = None,
     high: Threshold | None = None,
 ) -> Finding:
-    """Compare a number with its bounds; a missing or infinite number agrees with no bound.
+    """Compare a number with one or two bounds; a missing or infinite number agrees with no bound.
 
-    Args:
-        text: Beginning of the finding's text, before the number.
-        key: Key of the number, which ends in the unit.
-        value: The number, or None.
-        low: Lower bound, which may be absent if there is an upper one.
-        high: Upper bound, which may be absent if there is a lower one.
+    The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
     """
     limits = tuple(limit for limit in (low, high) if limit is not None)
     if low is not None and high is not None:

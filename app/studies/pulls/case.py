@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from app.border.cache import BorderData
+from app.config import parameter
 from app.errors import AssetError, DbbError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -19,26 +20,14 @@ from app.studies.runs import Row, flattened, rounded
 
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Results of a run that depend on the machine, which a study does not store."""
+_ENDINGS = {"-": "", "s": "_s", "rad": "_rad", "m/s": "_mps", "N": "_n", "N/m": "_npm", "kg": "_kg"}
 COLUMNS = {
     "speed": "speed_mps",
     "duration": "duration_s",
     "moving": "moving",
     "release_at": "release_at_s",
     "regrasp_at": "regrasp_at_s",
-    "base_delay": "base_delay_s",
-    "encoder_noise": "encoder_noise_rad",
-    "mass_error": "mass_error",
-    "slip": "slip",
-    "v_max": "v_max_mps",
-    "hand_f_max": "hand_f_max_n",
-    "hand_stiffness": "hand_stiffness_npm",
-    "hand_mass": "hand_mass_kg",
-    "payload": "payload_kg",
-    "sensor_delay": "sensor_delay_s",
-    "sensor_period": "sensor_period_s",
-    "dropped": "dropped",
-    "unknown_load": "unknown_load_kg",
-    "stated_period": "stated_period_s",
+    **{name: name + _ENDINGS[parameter(path).unit] for name, path in PARAMETERS.items()},
     "fault_at": "fault_at_s",
 }
 """The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in

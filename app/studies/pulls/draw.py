@@ -109,12 +109,7 @@ def load_sources(robot: str) -> StudySources:
 def draw_start(
     sources: StudySources, heights: Interval, rng: np.random.Generator
 ) -> tuple[Start, Array, int]:
-    """Draw a start that the arm can reach, with every pair outside its buffer.
-
-    Args:
-        sources: The shared data.
-        heights: [m] range of the end-effector's height.
-        rng: Source of random numbers.
+    """Draw a start in a range of heights [m], where the arm has every pair outside its buffer.
 
     Returns:
         The start, the arm's joint positions (n_m,) at the start, and the number of starts that were
@@ -266,17 +261,11 @@ def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
-    """Compute the times of a pull.
+    """The displacement (3,) [m] of a pull, shortened if the pull would take too long; the duration
+    [s] of the run; and the ratio [-] of the pull's duration to the run's duration.
 
-    Args:
-        move: (3,) [m] displacement of the pull.
-        speed: [m/s] largest speed of the hand.
-        longest: [s] largest duration of the run, which includes a rest of 1 s after the pull, or of
-            a quarter of this duration if that is shorter.
-
-    Returns:
-        The displacement (3,) [m], shortened if the pull would take too long; the duration [s] of
-        the run; and the ratio [-] of the pull's duration to the run's duration.
+    `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
+    rest of 1 s after the pull, or of a quarter of `longest` if that is shorter.
     """
     rest = min(_REST, longest / 4)
     pulling = _PEAK * float(np.linalg.norm(move)) / speed

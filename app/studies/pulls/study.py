@@ -173,9 +173,7 @@ class Journal(AbstractContextManager["Journal"]):
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
         """Open or start the journal in an existing folder; use it in a `with`.
 
-        Args:
-            folder: The folder.
-            identity: The data that identify the study, as JSON.
+        `identity` are the data that identify the study, as JSON.
 
         Raises:
             StudyError: The folder has another study, another process uses the folder, or the data
@@ -269,21 +267,33 @@ class Cluster(AbstractContextManager["Cluster"]):
     """
 
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
-        """Connect to a scheduler.
+        """Connect to a scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-        Args:
-            scheduler: Address, such as `tls://10.0.0.7:8786`.
-            make_context: Returns the data that the jobs share; each job calls this function, so it
-                must cache the data.
+        Each job calls `make_context`, which must cache the data that the jobs share.
 
         Raises:
             StudyError: No scheduler answers, the scheduler has no workers, or the workers have
                 other code.
         """
+        # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
+        from distributed import Client
+
         for name in ("distributed", "tornado"):  # their errors arrive as exceptions
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self._make_context = make_context
-        self._client = _connected(scheduler)
+        try:
+            self._client = Client(scheduler, timeout=_PATIENCE)
+        except (
+            OSError,
+            TimeoutError,
+            TypeError,
+            ValueError,
+        ) as error:  # TypeError: no certificate
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise StudyError(
+                f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
+                "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
+            ) from None
         try:
             _check_workers(self._client, scheduler)
         except BaseException:
@@ -322,20 +332,6 @@ def _run(
     function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
 ) -> Result:
     return function(make_context(), job)
-
-
-def _connected(scheduler: str) -> Client:
-    # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
-    from distributed import Client
-
-    try:
-        return Client(scheduler, timeout=_PATIENCE)
-    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificates
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise StudyError(
-            f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
-            "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
-        ) from None
 
 
 def _check_workers(client: Client, scheduler: str) -> None:

@@ -108,11 +108,8 @@ class StartFinder:
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
         """Find the start of a path, or the reasons why there is none.
 
-        Args:
-            approach: The path.
-            distance: [m] desired distance between arm and base. If the arm cannot reach it on the
-                path's line, the start has the distance at which the search ended.
-            seed: Seed of the search.
+        If the arm cannot reach the desired `distance` [m] between arm and base on the path's line,
+        the start has the distance at which the search ended.
         """
         refused: Counter[str] = Counter()
         for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
@@ -187,13 +184,10 @@ class StartFinder:
         return p_ee, q_m
 
     def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
-        """Find joint positions (n_m,) for which the arm's closest point p_b has the coordinate x.
+        """Find joint positions (n_m,) for which the arm's closest point p_b has x [m], in the base.
 
-        Args:
-            p_ee: (3,) [m] position of the end-effector at `q_m`. The search shifts this position
-                along the base's x axis, and makes the last small correction by the joints alone.
-            q_m: (n_m,) [rad or m] joint positions at the start of the search.
-            x: [m] desired x coordinate of p_b in the base's frame.
+        The search starts at `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m]. It shifts this
+        position along the base's x axis, and makes the last small correction by the joints alone.
 
         Raises:
             UnreachableError: The search has found no such posture.
@@ -237,18 +231,10 @@ def load(robot: str, d_b: float) -> StartFinder:
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
-    """Run all paths of a plan.
+    """Run all paths of a plan, and return the content of `sweep.json`, whose keys end in the unit.
 
     Each start is searched once for all controllers and speeds. The result, except for `elapsed_s`,
     does not depend on the number of processes.
-
-    Args:
-        plan: The paths.
-        processes: Number of processes.
-        on_progress: Called with the share of the work that is done, 0 to 1.
-
-    Returns:
-        The content of `sweep.json`; keys end in the unit.
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
@@ -318,9 +304,7 @@ def _row(plan: SweepPlan, finder: StartFinder, trial: tuple[Start, str, float]) 
 def arrival(t: Array, errors: Array) -> float | None:
     """[s] time from which the end-effector stays within 1 mm of the path's end; None if never.
 
-    Args:
-        t: (N,) [s] times.
-        errors: (N,) [m] distances of the end-effector from the path's end at these times.
+    `errors` (N,) [m] are its distances from the path's end at the times `t` (N,) [s].
     """
     arrived = np.append(0, np.flatnonzero(errors > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
