@@ -14,9 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import load_robot_and_border, print_json
+from app.cli.common import (
+    filmed,
+    is_case,
+    load_robot_and_border,
+    print_json,
+    spec_named,
+    trace_of,
+)
 from app.cli.records import Given, from_record
-from app.cli.run_spec import filmed, is_case, spec_named, trace_of
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
 from app.errors import ConfigError, check_name

@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import load_robot_and_border, print_json
+from app.cli.common import (
+    check_no_others,
+    load_robot_and_border,
+    print_json,
+    result_of,
+    spec_of_case,
+    spec_of_scenario,
+)
 from app.cli.records import Given, from_record
-from app.cli.run_spec import check_no_others, result_of, spec_of_case, spec_of_scenario
 from app.errors import ConfigError, check_name, printable
 from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS

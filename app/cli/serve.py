@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from app.cli import options
-from app.cli.common import load_model, say
+from app.cli.common import load_model, say, spec_of_case
 from app.cli.records import Given, from_record
-from app.cli.run_spec import spec_of_case
 from app.config import Config
 from app.config_file import checked_host
 from app.simulation.scenarios import free_start

@@ -136,8 +136,7 @@ def distances_figure(run: Trace) -> Figure:
         above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
     above.axhline(0.0, color=style.TARGET, linewidth=1.0)
     above.set_ylabel("distance [m]")
-    below.set_ylabel(r"activation $\beta$ [–]")
-    below.set_ylim(-0.03, 1.05)
+    below.set(ylabel=r"activation $\beta$ [–]", ylim=(-0.03, 1.05))
     _legend_right(above)
     _over_time((above, below), run)
     return figure
@@ -224,8 +223,7 @@ def plan_figure(run: Trace) -> Figure:
         line = {"color": style.TARGET, "linewidth": 1.4, "label": "target of the pull"}
         ax.plot(targets[:, 0], targets[:, 1], ":", **line)
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
     _legend_right(ax)
     return figure
 

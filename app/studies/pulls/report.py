@@ -211,8 +211,7 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, _: float) -> Figure:
         places = [row["speed_mps"] for row in bad], [row[FORCE] for row in bad]
         axes.scatter(*places, zorder=5, label=name, **style)
     figure.legend(loc="outside upper center", ncols=len(_MARKS))
-    axes.set_xlabel("speed of the person's hand [m/s]")
-    axes.set_xlim(low - 0.02, high + 0.02)
+    axes.set(xlabel="speed of the person's hand [m/s]", xlim=(low - 0.02, high + 0.02))
     axes.set_ylabel("largest force before a distance of 10 mm [N]")
     axes.set_ylim(0.0, _BEYOND * max([row[FORCE] for row in known] + [envelope.force, 1.0]))
     return figure
@@ -245,8 +244,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     left.legend(title="envelope", loc="upper center")
     _by_kind(right, known, "min_clearance_m")
     right.axvline(0.0, color=TARGET, linewidth=1.2)
-    right.set_xlim(low - 0.01, _LARGEST)
-    right.set_xlabel("smallest distance [m]")
+    right.set(xlabel="smallest distance [m]", xlim=(low - 0.01, _LARGEST))
     return figure
 
 
@@ -265,9 +263,7 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     left.set_xlabel("final distance of the end-effector from its target [m]")
     left.set_ylabel("cases")
     _by_kind(right, known, "ee_error_final_m", _ERRORS[0])
-    right.set_xscale("log")
-    right.set_xlim(*_ERRORS)
-    right.set_xlabel("final distance [m]")
+    right.set(xscale="log", xlim=_ERRORS, xlabel="final distance [m]")
     return figure
 
 

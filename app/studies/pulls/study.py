@@ -21,8 +21,15 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
-from app.studies.pulls.case import failed, play_case, spec_of, stopped
-from app.studies.pulls.draw import StudySources, draw_case, load_sources
+from app.studies.pulls.case import (
+    StudySources,
+    draw_case,
+    failed,
+    load_sources,
+    play_case,
+    spec_of,
+    stopped,
+)
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
