@@ -76,11 +76,9 @@ class Section(NamedTuple):
     name: str
     """Name in paths, such as `border`."""
     title: str
-    """Displayed title."""
     about: str
     """Description in one sentence."""
     tunables: tuple[Tunable, ...]
-    """The parameters, in the order of the fields."""
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:

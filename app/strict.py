@@ -25,6 +25,8 @@ Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
 NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
 Array = np.ndarray
+Place = tuple[int | str, ...]  # the names of fields and numbers of items that lead to a value
+ValidText = Callable[[Place, str], str | None]
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
@@ -70,9 +72,7 @@ def _holds_a_number(value: object) -> bool:
 
 
 def explain(
-    error: ValidationError,
-    model: type[BaseModel],
-    valid_text: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
+    error: ValidationError, model: type[BaseModel], valid_text: ValidText = lambda loc, kind: None
 ) -> str:
     """The error of a record `model` as one line, with `field: valid value` for the first problems.
 
@@ -90,11 +90,7 @@ def problems_of(error: ValidationError) -> list[ErrorDetails]:
     return error.errors() if error.error_count() <= _MAX_LISTED else []
 
 
-def _explain(
-    problem: ErrorDetails,
-    model: type[BaseModel],
-    valid_text: Callable[[tuple[int | str, ...], str], str | None],
-) -> str:
+def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidText) -> str:
     path = _path(_without_kinds(model, problem["loc"]))
     if problem["type"] == "missing":
         return f"{path}: missing"
@@ -114,7 +110,7 @@ def _explain(
     return f"{path}: {text} (was {_short(problem['input'])})"
 
 
-def _path(loc: tuple[int | str, ...]) -> str:
+def _path(loc: Place) -> str:
     text = ""
     for part in loc:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
@@ -132,7 +128,7 @@ def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 
-def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
+def _records_at(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
     """The record types that are possible at a place of a record."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc:
@@ -147,7 +143,7 @@ def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type
     return candidates
 
 
-def _without_kinds(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
+def _without_kinds(model: type[BaseModel], loc: Place) -> Place:
     """A place without the parts that are values of a field `kind` instead of names of fields."""
     return tuple(
         part

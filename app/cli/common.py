@@ -9,8 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.cli.options import Setup, configured
-from app.cli.records import Given
+from app.cli.options import Given, Setup, configured
 from app.errors import ConfigError, check_name, printable
 from app.jobs.progress import progress_bar
 from app.simulation.case import RunSpec, read_case

@@ -11,7 +11,7 @@ import tyro
 
 from app.cli import options
 from app.cli.common import print_json, print_part
-from app.cli.records import Given, from_record
+from app.cli.options import Given, from_record
 from app.jobs.progress import progress_bar
 from app.strict import check_range
 from app.studies.pulls.parameters import StudyParameters, StudyRange

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from app.cli import options
 from app.cli.common import load_model, load_robot_and_border, print_json, print_result, say
-from app.cli.records import Given
 from app.config import tunables
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError, check_name
@@ -62,7 +61,7 @@ def pairs(
 
 
 def border(
-    parameters: Annotated[Given, options.parameter_options(_OF_BORDER)],
+    parameters: Annotated[options.Given, options.parameter_options(_OF_BORDER)],
     robot: str = "husky_panda",
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
     seed: int = 0,

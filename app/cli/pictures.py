@@ -22,7 +22,6 @@ from app.cli.common import (
     spec_named,
     trace_of,
 )
-from app.cli.records import Given, from_record
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
 from app.errors import ConfigError, check_name
@@ -47,7 +46,7 @@ def screenshot(
     *,
     at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS …")],
     out: Path,
-    picture: Annotated[Given, from_record(Look, leave=("pair",))],
+    picture: Annotated[options.Given, options.from_record(Look, leave=("pair",))],
     setup: options.SetupOptions,
     config: options.ConfigOption = None,
     json: options.Json = False,
@@ -130,8 +129,8 @@ def film(
     beside: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER …", help_behavior_hint="")
     ] = (),
-    filming: Annotated[Given, from_record(Filming)],
-    picture: Annotated[Given, from_record(Look, leave=("page", "pair"))],
+    filming: Annotated[options.Given, options.from_record(Filming)],
+    picture: Annotated[options.Given, options.from_record(Look, leave=("page", "pair"))],
     start: Place = None,
     move: Place = None,
     setup: options.SetupOptions,
@@ -215,7 +214,7 @@ def replay(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     *,
     out: Path = Path("out/replay.html"),
-    looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
+    looks: Annotated[options.Given, options.from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
     """Make a web page that replays the run of a log in any browser.

@@ -14,8 +14,7 @@ import tyro
 
 from app.cli import options
 from app.cli.common import print_json, say, show
-from app.cli.options import Flag, Json
-from app.cli.records import Given, from_record
+from app.cli.options import Flag, Given, Json, from_record
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
 from app.onboarding import helpers

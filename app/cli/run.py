@@ -17,7 +17,7 @@ from app.cli.common import (
     spec_of_case,
     spec_of_scenario,
 )
-from app.cli.records import Given, from_record
+from app.cli.options import Given, from_record
 from app.errors import ConfigError, check_name, printable
 from app.simulation.case import RunSpec
 from app.simulation.scenarios import SCENARIOS

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from app.cli import options
 from app.cli.common import load_model, say, spec_of_case
-from app.cli.records import Given, from_record
 from app.config import Config
 from app.config_file import checked_host
 from app.simulation.scenarios import free_start
@@ -55,7 +54,7 @@ class Serving:
 
 
 def serve(
-    serving: Annotated[Given, from_record(Serving)],
+    serving: Annotated[options.Given, options.from_record(Serving)],
     setup: options.SetupOptions,
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
@@ -165,11 +164,7 @@ def _serve(first: _First) -> None:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border from the cache, or a new one.
-
-    If the cache has only a coarse border, a background process samples the full one for the next
-    start.
-    """
+    """The robot's border; a background process refines a coarse one for the next start."""
     from app.border.cache import kept_border_data, load_border_data
     from app.border.config import QUICK
     from app.dashboard.job import Job, sample_border

@@ -112,9 +112,7 @@ class Outcome(NamedTuple):
     result: Any
     """The result; None after an exception."""
     error: BaseException | None = None
-    """The exception, or None."""
     traceback: str = ""
-    """The text of the exception's traceback."""
 
     @classmethod
     def of(cls, work: Callable[..., Any], *args: Any) -> Outcome:

@@ -44,23 +44,18 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
             on_progress(k / len(_PICTURES))
             parts.append(Part(each.title, each.name, [each.caption], style.png_of(each.draw(run))))
     parts.append(_changes(run))
-    return page_html(title, _about(run), parts)
-
-
-def _about(run: Trace) -> str:
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     plant = f"plant {meta.physics}, " if meta.physics else ""
     rows = "one for each control step" if run.each_step else "without the steps between them"
-    return (
+    about = (
         f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
         f"{len(run)} rows, {rows}."
     )
+    return page_html(title, about, parts)
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
-    """Names of the bodies of the run's robot, the base first; empty if the robot has no valid
-    description here.
-    """
+    """Names of the robot's bodies, the base first; empty without a valid description here."""
     try:
         return tuple(body.name for body in load_robot(meta.robot).bodies)
     except DbbError:
@@ -233,8 +228,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Limit the x axes to the times of the run, and shade intervals in which the arm touches the
-    base or itself.
+    """Limit the x axes to the times of the run, and shade contacts of the arm with base or itself.
 
     `bottom` are the axes with a label of the x axis; default: the last of `axes`.
     """

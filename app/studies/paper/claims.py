@@ -71,7 +71,6 @@ class Finding(NamedTuple):
     values: dict[str, float | None]
     """The measured numbers; keys end in the unit. None replaces a missing number."""
     limits: tuple[Threshold, ...] = ()
-    """The bounds of the numbers."""
 
 
 def compare(
@@ -107,15 +106,12 @@ class Claim(NamedTuple):
     """A claim of the paper."""
 
     section: str
-    """Section of the paper."""
     figure: str
     """Name of the figure with which `dbb reproduce` judges the claim."""
     paper: str
     """The claim in this project's words."""
     needs: tuple[Experiment, ...]
-    """The experiments from which the measurements come."""
     measure: Callable[[Sources], Findings]
-    """The function that makes the measurements."""
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """Measure the claim; return its entry in `metrics.json`."""

@@ -235,12 +235,8 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Numbers of the border of points and of the surface, and two ratios of points to surface.
-
-    The ratios are those of the largest changes of the base's linear and angular acceleration. For
-    each border these are the largest displacement of the acting point between two rows of the
-    path, the same for the finer path, the ratio of these two, and the largest linear and angular
-    change of the base's acceleration between two rows of the path.
+    """Largest changes between two rows of the path, of the acting point and of the base's
+    acceleration, on both borders; for the acting point also on the finer path.
     """
     result: dict[str, Any] = {}
     for kind, along in found.items():

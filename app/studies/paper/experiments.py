@@ -101,7 +101,6 @@ class Sources:
     config: Config
     """The default parameters, which all runs have except those on a border of points."""
     runs: Runs
-    """The finished runs."""
 
     @property
     def pair(self) -> Pair:

@@ -68,7 +68,7 @@ _SEARCHES = 2  # [-] starting points of the search for a posture, for each pitch
 _GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
 _INNER = 0.9  # [-] part of the base's length and width that contains the targets
 _ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
-_FRONT, _CORNER, _SIDE = math.radians(30.0), math.radians(60.0), math.radians(120.0)
+_EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest angle from the front
 _SAMPLES = 4000  # [-] number of postures from which the reach is measured
 _SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
 _UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
@@ -185,8 +185,7 @@ def sector_of(direction: Array) -> str:
     if z < _BELOW:
         return "below"
     azimuth = abs(math.atan2(y, x))
-    edges = (("front", _FRONT), ("front corner", _CORNER), ("side", _SIDE))
-    return next((name for name, edge in edges if azimuth < edge), "back")
+    return next((name for name, edge in _EDGES.items() if azimuth < math.radians(edge)), "back")
 
 
 def _direction(sector: str, rng: np.random.Generator) -> Array:

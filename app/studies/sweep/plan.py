@@ -162,7 +162,6 @@ class SweepPlan:
     seed: int = 0
     """Seed of all random numbers."""
     config: Config = field(default_factory=Config)
-    """Parameters."""
 
     def __post_init__(self) -> None:
         """Check all values.

@@ -162,8 +162,7 @@ class StartFinder:
     ) -> tuple[Array, Array]:
         """Move the end-effector along the path's line towards the desired distance [m].
 
-        Returns:
-            Position (3,) [m] of the end-effector, and joint positions (n_m,) of the arm.
+        The result is the position (3,) [m] of the end-effector, and the joint positions (n_m,).
         """
         excess = self._closest(q_m).d - distance
         step, moved = np.sign(excess) * _SLIDE, 0.0
