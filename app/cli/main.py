@@ -102,7 +102,6 @@ class _Plain(logging.Formatter):
     """Formats log records whose text possibly comes from an untrusted source."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Format a record as a text that is safe for a terminal."""
         return printable(super().format(record))
 
 

@@ -54,11 +54,7 @@ def reproduce(
         )
     if json:
         print_json(result)
-    else:
-        _print_reproduction(result, out)
-
-
-def _print_reproduction(result: dict[str, Any], out: Path) -> None:
+        return
     for name, figure in result["figures"].items():
         print(f"{name:8} {figure['title']}")
     for claim in result["claims"]:

@@ -118,27 +118,22 @@ def from_fields(
     found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
 ) -> Any:
     """The annotation of `from_record`, for fields that are described one by one."""
-    kinds = {
-        name: _option(name, each, (names or {}).get(name, name), positional == name)
-        for name, each in found.items()
-    }
+    kinds: dict[str, Any] = {}
+    for name, about in found.items():
+        needed = about.default is MISSING
+        hint = "(required)" if needed else f"(default: {_text(about.default)})"
+        marks = tyro.conf.arg(
+            name=(names or {}).get(name, name),
+            metavar=_metavar(name, about.kind, positional == name),
+            help=about.help,
+            help_behavior_hint="" if about.default in (None, (), "") else hint,
+        )
+        kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
+        if positional == name:
+            kind = tyro.conf.Positional[kind]
+        kinds[name] = Required[kind] if needed else kind
     record = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
     return tyro.conf.arg(name="", constructor=record)
-
-
-def _option(name: str, about: Field, option: str, positional: bool) -> Any:
-    needed = about.default is MISSING
-    hint = "(required)" if needed else f"(default: {_text(about.default)})"
-    marks = tyro.conf.arg(
-        name=option,
-        metavar=_metavar(name, about.kind, positional),
-        help=about.help,
-        help_behavior_hint="" if about.default in (None, (), "") else hint,
-    )
-    kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
-    if positional:
-        kind = tyro.conf.Positional[kind]
-    return Required[kind] if needed else kind
 
 
 def _text(default: Any) -> str:

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from app.cli import options
-from app.cli.common import (
-    check_no_others,
-    load_robot_and_border,
-    print_json,
-    result_of,
-    spec_of_case,
-    spec_of_scenario,
-)
+from app.cli import common, options
 from app.cli.options import Given, from_record
 from app.errors import ConfigError, check_name, printable
 from app.simulation.case import RunSpec
@@ -68,7 +60,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
-        check_no_others(dict.fromkeys(sorted(own & given), True))
+        common.check_no_others(dict.fromkeys(sorted(own & given), True))
         return "", run_case, words
     first = words[:1] if words and not words[0].startswith("-") else []
     named = first or [word for word in words if word in SCENARIOS][:1]
@@ -125,8 +117,8 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         fail_on_contact: ContactOption = False,
         json: options.Json = False,
     ) -> None:
-        asked = spec_of_scenario(scenario.name, setup, config, parameters, **scenario_options)
-        _run(asked, Files(**files), json=json, fail_on_contact=fail_on_contact)
+        spec = common.spec_of_scenario(scenario.name, setup, config, parameters, **scenario_options)
+        _run(spec, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
     return command
@@ -147,7 +139,7 @@ def run_case(
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.
     """
-    again = spec_of_case(case, setup)
+    again = common.spec_of_case(case, setup)
     again = again._replace(config=options.changed(again.config, parameters))
     _run(again, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
@@ -157,14 +149,14 @@ def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> 
     from app.simulation.trace.metrics import touches, verdict
     from app.simulation.trace.words import missing, number_text
 
-    model, data = load_robot_and_border(asked.robot)
+    model, data = common.load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
-    result = result_of(asked, model, data, drawn=drawn)
+    result = common.result_of(asked, model, data, drawn=drawn)
     written = _write(result, files, model)
     if warning := buffer_warning(result.trace.buffer, asked.config):
         print(f"warning: {warning}", file=sys.stderr)
     if json:
-        print_json(result.figures)
+        common.print_json(result.figures)
     else:
         print(verdict(result.figures, model.body_names))
         for key, value in result.figures.items():

@@ -108,19 +108,11 @@ class _First(NamedTuple):
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
-        setup = self.setup
+        seed, given = self.setup.seed, (model, data, config)
         if q_start is None:
-            q_start = free_start(model, data, config, None, setup.seed)
-        make_session = partial(
-            Session,
-            model,
-            data,
-            config,
-            controller=controller,
-            physics=setup.physics,
-            seed=setup.seed,
-        )
-        made = ProcessLoop(make_session, q_start, waiting)
+            q_start = free_start(*given, None, seed)
+        plant = {"controller": controller, "physics": self.setup.physics}
+        made = ProcessLoop(partial(Session, *given, **plant, seed=seed), q_start, waiting)
         made.begin()
         return made
 

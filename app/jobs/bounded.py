@@ -69,7 +69,6 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
 def _limited_read(
     _: object, budget: Budget, read: Callable[..., object], args: tuple[object, ...]
 ) -> bytes:
-    """Call `read` and pickle the result, both within the budget."""
     _limited.set()
     with limited(*budget):
         result = read(*args)

@@ -166,7 +166,6 @@ class _Shares:
         self._sent: SimpleQueue[tuple[int, float]] = SimpleQueue()
 
     def send(self, number: int, share: float) -> None:
-        """Send the share of a job, from any thread."""
         self._sent.put((number, share))
 
     def wait_for(self, number: int) -> None:
@@ -192,7 +191,6 @@ class _Task(NamedTuple):
     lost: Callable[[Any], Any] | None
 
     def do(self, context: Any, tell: OnProgress) -> Any:
-        """Execute the job, and return its result."""
         return self.function(context, self.job, *([tell] if self.tells else []))
 
 

@@ -328,10 +328,9 @@ def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
 
 
 def _lead(parameters: StudyParameters) -> str:
-    ranges = parameters.ranges.model_dump()
     intervals = ", ".join(
-        f"{name.replace('_', ' ')} {number_text(v[0])} to {number_text(v[1])}"
-        for name, v in ranges.items()
+        f"{name.replace('_', ' ')} {_interval(v)}"
+        for name, v in parameters.ranges
         if isinstance(v, tuple)
     )
     inside = " Only pulls inside the stated envelope were drawn." if parameters.inside else ""
@@ -439,9 +438,7 @@ def _failures(rows: Sequence[Row]) -> Part:
 
 
 def _interval(value: Any) -> str:
-    if isinstance(value, tuple):
-        return " to ".join(map(number_text, value))
-    return number_text(value)
+    return " to ".join(map(number_text, value if isinstance(value, tuple) else (value,)))
 
 
 def _percent(rate: float) -> str:

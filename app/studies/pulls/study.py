@@ -21,15 +21,7 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
-from app.studies.pulls.case import (
-    StudySources,
-    draw_case,
-    failed,
-    load_sources,
-    play_case,
-    spec_of,
-    stopped,
-)
+from app.studies.pulls import case
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
@@ -101,7 +93,7 @@ def _do(
     on_progress: Callable[[float], None],
 ) -> None:
     """Run the cases with the numbers `todo`; the journal stores each result immediately."""
-    load = partial(load_sources, parameters.robot)
+    load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
     kept, lost = len(journal.rows), partial(_lost_row, parameters)
@@ -114,15 +106,15 @@ def _do(
                 on_progress(kept)
 
 
-def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
-    drawn = draw_case(parameters, number, sources)
-    return play_case(drawn, parameters, sources.model, sources.data)
+def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
+    drawn = case.draw_case(parameters, number, sources)
+    return case.play_case(drawn, parameters, sources.model, sources.data)
 
 
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
     """The row of a case whose process has ended in each attempt."""
-    drawn = draw_case(parameters, number, load_sources(parameters.robot))
-    return stopped(drawn, "the process was killed in each attempt")
+    drawn = case.draw_case(parameters, number, case.load_sources(parameters.robot))
+    return case.stopped(drawn, "the process was killed in each attempt")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -162,8 +154,8 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
     kept = set()
-    for row in filter(failed, rows):
-        run, path = spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
+    for row in filter(case.failed, rows):
+        run, path = case.spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
         write_whole(path, RunCase.of(run).text())
         kept.add(path)
     for path in set(folder.glob("case-*.json")) - kept:
