@@ -12,7 +12,7 @@ import tomlkit
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.parameters import Parameter
-from app.strict import from_toml, text_of
+from app.strict import content_of, from_toml, text_of
 
 MAX_BYTES = 64 * 1024  # [bytes] largest file, ten times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
@@ -100,13 +100,10 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
             names the file.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        return decode_config(content_of(path), usual)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    try:
-        return decode_config(content, usual)
-    except ConfigError as error:
+    except (ConfigError, ValueError) as error:
         raise ConfigError(f"{path}: {error}") from None
 
 

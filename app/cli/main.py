@@ -122,16 +122,15 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once, in_present_words, together
+    from app.cli.options import in_order
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = together(in_present_words(words))
+    rest = in_order(words)
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()
     else:
         function = getattr(module, known)
-    check_once(rest)
     function.__doc__, description = _help_texts(function.__doc__ or "")
     marks = (tyro.conf.DisallowNone,)
     tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, config=marks)

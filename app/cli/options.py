@@ -307,44 +307,34 @@ def check_processes(processes: int | None) -> int:
     return processes or min(_USUAL_PROCESSES, usable_cores())
 
 
-def check_once(words: list[str]) -> None:
-    """Check that no option appears twice, because only the last one would count.
+def in_order(words: Iterable[str]) -> list[str]:
+    """The words of a command line with the present names of options, and with `--allow-host` once.
 
     Raises:
-        ConfigError: An option appears twice; the message shows the correct form.
+        ConfigError: Another option appears twice, although only the last one would count; the
+            message shows the correct form.
     """
-    given: dict[str, list[list[str]]] = {}
-    values: list[str] = []
-    for word in words:
-        if word.startswith("--"):
-            name, _, value = word.partition("=")
-            values = [value] if value else []
-            given.setdefault(name, []).append(values)
-        else:
-            values.append(word)
-    for name, each in given.items():
-        if len(each) > 1:
-            together = " ".join([name, *(value for values in each for value in values)])
-            raise ConfigError(
-                f"{name} appears {len(each)} times; write it once, with several values if it "
-                f"accepts them: {together}"
-            )
-
-
-def together(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with the values of all `--allow-host` in one option."""
-    rest: list[str] = []
-    hosts: list[str] = []
-    into = rest
+    before: list[str] = []
+    groups: dict[str, list[list[str]]] = {}  # each option with its values
+    group = before
     for word in words:
         name, sign, value = word.partition("=")
-        if name == "--allow-host":
-            into = hosts = hosts or [name]
-            into += [value] if sign else []
+        if name.startswith("--"):
+            name = FORMERLY.get(name, name)
+            group = [name + sign + value]
+            groups.setdefault(name, []).append(group)
         else:
-            into = rest if word.startswith("--") else into
-            into.append(word)
-    return rest + hosts
+            group.append(word)
+    for name, each in groups.items():
+        once = [name, *(v for head, *rest in each for v in (*head.split("=", 1)[1:], *rest))]
+        if name == "--allow-host":
+            groups[name] = [once]
+        elif len(each) > 1:
+            raise ConfigError(
+                f"{name} appears {len(each)} times; write it once, with several values if it "
+                f"accepts them: {' '.join(once)}"
+            )
+    return before + [word for each in groups.values() for group in each for word in group]
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
@@ -380,9 +370,3 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
         raise OutputError(f"{option}: {error}") from None
     except OSError as error:
         raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None
-
-
-def in_present_words(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with former names of options replaced by the present names."""
-    parted = (word.partition("=") for word in words)
-    return ["".join((FORMERLY.get(name, name), sign, value)) for name, sign, value in parted]

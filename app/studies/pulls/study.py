@@ -48,16 +48,11 @@ def study(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run the missing cases of a study, and write its results into its folder.
+    """Run the missing cases of a study, and write its results into an existing folder.
 
-    Args:
-        parameters: All parameters that determine the cases.
-        cases: Number of cases. If the folder has fewer cases, the others run; if it has more, the
-            results are those of the first cases.
-        out: An existing folder.
-        scheduler: Address of a dask scheduler, or None for processes on this machine.
-        processes: Number of processes on this machine.
-        on_progress: Called with the number of finished cases.
+    If the folder has fewer cases, the others run; if it has more, the results are those of the
+    first cases. The cases run on the workers of a dask `scheduler`, which is given by its address,
+    or else in processes of this machine. `on_progress` gets the number of finished cases.
 
     Returns:
         The content of `study.json`.
