@@ -21,22 +21,12 @@ from app.system import find_folders, open_standard_files
 
 COMMANDS = {
     "Runs and pictures": {
-        "serve": "serve",
-        "run": "run",
-        "screenshot": "pictures",
-        "film": "pictures",
-        "report": "pictures",
-        "replay": "pictures",
+        **{"serve": "serve", "run": "run"},
+        **dict.fromkeys(("screenshot", "film", "report", "replay"), "pictures"),
     },
-    "The method": {
-        "pairs": "method",
-        "border": "method",
-        "reach": "method",
-        "config": "method",
-        "bench": "method",
-    },
-    "Many runs": {"reproduce": "many", "sweep": "many", "study": "many"},
-    "Robots": {"robots": "robots", "new-robot": "robots", "check-robot": "robots"},
+    "The method": dict.fromkeys(("pairs", "border", "reach", "config", "bench"), "method"),
+    "Many runs": dict.fromkeys(("reproduce", "sweep", "study"), "many"),
+    "Robots": dict.fromkeys(("robots", "new-robot", "check-robot"), "robots"),
 }
 """The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
