@@ -107,12 +107,7 @@ class LoopError(DbbError):
 
 EXTRAS = {
     "dashboard": (
-        "fast_simplification",
-        "imageio_ffmpeg",
-        "msgspec",
-        "PIL",
-        "playwright",
-        "viser",
+        *("fast_simplification", "imageio_ffmpeg", "msgspec", "PIL", "playwright", "viser"),
         "websockets",
     ),
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),

@@ -103,11 +103,7 @@ def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
 
 
 def spec_of_scenario(
-    name: str,
-    setup: Given,
-    config: Path | None,
-    parameters: Given | None = None,
-    **own: object,
+    name: str, setup: Given, config: Path | None, parameters: Given | None = None, **own: object
 ) -> RunSpec:
     """The run of a scenario with `own` options; the other arguments as in `configured`.
 

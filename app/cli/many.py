@@ -45,13 +45,11 @@ def reproduce(
 
     names = report.chosen(figures)
     options.check_seed(seed)
-    side_by_side = options.check_processes(processes)
+    workers = options.check_processes(processes)
     options.make_folder(out)
     text = f"{len(names)} figures" if len(names) > 1 else names[0]
     with progress_bar(text, report.work(names)) as on_progress:
-        result = report.reproduce(
-            names, out, seed=seed, processes=side_by_side, on_progress=on_progress
-        )
+        result = report.reproduce(names, out, seed=seed, processes=workers, on_progress=on_progress)
     if json:
         print_json(result)
         return
@@ -93,13 +91,13 @@ def sweep(
     tuned = options.configured(robot, config, parameter, _OF_SWEEP)
     made = SweepPlan(**plan, config=tuned)
     options.check_seed(made.seed)
-    side_by_side = options.check_processes(processes)
+    workers = options.check_processes(processes)
     options.make_folder(out)
     from app.studies.sweep.sweep import sweep as make
     from app.studies.sweep.sweep import write_sweep
 
     with progress_bar("sweep", 1.0) as on_progress:
-        result = make(made, processes=side_by_side, on_progress=on_progress)
+        result = make(made, processes=workers, on_progress=on_progress)
     result["files"] = write_sweep(result, out)
     if json:
         print_json(result)
@@ -160,7 +158,7 @@ def study(
     check_range("--cases", cases, 1, _MAX_CASES)
     chosen = asdict(options.Setup(**setup))
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
-    side_by_side = options.check_processes(processes)
+    workers = options.check_processes(processes)
     from app.robot.description import load_robot
 
     load_robot(parameters.robot)
@@ -169,12 +167,7 @@ def study(
 
     with _resumable(cases, out) as on_progress:
         result = run_study(
-            parameters,
-            cases,
-            out,
-            scheduler=scheduler,
-            processes=side_by_side,
-            on_progress=on_progress,
+            parameters, cases, out, scheduler=scheduler, processes=workers, on_progress=on_progress
         )
     if json:
         print_json(result)

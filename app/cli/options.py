@@ -229,10 +229,7 @@ ParameterOptions = Annotated[Given, parameter_options(PARAMETERS)]
 
 
 def configured(
-    robot: str,
-    file: Path | None,
-    given: Given | None = None,
-    paths: Mapping[str, str] = PARAMETERS,
+    robot: str, file: Path | None, given: Given | None = None, paths: Mapping[str, str] = PARAMETERS
 ) -> Config:
     """The robot's defaults, overridden by the file of `--config`, and then by the options.
 

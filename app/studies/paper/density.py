@@ -251,12 +251,9 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
             "acceleration_step_max_mps2": linear,
             "acceleration_step_max_radps2": angular,
         }
-    points, surface = result["points"], result["surface"]
+    points, surface, step = result["points"], result["surface"], "acceleration_step_max_"
     result["points_over_surface"] = {
-        f"{name}_ratio": points[key] / surface[key]
-        for name, key in (
-            ("linear", "acceleration_step_max_mps2"),
-            ("angular", "acceleration_step_max_radps2"),
-        )
+        f"{name}_ratio": points[step + unit] / surface[step + unit]
+        for name, unit in (("linear", "mps2"), ("angular", "radps2"))
     }
     return result
