@@ -147,27 +147,20 @@ def reach(
         seed: Seed of the joint positions; a different seed gives a different map.
         out: Folder for two CSV files of each body: the map, and the means of shells with the fit.
     """
-    from app.border.reach import (
-        FINE_SAMPLES,
-        FINE_SPACING,
-        fit_reachability,
-        reach_bodies,
-        sample_reach_map,
-    )
+    from app.border import reach as maps
 
     options.check_seed(seed)
     model = load_model(robot)
-    names = reach_bodies(model)
+    names = maps.reach_bodies(model)
     check_name("body of a reachability map", body, [*names, "all"])
     options.make_folder(out)
     begin = perf_counter()
     bodies: dict[str, Any] = {}
     for name in names if body == "all" else [body]:
         say(f"computing the reachability of {name}")
-        reach_map = sample_reach_map(
-            model, name, samples=FINE_SAMPLES, spacing=FINE_SPACING, seed=seed
-        )
-        fit = fit_reachability(reach_map)
+        fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
+        reach_map = maps.sample_reach_map(model, name, **fine, seed=seed)
+        fit = maps.fit_reachability(reach_map)
         bodies[name] = _of_reach(model, reach_map, fit)
         if out is not None:
             _write_reach(out, reach_map, fit)

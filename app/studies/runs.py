@@ -69,5 +69,4 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
 
 def write_json(path: Path, content: object) -> None:
     """Write JSON completely or not at all."""
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    write_whole(path, text)
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
