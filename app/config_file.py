@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import tomlkit
-from tomlkit.items import Table
 
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
-from app.parameters import Parameter, Tunable
-from app.strict import from_toml, text_of
+from app.parameters import Parameter
+from app.strict import content_of, from_toml, text_of
 
 MAX_BYTES = 64 * 1024  # [bytes] largest file, ten times as large as a file with all parameters
 LONGEST_NAME = 60  # [-] characters of the longest name
@@ -49,7 +48,16 @@ def save_config(config: Config, name: str = "") -> str:
         table = tomlkit.table()
         table.add(tomlkit.comment(section.about))
         for each in section.tunables:
-            _add(table, each, config.value(each.path))
+            value, allowed = config.value(each.path), each.allowed
+            if isinstance(each, Parameter):
+                allowed = f"[{each.unit}] {each.low:.15g} to {each.high:.15g}"
+            table.add(tomlkit.nl())
+            table.add(tomlkit.comment(f"{allowed}: {each.help}"))
+            item = tomlkit.item(value)
+            if value != each.default:
+                usual = tomlkit.item(each.default).as_string()
+                item.comment(f"the program's default is {usual}")
+            table.add(each.path.partition(".")[2], item)
         document.add(tomlkit.nl())
         document.add(section.name, table)
     return tomlkit.dumps(document)
@@ -92,13 +100,10 @@ def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
             names the file.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
+        return decode_config(content_of(path), usual)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    try:
-        return decode_config(content, usual)
-    except ConfigError as error:
+    except (ConfigError, ValueError) as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
@@ -132,15 +137,3 @@ def checked_host(name: str) -> str:
             "such as robot.local"
         )
     return host
-
-
-def _add(table: Table, about: Tunable, value: float | str) -> None:
-    allowed = about.allowed
-    if isinstance(about, Parameter):
-        allowed = f"[{about.unit}] {about.low:.15g} to {about.high:.15g}"
-    table.add(tomlkit.nl())
-    table.add(tomlkit.comment(f"{allowed}: {about.help}"))
-    item = tomlkit.item(value)
-    if value != about.default:
-        item.comment(f"the program's default is {tomlkit.item(about.default).as_string()}")
-    table.add(about.path.partition(".")[2], item)

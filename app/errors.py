@@ -24,7 +24,6 @@ class UnknownNameError(DbbError):
 
     def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
         self.choices = sorted(choices)
-        """The existing names."""
         super().__init__(
             f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
             f"choose from: {', '.join(self.choices) or '(none)'}"
@@ -108,12 +107,7 @@ class LoopError(DbbError):
 
 EXTRAS = {
     "dashboard": (
-        "fast_simplification",
-        "imageio_ffmpeg",
-        "msgspec",
-        "PIL",
-        "playwright",
-        "viser",
+        *("fast_simplification", "imageio_ffmpeg", "msgspec", "PIL", "playwright", "viser"),
         "websockets",
     ),
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),

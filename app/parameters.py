@@ -76,22 +76,15 @@ class Section(NamedTuple):
     name: str
     """Name in paths, such as `border`."""
     title: str
-    """Displayed title."""
     about: str
     """Description in one sentence."""
     tunables: tuple[Tunable, ...]
-    """The parameters, in the order of the fields."""
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
-    """The parameter of a field.
+    """The parameter of the field `name` of the record of a section.
 
     The field's docstring starts with the unit in brackets. A number must have both bounds.
-
-    Args:
-        section: Name of the section.
-        name: Name of the field.
-        field: The field of the section's record.
     """
     marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
     shown: Shown = marks.get("Shown", Shown())

@@ -8,14 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import (
-    AllowInfNan,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 from typing_extensions import Self
 
@@ -32,6 +25,8 @@ Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
 NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
 Array = np.ndarray
+Place = tuple[int | str, ...]  # the names of fields and numbers of items that lead to a value
+ValidText = Callable[[Place, str], str | None]
 
 MAX_SEEDS = 2**32 - 1  # [-] the largest seed that every generator accepts
 
@@ -45,9 +40,7 @@ _MAX_LISTED = 1000  # [-] largest number of problems of a listing, which needs 1
 class Strict(BaseModel):
     """A frozen record without unknown fields; the docstring of a field is its help text."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=False
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 class Sourced(Strict):
@@ -79,17 +72,12 @@ def _holds_a_number(value: object) -> bool:
 
 
 def explain(
-    error: ValidationError,
-    model: type[BaseModel],
-    valid_text: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
+    error: ValidationError, model: type[BaseModel], valid_text: ValidText = lambda loc, kind: None
 ) -> str:
-    """A validation error as one line, with `field: valid value` for each of the first problems.
+    """The error of a record `model` as one line, with `field: valid value` for the first problems.
 
-    Args:
-        error: The error.
-        model: The record that was validated.
-        valid_text: Returns a text about the valid values, from the place and kind of a problem, or
-            None for pydantic's own text.
+    `valid_text` returns a text about the valid values, from the place and kind of a problem, or
+    None for pydantic's own text.
     """
     texts = [_explain(each, model, valid_text) for each in problems_of(error)[:_MAX_PROBLEMS]]
     if more := error.error_count() - len(texts):
@@ -102,11 +90,7 @@ def problems_of(error: ValidationError) -> list[ErrorDetails]:
     return error.errors() if error.error_count() <= _MAX_LISTED else []
 
 
-def _explain(
-    problem: ErrorDetails,
-    model: type[BaseModel],
-    valid_text: Callable[[tuple[int | str, ...], str], str | None],
-) -> str:
+def _explain(problem: ErrorDetails, model: type[BaseModel], valid_text: ValidText) -> str:
     path = _path(_without_kinds(model, problem["loc"]))
     if problem["type"] == "missing":
         return f"{path}: missing"
@@ -126,7 +110,7 @@ def _explain(
     return f"{path}: {text} (was {_short(problem['input'])})"
 
 
-def _path(loc: tuple[int | str, ...]) -> str:
+def _path(loc: Place) -> str:
     text = ""
     for part in loc:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
@@ -144,7 +128,7 @@ def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 
-def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
+def _records_at(model: type[BaseModel], loc: Place) -> list[type[BaseModel]]:
     """The record types that are possible at a place of a record."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc:
@@ -159,7 +143,7 @@ def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type
     return candidates
 
 
-def _without_kinds(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
+def _without_kinds(model: type[BaseModel], loc: Place) -> Place:
     """A place without the parts that are values of a field `kind` instead of names of fields."""
     return tuple(
         part
@@ -201,27 +185,25 @@ def file_text(path: Path) -> str:
     return text_of(content_of(path))
 
 
-def parsed(loads: Callable[[str], Any], text: str) -> Any:
+def parsed(loads: Callable[[str], Any], text: str, *, heavy: bool = False) -> Any:
     """Parse an untrusted text with `loads`, a reader of TOML or JSON.
+
+    A `heavy` text is parsed by a child process even if it is short.
 
     Raises:
         ValueError: The text is invalid or too long, nests too deeply, has an integer with thousands
             of digits, or takes more time or memory than `within_budget` allows.
     """
-    return _read(loads, text, len(text))
+    if len(text) > LARGEST_DATA:
+        raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
+    return within_budget(_loaded, loads, text, size=max(len(text), heavy * (SMALL + 1)))
 
 
 def from_toml(text: str) -> dict[str, Any]:
     """Parse an untrusted TOML text; raises the errors of `parsed`."""
     # The time for a key or for nested brackets grows with the square of the number of parts.
-    heavy = max(map(_parts, text.splitlines()), default=0) > _MAX_PARTS
-    return _read(tomllib.loads, text, max(len(text), heavy * (SMALL + 1)))
-
-
-def _read(loads: Callable[[str], Any], text: str, size: int) -> Any:
-    if len(text) > LARGEST_DATA:
-        raise ValueError(f"it has more than {LARGEST_DATA / 1e6:.0f} MB, the largest valid size")
-    return within_budget(_loaded, loads, text, size=size)
+    heavy = any(sum(map(line.count, ".[{")) > _MAX_PARTS for line in text.splitlines())
+    return parsed(tomllib.loads, text, heavy=heavy)
 
 
 def _loaded(loads: Callable[[str], Any], text: str) -> Any:
@@ -303,10 +285,6 @@ def _slip(text: str) -> str:
             if found := re.search(pattern, line.partition("#")[0] or line):
                 return f"; in line {number} {found[0].strip()!r} {why}"
     return ""
-
-
-def _parts(line: str) -> int:
-    return line.count(".") + line.count("[") + line.count("{")
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

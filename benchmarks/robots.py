@@ -32,10 +32,8 @@ from app.studies.sweep.plan import (
     Mode,
     Start,
     SweepPlan,
-    Trial,
 )
-from app.studies.sweep.starts import StartFinder
-from app.studies.sweep.sweep import load, passes
+from app.studies.sweep.sweep import StartFinder, load, passes
 
 COMPARED = ("none", "dbb")
 """The controllers: without avoidance, then with avoidance."""
@@ -170,7 +168,7 @@ def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
 def _of_robot(
     finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str
 ) -> Row:
-    spec = plan.spec(Trial(start, controller, case.speed))
+    spec = plan.spec(start, controller, case.speed)
     figures: Row = run_from_spec(spec, finder.model, finder.data).figures
     row: Row = {
         "controller": controller,

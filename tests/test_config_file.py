@@ -17,6 +17,7 @@ from app.config_file import (
 )
 from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
+from app.strict import LARGEST_TEXT
 
 
 def values(about: Tunable) -> st.SearchStrategy[float | str]:
@@ -105,7 +106,8 @@ def test_a_file_that_cannot_be_one_is_named(tmp_path) -> None:
     with pytest.raises(ConfigError, match="Is a directory"):
         read_config(tmp_path)
     for content, told in (
-        (b"#" * (MAX_BYTES + 1), "at most"),
+        (b"#" * (2 * MAX_BYTES), f"{2 * MAX_BYTES} bytes"),
+        (b"#" * (LARGEST_TEXT + 1), "more than 10 MB"),
         (b"\xff\xfe\x00", "UTF-8"),
         (b"[hand]\nf_max = 0.0", r"hand\.f_max"),
     ):

@@ -60,9 +60,11 @@ def test_a_run_comes_through_a_pickle_as_it_was():
 
 def test_the_kind_of_border_and_the_start_are_the_experiments():
     plain = Experiment.of("tracking", "dbb")
-    other = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.3), points=True)
-    assert plain.config == Config()
-    assert other.config.border.kind == "points"
+    other = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.3))
+    assert plain.config == other.config == Config()
+    points = experiments.GUIDING["points"]["front"]
+    assert points.config.changes(Config()) == {"border.kind": "points"}
+    assert points.name != experiments.FRONT.name
     np.testing.assert_allclose(other.aim(), [(0.0, 0.68, 0.3), (0.0, 0.48, 0.3)])
     assert len({plain.name, other.name}) == 2
 

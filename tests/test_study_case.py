@@ -9,21 +9,25 @@ import numpy as np
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.cli.run_spec import spec_of_case
+from app.cli.common import spec_of_case
 from app.config import Config
 from app.errors import AssetError, CaseError, ConfigError, StudyError, TargetError
 from app.robot.state import Measurement, RobotState
 from app.simulation.case import RunCase, read_case
 from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import StartedLine
-from app.studies.pulls.case import COLUMNS, TIMES, flat, play_case, spec_of
-from app.studies.pulls.draw import (
+from app.studies.pulls.case import (
+    COLUMNS,
     SECTORS,
+    TIMES,
     draw_case,
     draw_value,
+    flat,
     load_sources,
     place,
+    play_case,
     sector_of,
+    spec_of,
 )
 from app.studies.pulls.envelope import Envelope
 from app.studies.pulls.parameters import FAULTS, StudyParameters, StudyRange, code_digest
@@ -188,7 +192,7 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
     file = tmp_path / "case.json"
     file.write_text(RunCase.of(run).text())
     play_case(cases[4], PARAMETERS, sources.model, sources.data)
-    again = spec_of_case(read_case(file), {})
+    again = spec_of_case(file, {})
     assert again == run
     figures = run_from_spec(again, sources.model, sources.data).figures
     again = flat({key: value for key, value in figures.items() if key not in TIMES})

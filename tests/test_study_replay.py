@@ -20,8 +20,7 @@ from app.simulation.loop.commands import Play, Pull, Reset
 from app.simulation.loop.loop import SimulationLoop
 from app.simulation.run import run_from_spec
 from app.simulation.session import Session
-from app.studies.pulls.case import play_case, spec_of
-from app.studies.pulls.draw import draw_case, load_sources
+from app.studies.pulls.case import draw_case, load_sources, play_case, spec_of
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.runs import Row
 from tests.browser import wait_for

@@ -13,9 +13,8 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.run import run_from_spec
-from app.studies.sweep.plan import Approach, Kind, Start, SweepPlan, Trial
-from app.studies.sweep.starts import StartFinder
-from app.studies.sweep.sweep import arrival, passes, sweep
+from app.studies.sweep.plan import Approach, Kind, Start, SweepPlan
+from app.studies.sweep.sweep import StartFinder, arrival, passes, sweep
 from benchmarks.robots import GUIDED_LIMIT
 
 pytestmark = pytest.mark.slow
@@ -111,7 +110,7 @@ def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
     start = StartFinder(robot, border_data, config.border.d_b).find(
         Approach("wheel_axis", 0.3, 90.0), plan.distance
     )
-    found = run_from_spec(plan.spec(Trial(start, "barrier", 0.16)), robot, border_data)
+    found = run_from_spec(plan.spec(start, "barrier", 0.16), robot, border_data)
     displacement = found.figures["base_displacement_m"]
     assert isinstance(displacement, float)
     assert (displacement > 0.008) == moves
@@ -138,7 +137,7 @@ def test_a_fast_target_close_above_the_deck_is_reached_in_time(
     start = StartFinder(robot, border_data, plan.config.border.d_b).find(
         Approach(kind, 0.45, direction_deg), plan.distance
     )
-    found = run_from_spec(plan.spec(Trial(start, "dbb", speed)), robot, border_data).figures
+    found = run_from_spec(plan.spec(start, "dbb", speed), robot, border_data).figures
     assert found["ee_error_final_m"] < 1e-4
 
 
@@ -147,13 +146,13 @@ def test_each_start_is_run_by_each_controller_at_each_speed_once() -> None:
     starts = [Start(Approach("side", 0.3, d), reason="far" * (d == 180.0)) for d in (0.0, 180.0)]
     trials = list(plan.trials(starts))
     assert len(set(trials)) == len(trials) == 4
-    assert {trial.start.approach.direction_deg for trial in trials} == {0.0}
+    assert {start.approach.direction_deg for start, *_ in trials} == {0.0}
 
 
 def test_guided_hands_are_pulled_and_tracking_ones_are_not() -> None:
     start = Start(Approach("side", 0.3, 90.0), (0.0,) * 7, (0.0, 0.6, 0.3))
     for mode in ("tracking", "guiding"):
-        scenario = replace(QUICK, mode=mode).spec(Trial(start, "dbb", 0.2)).scenario
+        scenario = replace(QUICK, mode=mode).spec(start, "dbb", 0.2).scenario
         assert scenario.mode == mode
         np.testing.assert_allclose(scenario.move, (0.0, -0.04, 0.0), atol=1e-12)
         assert scenario.duration * scenario.moving == pytest.approx(0.2)

@@ -12,7 +12,7 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.studies.sweep import starts
+from app.studies.sweep import sweep
 from app.studies.sweep.plan import (
     AXIS_OFFSETS,
     Approach,
@@ -22,7 +22,7 @@ from app.studies.sweep.plan import (
     ring,
     wheel_axis,
 )
-from app.studies.sweep.starts import StartFinder
+from app.studies.sweep.sweep import StartFinder
 
 D_B, DISTANCE = 0.15, 0.17  # [m]
 
@@ -133,7 +133,7 @@ def test_from_above_the_hand_begins_over_its_place_with_the_way_down_free(
 
 @pytest.mark.slow
 def test_what_cannot_begin_says_why(finder: StartFinder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(starts, "_SEARCHES", ((0.0, 0),))
+    monkeypatch.setattr(sweep, "_SEARCHES", ((0.0, 0),))
     behind = finder.find(Approach("side", 0.3, 180.0), DISTANCE)
     assert "out of the arm's reach" in behind.reason
     assert behind.q_m == ()

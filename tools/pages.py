@@ -22,7 +22,7 @@ from pathlib import Path
 from unittest import mock
 
 from app.cli.main import main as dbb
-from app.cli.records import fields_of
+from app.cli.options import fields_of
 from app.config import sections
 from app.control.quantities import DIMENSIONS, QUANTITIES
 from app.parameters import Parameter

@@ -1,24 +1,32 @@
-"""Functions for loading and printing that the subcommands share."""
+"""Functions that the subcommands share: loading, printing, and runs of scenarios and cases."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.errors import printable
+from app.cli.options import Given, Setup, configured
+from app.errors import ConfigError, check_name, printable
+from app.jobs.progress import progress_bar
+from app.simulation.case import RunSpec, read_case
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.words import number_text
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
+    from app.simulation.run import RunResult
+    from app.simulation.trace.snapshot import Snapshot
+    from app.simulation.trace.trace import Trace
     from app.studies.page import Part
 
 
 def load_model(robot: str) -> RobotModel:
     """Load the model of a robot by its name."""
-    # Imported here, because the import takes longer than finding an error in the options.
     from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
@@ -45,7 +53,7 @@ def show(text: str) -> None:
 
 def print_json(result: object) -> None:
     """Print one JSON object on standard output."""
-    sys.stdout.write(as_json(result))
+    print(json.dumps(result, indent=2, allow_nan=False))
 
 
 def print_result(result: Mapping[str, Any], *, json: bool) -> None:
@@ -61,11 +69,6 @@ def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
         else:
             text = f"{value:.4g}" if isinstance(value, float) else number_text(value)
             show(f"{indent}{key:28} {text}".rstrip())
-
-
-def as_json(result: object) -> str:
-    """The text of one JSON object with a final line break."""
-    return json.dumps(result, indent=2, allow_nan=False) + "\n"
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -86,3 +89,111 @@ def print_part(part: Part) -> None:
         show(text)
     for grid in part.tables:
         print_table(grid.head, [list(map(str, row)) for row in grid.rows], part.title)
+
+
+def spec_named(word: str, setup: Given, config: Path | None) -> RunSpec:
+    """The run of a scenario, by its name, or of a case, by its file.
+
+    Raises:
+        DbbError: The errors of `spec_of_scenario` and `spec_of_case`.
+    """
+    if is_case(word):
+        return spec_of_case(Path(word), setup, word, config=config)
+    return spec_of_scenario(word, setup, config)
+
+
+def spec_of_scenario(
+    name: str, setup: Given, config: Path | None, parameters: Given | None = None, **own: object
+) -> RunSpec:
+    """The run of a scenario with `own` options; the other arguments as in `configured`.
+
+    Raises:
+        DbbError: The robot or the scenario does not exist, or an option is invalid.
+    """
+    from app.robot.description import load_robot
+
+    chosen = Setup(**setup)
+    tuned = configured(chosen.robot, config, parameters)
+    scenario = scenario_of(load_robot(chosen.robot), name, **own)
+    return RunSpec(scenario=scenario, config=tuned, **asdict(chosen))
+
+
+def spec_of_case(file: Path, setup: Given, word: str = "--case", **others: object) -> RunSpec:
+    """The run of a case; a controller or plant in `setup` replaces that of the case.
+
+    The `differences` of the case are printed. `others` are further options that a case already
+    sets; `word` is the origin of the case, as in `check_no_others`.
+
+    Raises:
+        CaseError: The file cannot be read or is not a valid case.
+        ConfigError: The user set an option that a case already sets, such as `robot` or `seed`.
+    """
+    check_no_others({name: setup.get(name) for name in ("robot", "seed")} | others, word)
+    case = read_case(file)
+    for difference in case.differences():
+        say(difference)
+    own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
+    return RunSpec(scenario=case.scenario(), config=case.config(), **asdict(Setup(**(own | setup))))
+
+
+def result_of(run: RunSpec, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
+    """Execute a run with a progress bar; see `run_from_spec`."""
+    from app.simulation.run import run_from_spec
+
+    duration = run.scenario.duration
+    with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
+        return run_from_spec(run, model, data, on_progress=on_progress, drawn=drawn)
+
+
+def filmed(
+    run: RunSpec, model: RobotModel, data: BorderData, times: Sequence[float]
+) -> list[Snapshot]:
+    """Execute a run up to the last of some times [s] with a progress bar; return its snapshots."""
+    from app.simulation import run as simulation
+
+    with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
+        return simulation.filmed(run, model, data, times, on_progress)
+
+
+def is_case(word: str) -> bool:
+    """Whether a word is the file of a case, and not the name of a scenario.
+
+    Raises:
+        UnknownNameError: The word does not end in .json and is not the name of a scenario.
+    """
+    if not word.lower().endswith(".json"):
+        check_name("scenario", word, SCENARIOS)
+        return False
+    return True
+
+
+def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
+    """Check that none of some options, which a case already sets, is set by the user.
+
+    The options have their values by name; None means that an option is not set. `border` and
+    `buffer_distance` are ignored, because they override the case. `case` is the origin of the case
+    for the message: the option `--case`, or the case's file.
+
+    Raises:
+        ConfigError: An option is set; the message names the first such option.
+    """
+    for name, value in options.items():
+        if value is not None and name not in ("border", "buffer_distance"):
+            option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ConfigError(
+                f"{option}: {case} already sets this option; remove the option or the case"
+            )
+
+
+def trace_of(path: Path) -> Trace:
+    """Read the trace of a log, or execute the run of a case and return its trace.
+
+    Raises:
+        DbbError: The file is neither a log nor a case.
+    """
+    from app.simulation.trace.log_file import read_trace
+
+    if path.suffix.lower() != ".json":
+        return read_trace(path)
+    run = spec_of_case(path, {})
+    return result_of(run, *load_robot_and_border(run.robot), drawn=True).trace

@@ -21,22 +21,12 @@ from app.system import find_folders, open_standard_files
 
 COMMANDS = {
     "Runs and pictures": {
-        "serve": "serve",
-        "run": "run",
-        "screenshot": "pictures",
-        "film": "pictures",
-        "report": "pictures",
-        "replay": "pictures",
+        **{"serve": "serve", "run": "run"},
+        **dict.fromkeys(("screenshot", "film", "report", "replay"), "pictures"),
     },
-    "The method": {
-        "pairs": "method",
-        "border": "method",
-        "reach": "method",
-        "config": "method",
-        "bench": "method",
-    },
-    "Many runs": {"reproduce": "many", "sweep": "many", "study": "many"},
-    "Robots": {"robots": "robots", "new-robot": "robots", "check-robot": "robots"},
+    "The method": dict.fromkeys(("pairs", "border", "reach", "config", "bench"), "method"),
+    "Many runs": dict.fromkeys(("reproduce", "sweep", "study"), "many"),
+    "Robots": dict.fromkeys(("robots", "new-robot", "check-robot"), "robots"),
 }
 """The commands by topic, each with the module that defines its function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
@@ -102,7 +92,6 @@ class _Plain(logging.Formatter):
     """Formats log records whose text possibly comes from an untrusted source."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Format a record as a text that is safe for a terminal."""
         return printable(super().format(record))
 
 
@@ -123,16 +112,15 @@ def _run_command(name: str, *words: str) -> None:
     check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
-    from app.cli.options import check_once, in_present_words, together
+    from app.cli.options import in_order
 
     module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
-    rest = together(in_present_words(words))
+    rest = in_order(words)
     if choose := getattr(module, f"choose_{known}", None):
         about, function, rest = choose(rest)
         name = f"{name} {about}".strip()
     else:
         function = getattr(module, known)
-    check_once(rest)
     function.__doc__, description = _help_texts(function.__doc__ or "")
     marks = (tyro.conf.DisallowNone,)
     tyro.cli(function, prog=f"dbb {name}", description=description, args=rest, config=marks)

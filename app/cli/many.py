@@ -11,7 +11,7 @@ import tyro
 
 from app.cli import options
 from app.cli.common import print_json, print_part
-from app.cli.records import Given, from_record
+from app.cli.options import Given, from_record
 from app.jobs.progress import progress_bar
 from app.strict import check_range
 from app.studies.pulls.parameters import StudyParameters, StudyRange
@@ -41,25 +41,18 @@ def reproduce(
         out: Folder for a PNG and CSV files of each figure, `metrics.json` and `index.html`.
         seed: Seed of all random numbers of the runs.
     """
-    # Imported here: matplotlib and scipy would delay the start of every other command.
     from app.studies.paper import report
 
     names = report.chosen(figures)
     options.check_seed(seed)
-    side_by_side = options.check_processes(processes)
+    workers = options.check_processes(processes)
     options.make_folder(out)
     text = f"{len(names)} figures" if len(names) > 1 else names[0]
     with progress_bar(text, report.work(names)) as on_progress:
-        result = report.reproduce(
-            names, out, seed=seed, processes=side_by_side, on_progress=on_progress
-        )
+        result = report.reproduce(names, out, seed=seed, processes=workers, on_progress=on_progress)
     if json:
         print_json(result)
-    else:
-        _print_reproduction(result, out)
-
-
-def _print_reproduction(result: dict[str, Any], out: Path) -> None:
+        return
     for name, figure in result["figures"].items():
         print(f"{name:8} {figure['title']}")
     for claim in result["claims"]:
@@ -98,17 +91,13 @@ def sweep(
     tuned = options.configured(robot, config, parameter, _OF_SWEEP)
     made = SweepPlan(**plan, config=tuned)
     options.check_seed(made.seed)
-    side_by_side = options.check_processes(processes)
-    # Imported here: matplotlib and scipy would delay the start of every other command.
-    from app.robot.description import load_robot
-
-    load_robot(made.robot)
+    workers = options.check_processes(processes)
     options.make_folder(out)
     from app.studies.sweep.sweep import sweep as make
     from app.studies.sweep.sweep import write_sweep
 
     with progress_bar("sweep", 1.0) as on_progress:
-        result = make(made, processes=side_by_side, on_progress=on_progress)
+        result = make(made, processes=workers, on_progress=on_progress)
     result["files"] = write_sweep(result, out)
     if json:
         print_json(result)
@@ -169,8 +158,7 @@ def study(
     check_range("--cases", cases, 1, _MAX_CASES)
     chosen = asdict(options.Setup(**setup))
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
-    side_by_side = options.check_processes(processes)
-    # Imported here, because the import takes longer than finding an error in the options.
+    workers = options.check_processes(processes)
     from app.robot.description import load_robot
 
     load_robot(parameters.robot)
@@ -179,17 +167,11 @@ def study(
 
     with _resumable(cases, out) as on_progress:
         result = run_study(
-            parameters,
-            cases,
-            out,
-            scheduler=scheduler,
-            processes=side_by_side,
-            on_progress=on_progress,
+            parameters, cases, out, scheduler=scheduler, processes=workers, on_progress=on_progress
         )
     if json:
         print_json(result)
         return
-    # Imported here: matplotlib is needed only when all cases are done.
     from app.studies.pulls.report import outcome
 
     for part in outcome(result):

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from app.cli import options
 from app.cli.common import load_model, load_robot_and_border, print_json, print_result, say
-from app.cli.records import Given
 from app.config import tunables
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError, check_name
@@ -16,6 +15,8 @@ from app.strict import check_range
 from app.system import write_whole
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from app.border.cache import BorderData
     from app.border.dbb import Border
     from app.border.reach import ReachMap
@@ -60,7 +61,7 @@ def pairs(
 
 
 def border(
-    parameters: Annotated[Given, options.parameter_options(_OF_BORDER)],
+    parameters: Annotated[options.Given, options.parameter_options(_OF_BORDER)],
     robot: str = "husky_panda",
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
     seed: int = 0,
@@ -76,9 +77,6 @@ def border(
     config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
     options.make_folder(out)
-    # Imported here, because the import takes longer than finding an error in the options.
-    import numpy as np
-
     from app.border.cache import load_border_data
     from app.border.config import SamplingConfig
     from app.border.dbb import construct_dbb
@@ -91,14 +89,7 @@ def border(
     selected = perf_counter()
     if out is not None:
         for each in borders:
-            np.savetxt(
-                out / f"{each.pair}.csv",
-                each.points,
-                "%.4f",
-                ",",
-                header="x_m,y_m,z_m",
-                comments="",
-            )
+            _write_csv(out / f"{each.pair}.csv", "x_m,y_m,z_m", each.points, "%.4f")
     result: dict[str, Any] = {
         "robot": robot,
         "seed": seed,
@@ -117,19 +108,15 @@ def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str,
 
     from app.border.mobile import MobileBody
 
-    body = MobileBody(model)
+    body, heights = MobileBody(model), border.heights.tolist()
     deviation = np.abs(body.distance(border.points) - border.d_b)
-    counts: dict[str, object] = {
+    return {
         "points": len(border),
         "cloud_points": len(data.clouds[border.pair]),
         "points_beside_base": int(np.count_nonzero(border.heights <= body.upper[2])),
-    }
-    if not len(border):
-        return counts | dict.fromkeys(("max_deviation_m", "lowest_m", "highest_m"))
-    return counts | {
-        "max_deviation_m": float(deviation.max()),
-        "lowest_m": float(border.heights[0]),
-        "highest_m": float(border.heights[-1]),
+        "max_deviation_m": max(deviation.tolist(), default=None),
+        "lowest_m": min(heights, default=None),
+        "highest_m": max(heights, default=None),
     }
 
 
@@ -160,27 +147,20 @@ def reach(
         seed: Seed of the joint positions; a different seed gives a different map.
         out: Folder for two CSV files of each body: the map, and the means of shells with the fit.
     """
-    from app.border.reach import (
-        FINE_SAMPLES,
-        FINE_SPACING,
-        fit_reachability,
-        reach_bodies,
-        sample_reach_map,
-    )
+    from app.border import reach as maps
 
     options.check_seed(seed)
     model = load_model(robot)
-    names = reach_bodies(model)
+    names = maps.reach_bodies(model)
     check_name("body of a reachability map", body, [*names, "all"])
     options.make_folder(out)
     begin = perf_counter()
     bodies: dict[str, Any] = {}
     for name in names if body == "all" else [body]:
         say(f"computing the reachability of {name}")
-        reach_map = sample_reach_map(
-            model, name, samples=FINE_SAMPLES, spacing=FINE_SPACING, seed=seed
-        )
-        fit = fit_reachability(reach_map)
+        fine = {"samples": maps.FINE_SAMPLES, "spacing": maps.FINE_SPACING}
+        reach_map = maps.sample_reach_map(model, name, **fine, seed=seed)
+        fit = maps.fit_reachability(reach_map)
         bodies[name] = _of_reach(model, reach_map, fit)
         if out is not None:
             _write_reach(out, reach_map, fit)
@@ -218,8 +198,13 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
         (f"reach-{reach_map.body}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions),
         (f"reach-{reach_map.body}-radial.csv", "rho_m,mean,spread,fit,positions", shells),
     ):
-        filled = rows[~np.isnan(rows).any(axis=1)]
-        np.savetxt(out / name, filled, "%.6g", ",", header=header, comments="")
+        _write_csv(out / name, header, rows[~np.isnan(rows).any(axis=1)], "%.6g")
+
+
+def _write_csv(path: Path, header: str, rows: np.ndarray, form: str) -> None:
+    import numpy as np
+
+    np.savetxt(path, rows, form, ",", header=header, comments="")
 
 
 def config(

@@ -1,14 +1,22 @@
-"""Options that several commands share, and checks whose messages name the option."""
+"""Options made from records, options that several commands share, and checks of options.
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from functools import partial
+A field of a record becomes an option, and the field's docstring its help text.
+"""
+
+import ast
+import inspect
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from textwrap import dedent
+from types import NoneType
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import tyro
+from pydantic import BaseModel
+from typing_extensions import Required, TypedDict
 
-from app.cli.records import Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import NamedConfig, read_config
 from app.control import CONTROLLERS
@@ -18,6 +26,7 @@ from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MAX_SEEDS, check_range
 from app.system import begun_folder, is_no_file, own_path, usable_cores
 
+Given = dict[str, Any]  # values of the options that the user set, by the names of the fields
 NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
 """Mark of an option whose default is not displayed."""
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, NO_DEFAULT]  # an option without a value
@@ -52,6 +61,128 @@ PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTUR
 
 _MAX_PROCESSES = 64
 _USUAL_PROCESSES = 2  # each further process needs 0.5 GB
+_METAVARS = {
+    "allow_host": "NAME",
+    "base": "X Y YAW",
+    "hinge_position": "X Y",
+    "span": "BEGIN END",
+    "wheels": "LEFT RIGHT",
+    "ready": "Q1 Q2 …",
+    "controllers": "NAME …",
+    "heights": "Z …",
+    "mount_rpy": "ROLL PITCH YAW",
+    "tip_rpy": "ROLL PITCH YAW",
+    "package": "NAME=FOLDER …",
+    "speeds": "V …",
+    "xacro": "NAME=VALUE …",
+}
+
+
+class Field(NamedTuple):
+    """The description of an option."""
+
+    kind: Any
+    default: Any
+    """Default value, or `MISSING` for a required option."""
+    help: str
+
+
+def from_record(
+    record: object,
+    *,
+    only: Collection[str] | None = None,
+    leave: Collection[str] = (),
+    names: Mapping[str, str] | None = None,
+    positional: str = "",
+) -> Any:
+    """The annotation in `Annotated[Given, …]` by which a command gets an option for each field.
+
+    The command gets a dictionary that has only the options that the user set.
+
+    Args:
+        record: A dataclass or pydantic record; or a dataclass instance with the defaults.
+        only: Names of the included fields; None means all fields.
+        leave: Names of the excluded fields.
+        names: Name of the option, for each field whose option has a different name.
+        positional: The field that is a positional argument.
+    """
+    found = {
+        name: each
+        for name, each in fields_of(record)
+        if (only is None or name in only) and name not in leave
+    }
+    return from_fields(found, names or {}, positional)
+
+
+def from_fields(
+    found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
+) -> Any:
+    """The annotation of `from_record`, for fields that are described one by one."""
+    kinds: dict[str, Any] = {}
+    for name, about in found.items():
+        needed = about.default is MISSING
+        hint = "(required)" if needed else f"(default: {_text(about.default)})"
+        marks = tyro.conf.arg(
+            name=(names or {}).get(name, name),
+            metavar=_metavar(name, about.kind, positional == name),
+            help=about.help,
+            help_behavior_hint="" if about.default in (None, (), "") else hint,
+        )
+        kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
+        if positional == name:
+            kind = tyro.conf.Positional[kind]
+        kinds[name] = Required[kind] if needed else kind
+    record = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
+    return tyro.conf.arg(name="", constructor=record)
+
+
+def _text(default: Any) -> str:
+    """A default value as a user would type the value."""
+    if isinstance(default, tuple):
+        return " ".join(map(_text, default))
+    if isinstance(default, bool):
+        return "yes" if default else "no"
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _metavar(name: str, kind: Any, positional: bool) -> str | None:
+    if get_origin(kind) is not tuple:
+        return name.upper() if positional else None
+    return _METAVARS.get(name) or {2: "LOW HIGH", 3: "X Y Z"}[len(get_args(kind))]
+
+
+def fields_of(record: object) -> Iterator[tuple[str, Field]]:
+    """The fields of a record, in order, with their names."""
+    cls = record if isinstance(record, type) else type(record)
+    kinds = {name: _not_none(kind) for name, kind in get_type_hints(cls).items()}
+    if issubclass(cls, BaseModel):
+        for name, each in cls.model_fields.items():
+            default = each.get_default(call_default_factory=True)  # type: ignore[call-arg]
+            yield name, Field(kinds[name], default, " ".join((each.description or "").split()))
+        return
+    docs = {name: text for each in reversed(cls.__mro__) for name, text in _docs(each)}
+    for each in fields(cls):  # type: ignore[arg-type]
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        if cls is not record:
+            default = getattr(record, each.name)
+        yield each.name, Field(kinds[each.name], default, docs.get(each.name, ""))
+
+
+def _docs(cls: type) -> Iterator[tuple[str, str]]:
+    """The names and docstrings of the fields of a dataclass."""
+    if "__dataclass_fields__" not in vars(cls):
+        return
+    body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
+    for before, after in pairwise(body):
+        if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):
+            text = inspect.cleandoc(ast.literal_eval(after.value))
+            yield ast.unparse(before.target), " ".join(text.split())
+
+
+def _not_none(kind: Any) -> Any:
+    """The type of a field without None, because an option that is set has a value."""
+    rest = [each for each in get_args(kind) if each is not NoneType]
+    return rest[0] if len(rest) == 1 and NoneType in get_args(kind) else kind
 
 
 @dataclass(frozen=True)
@@ -98,33 +229,26 @@ ParameterOptions = Annotated[Given, parameter_options(PARAMETERS)]
 
 
 def configured(
-    robot: str,
-    file: Path | None,
-    given: Given | None = None,
-    paths: Mapping[str, str] = PARAMETERS,
+    robot: str, file: Path | None, given: Given | None = None, paths: Mapping[str, str] = PARAMETERS
 ) -> Config:
     """The robot's defaults, overridden by the file of `--config`, and then by the options.
 
-    Args:
-        robot: Name of the robot.
-        file: File of `--config`, or None.
-        given: Values of the options that the user set.
-        paths: The path of the parameter that each option sets, such as `border.d_b`.
+    `given` are the values of the options that the user set; `paths` has the path of the parameter
+    that each option sets, such as `border.d_b`.
 
     Raises:
         ConfigError: The file cannot be read, or a parameter is unknown or out of range.
         DbbError: The robot does not exist, or its description is invalid.
     """
-    override = partial(_configured, file, given or {}, paths)
-    override(Config())
-    # Imported here, because the import takes longer than finding an error in the options.
+
+    def override(usual: Config) -> Config:
+        read = usual if file is None else _read(file, usual).config
+        return changed(read, given or {}, paths)
+
+    override(Config())  # finds an error before the import
     from app.robot.description import load_robot
 
     return override(load_robot(robot).config)
-
-
-def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual: Config) -> Config:
-    return changed(usual if file is None else _read(file, usual).config, given, paths)
 
 
 def hosts_of(file: Path | None) -> tuple[str, ...]:
@@ -180,53 +304,38 @@ def check_processes(processes: int | None) -> int:
     return processes or min(_USUAL_PROCESSES, usable_cores())
 
 
-def check_once(words: list[str]) -> None:
-    """Check that no option appears twice, because only the last one would count.
+def in_order(words: Iterable[str]) -> list[str]:
+    """The words of a command line with the present names of options, and with `--allow-host` once.
 
     Raises:
-        ConfigError: An option appears twice; the message shows the correct form.
+        ConfigError: Another option appears twice, although only the last one would count; the
+            message shows the correct form.
     """
-    given: dict[str, list[list[str]]] = {}
-    values: list[str] = []
-    for word in words:
-        if word.startswith("--"):
-            name, _, value = word.partition("=")
-            values = [value] if value else []
-            given.setdefault(name, []).append(values)
-        else:
-            values.append(word)
-    for name, each in given.items():
-        if len(each) > 1:
-            together = " ".join([name, *(value for values in each for value in values)])
-            raise ConfigError(
-                f"{name} appears {len(each)} times; write it once, with several values if it "
-                f"accepts them: {together}"
-            )
-
-
-def together(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with the values of all `--allow-host` in one option."""
-    rest: list[str] = []
-    hosts: list[str] = []
-    into = rest
+    before: list[str] = []
+    groups: dict[str, list[list[str]]] = {}  # each option with its values
+    group = before
     for word in words:
         name, sign, value = word.partition("=")
-        if name == "--allow-host":
-            into = hosts = hosts or [name]
-            into += [value] if sign else []
+        if name.startswith("--"):
+            name = FORMERLY.get(name, name)
+            group = [name + sign + value]
+            groups.setdefault(name, []).append(group)
         else:
-            into = rest if word.startswith("--") else into
-            into.append(word)
-    return rest + hosts
+            group.append(word)
+    for name, each in groups.items():
+        once = [name, *(v for head, *rest in each for v in (*head.split("=", 1)[1:], *rest))]
+        if name == "--allow-host":
+            groups[name] = [once]
+        elif len(each) > 1:
+            raise ConfigError(
+                f"{name} appears {len(each)} times; write it once, with several values if it "
+                f"accepts them: {' '.join(once)}"
+            )
+    return before + [word for each in groups.values() for group in each for word in group]
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
-    """Check, before the work, that a file has a valid ending and can be written.
-
-    Args:
-        option: Name of the option.
-        path: The file, or None.
-        suffixes: The valid endings.
+    """Check, before the work, that the file of an option has a valid ending and can be written.
 
     Raises:
         OutputError: The file has a different ending or cannot be written; the message names the
@@ -258,9 +367,3 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
         raise OutputError(f"{option}: {error}") from None
     except OSError as error:
         raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None
-
-
-def in_present_words(words: Iterable[str]) -> list[str]:
-    """The words of a command line, with former names of options replaced by the present names."""
-    parted = (word.partition("=") for word in words)
-    return ["".join((FORMERLY.get(name, name), sign, value)) for name, sign, value in parted]

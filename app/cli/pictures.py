@@ -13,10 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from app.cli import options
-from app.cli.common import load_robot_and_border, print_json
-from app.cli.records import Given, from_record
-from app.cli.run_spec import filmed, is_case, spec_named, trace_of
+from app.cli import common, options
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
 from app.errors import ConfigError, check_name
@@ -41,7 +38,7 @@ def screenshot(
     *,
     at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS …")],
     out: Path,
-    picture: Annotated[Given, from_record(Look, leave=("pair",))],
+    picture: Annotated[options.Given, options.from_record(Look, leave=("pair",))],
     setup: options.SetupOptions,
     config: options.ConfigOption = None,
     json: options.Json = False,
@@ -55,11 +52,11 @@ def screenshot(
             pictures.
         out: The PNG file.
     """
-    is_case(scenario)
+    common.is_case(scenario)
     look = Look(**picture)
     check_range("--at", len(at), 1, _MAX_PICTURES, "times")
     options.check_file("--out", out, (".png",))
-    asked = spec_named(scenario, setup, config)
+    asked = common.spec_named(scenario, setup, config)
     whole = _draw(asked, at, look)
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
@@ -77,19 +74,18 @@ def screenshot(
         "view": look.view,
         "page": look.page,
     }
-    print_json(result) if json else print(out)
+    common.print_json(result) if json else print(out)
 
 
 def _draw(asked: RunSpec, at: tuple[float, ...], look: Look) -> Image.Image:
-    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.screenshot import strip, take_pictures
 
     for t in at:
         check_range("--at", t, 0.0, asked.scenario.duration, "s")
     with chromium() as browser:  # first, because a missing browser must be reported at once
-        model, data = load_robot_and_border(asked.robot)
-        snapshots = filmed(asked, model, data, at)
+        model, data = common.load_robot_and_border(asked.robot)
+        snapshots = common.filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
     return pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
 
@@ -125,8 +121,8 @@ def film(
     beside: Annotated[
         tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER …", help_behavior_hint="")
     ] = (),
-    filming: Annotated[Given, from_record(Filming)],
-    picture: Annotated[Given, from_record(Look, leave=("page", "pair"))],
+    filming: Annotated[options.Given, options.from_record(Filming)],
+    picture: Annotated[options.Given, options.from_record(Look, leave=("page", "pair"))],
     start: Place = None,
     move: Place = None,
     setup: options.SetupOptions,
@@ -143,10 +139,9 @@ def film(
         start: [m] start of the end-effector, in the world, as in `dbb run`.
         move: [m] displacement of the end-effector, in the world, as in `dbb run`.
     """
-    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.export.offscreen import CODECS
 
-    is_case(scenario)
+    common.is_case(scenario)
     for name in beside:
         check_name("controller of --beside", name, CONTROLLERS)
     look, how = Look(**picture), Filming(**filming)
@@ -156,23 +151,18 @@ def film(
         raise ConfigError("--side-by-side needs --beside CONTROLLER")
     codec = how.codec or next(iter(codecs))
     check_name(f"--codec of {out.suffix}", codec, codecs)
-    asked = spec_named(scenario, setup, config)
+    asked = common.spec_named(scenario, setup, config)
     asked = asked._replace(scenario=asked.scenario.changed(start=start, move=move))
     result = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     result |= _film(asked, beside, how, codec, look, out)
-    print_json(result) if json else print(out)
+    common.print_json(result) if json else print(out)
 
 
 def _film(
     asked: RunSpec, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
     from app.dashboard.export.browser import chromium
-    from app.dashboard.export.offscreen import (
-        film_pictures,
-        side_by_side,
-        with_ghosts,
-        write_film,
-    )
+    from app.dashboard.export.offscreen import film_pictures, side_by_side, with_ghosts, write_film
 
     duration = asked.scenario.duration
     begin, end = how.span or (0.0, duration)
@@ -181,9 +171,9 @@ def _film(
     step = how.speed / how.rate
     times = [begin + k * step for k in range(1 + int((end - begin) / step + 1e-9))]
     with chromium() as browser:  # first, because a missing browser must be reported at once
-        model, data = load_robot_and_border(asked.robot)
+        model, data = common.load_robot_and_border(asked.robot)
         runs = [asked, *(asked._replace(controller=name) for name in beside)]
-        found = [filmed(run, model, data, times) for run in runs]
+        found = [common.filmed(run, model, data, times) for run in runs]
         orbit = math.radians(how.orbit) / how.rate
 
         def drawn(shown: list[Snapshot], *seen: Snapshot) -> Generator[Image.Image, None, None]:
@@ -216,7 +206,7 @@ def replay(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     *,
     out: Path = Path("out/replay.html"),
-    looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
+    looks: Annotated[options.Given, options.from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
     """Make a web page that replays the run of a log in any browser.
@@ -228,13 +218,12 @@ def replay(
             executed.
         out: The HTML file.
     """
-    # Imported here: viser and pyarrow would delay the start of every other command.
     from app.dashboard.export.offscreen import replay_html
 
     look = Look(**looks)
     options.check_file("--out", out, (".html",))
-    read = trace_of(log)
-    model, data = load_robot_and_border(read.meta.robot)
+    read = common.trace_of(log)
+    model, data = common.load_robot_and_border(read.meta.robot)
     duration = read.snapshots[-1].t - read.snapshots[0].t
     with progress_bar(out.name, duration) as on_progress:
         page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
@@ -246,7 +235,7 @@ def replay(
         "duration_s": duration,
         "size_bytes": out.stat().st_size,
     }
-    print_json(result) if json else print(out)
+    common.print_json(result) if json else print(out)
 
 
 def report(
@@ -262,14 +251,13 @@ def report(
             executed.
         out: The HTML file.
     """
-    # Imported here: matplotlib and pyarrow would delay the start of every other command.
     from app.studies.run_report import key_numbers, run_report
 
     options.check_file("--out", out, (".html",))
-    run = trace_of(log)
+    run = common.trace_of(log)
     write_whole(out, run_report(run))
     if json:
         about = {"scenario": run.meta.scenario, "robot": run.meta.robot, "seed": run.meta.seed}
-        print_json({**about, "page": str(out), **key_numbers(run)})
+        common.print_json({**about, "page": str(out), **key_numbers(run)})
     else:
         print(out)

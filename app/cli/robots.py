@@ -14,8 +14,7 @@ import tyro
 
 from app.cli import options
 from app.cli.common import print_json, say, show
-from app.cli.options import Flag, Json
-from app.cli.records import Given, from_record
+from app.cli.options import Flag, Given, Json, from_record
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
 from app.onboarding import helpers
@@ -34,7 +33,6 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 
 def robots(json: Json = False) -> None:
     """List all robots, with the errors of invalid descriptions."""
-    # Imported here, because it needs the readers of descriptions.
     from app.robot.assets import robot_names, wrong_folders
     from app.robot.description import load_robot
 
@@ -47,21 +45,17 @@ def robots(json: Json = False) -> None:
         except DbbError as error:
             broken[name] = str(error)
     if json:
-        print_json(
+        rows = [
             {
-                "robots": [
-                    {
-                        "name": d.name,
-                        "title": d.title,
-                        "base": d.base.kind,
-                        "arm_joints": len(d.arm.joints),
-                        "bodies": [b.name for b in d.bodies],
-                    }
-                    for d in found
-                ],
-                "broken": broken,
+                "name": d.name,
+                "title": d.title,
+                "base": d.base.kind,
+                "arm_joints": len(d.arm.joints),
+                "bodies": [b.name for b in d.bodies],
             }
-        )
+            for d in found
+        ]
+        print_json({"robots": rows, "broken": broken})
         return
     for d in found:
         show(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")
@@ -93,7 +87,6 @@ def check_robot(
 
     config = options.configured(name, None, parameters, _OF_CHECK)
     description = load_robot(name).model_copy(update={"config": config})
-    # Imported here, because it needs scipy, trimesh and the engines.
     from app.onboarding import check
 
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
@@ -131,12 +124,10 @@ def new_robot(
     """
     asked = Request(**request)
     check_request(asked)
-    # Imported here: the import would delay the start of every other command.
     from app.onboarding.whole import whole_robot
 
     begin = perf_counter()
     whole = None if asked.zipped else whole_robot(asked)  # refuses a wrong file before slow imports
-    # Imported here: matplotlib, scipy and trimesh would delay a refusal.
     from app.border.config import QUICK
     from app.onboarding.new_robot import finish
 

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from app.cli import options
-from app.cli.common import as_json, load_robot_and_border, print_json
-from app.cli.records import Given, from_record
-from app.cli.run_spec import check_no_others, read, result_of, spec_of_case, spec_with
+from app.cli import common, options
+from app.cli.options import Given, from_record
 from app.errors import ConfigError, check_name, printable
 from app.simulation.case import RunSpec
-from app.simulation.scenarios import SCENARIOS, scenario_of
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
-from app.system import write_whole
+from app.studies.runs import write_json
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
@@ -54,10 +52,7 @@ ContactOption = Annotated[
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """Select the command for a command line.
-
-    Args:
-        words: The words after `dbb run`.
+    """Select the command for the words after `dbb run`.
 
     Returns:
         Name of the scenario or empty, the command, and the remaining words.
@@ -65,7 +60,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     if any(word.partition("=")[0] == "--case" for word in words):
         own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
         given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
-        check_no_others(dict.fromkeys(sorted(own & given), True))
+        common.check_no_others(dict.fromkeys(sorted(own & given), True))
         return "", run_case, words
     first = words[:1] if words and not words[0].startswith("-") else []
     named = first or [word for word in words if word in SCENARIOS][:1]
@@ -122,14 +117,8 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         fail_on_contact: ContactOption = False,
         json: options.Json = False,
     ) -> None:
-        chosen = options.Setup(**setup)
-        tuned = options.configured(chosen.robot, config, parameters)
-        # Imported here, because the import takes longer than finding an error in the options.
-        from app.robot.description import load_robot
-
-        own = scenario_of(load_robot(chosen.robot), scenario.name, **scenario_options)
-        planned = spec_with(chosen, own, tuned)
-        _run(planned, Files(**files), json=json, fail_on_contact=fail_on_contact)
+        spec = common.spec_of_scenario(scenario.name, setup, config, parameters, **scenario_options)
+        _run(spec, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
     return command
@@ -150,26 +139,24 @@ def run_case(
     Args:
         case: JSON file of a case, saved in the dashboard or in the folder `failures` of a study.
     """
-    played = read(case)
-    again = spec_of_case(played, setup)
+    again = common.spec_of_case(case, setup)
     again = again._replace(config=options.changed(again.config, parameters))
     _run(again, Files(**files), json=json, fail_on_contact=fail_on_contact)
 
 
 def _run(asked: RunSpec, files: Files, *, json: bool, fail_on_contact: bool) -> None:
-    # Imported here, because the import takes longer than finding an error in the options.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import touches, verdict
     from app.simulation.trace.words import missing, number_text
 
-    model, data = load_robot_and_border(asked.robot)
+    model, data = common.load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
-    result = result_of(asked, model, data, drawn=drawn)
+    result = common.result_of(asked, model, data, drawn=drawn)
     written = _write(result, files, model)
     if warning := buffer_warning(result.trace.buffer, asked.config):
         print(f"warning: {warning}", file=sys.stderr)
     if json:
-        print_json(result.figures)
+        common.print_json(result.figures)
     else:
         print(verdict(result.figures, model.body_names))
         for key, value in result.figures.items():
@@ -187,7 +174,7 @@ def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]
     if out is not None:
         written += [out / "log.csv", out / "metrics.json"]
         write_trace(written[0], result.trace)
-        write_whole(written[1], as_json(result.figures))
+        write_json(written[1], result.figures)
     if log is not None:
         written.append(log)
         if log.suffix.lower() == ".mcap":

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from app.cli import options
-from app.cli.common import load_model, say
-from app.cli.records import Given, from_record
-from app.cli.run_spec import check_no_others, read
+from app.cli.common import load_model, say, spec_of_case
 from app.config import Config
 from app.config_file import checked_host
 from app.simulation.scenarios import free_start
-from app.simulation.scenarios.leading import check_point
+from app.simulation.scenarios.leading import Scenario, check_point
 from app.simulation.scenarios.line import Point
 
 if TYPE_CHECKING:
@@ -24,7 +22,6 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.jobs.process import Child
     from app.robot.model import RobotModel
-    from app.simulation.case import RunCase
     from app.simulation.loop.process_loop import ProcessLoop
 
 _SWITCH = 0.001  # [s] time after which a thread that serves one viewer lets the drawing thread run
@@ -57,7 +54,7 @@ class Serving:
 
 
 def serve(
-    serving: Annotated[Given, from_record(Serving)],
+    serving: Annotated[options.Given, options.from_record(Serving)],
     setup: options.SetupOptions,
     parameters: options.ParameterOptions,
     config: options.ConfigOption = None,
@@ -65,20 +62,14 @@ def serve(
     """Serve the dashboard, a page for pulling the arm with the mouse."""
     asked = Serving(**serving)
     asked = replace(asked, allow_host=(*asked.allow_host, *options.hosts_of(config)))
-    case = None
-    if asked.case is not None:
-        case = read(asked.case)
-        own = {"robot": setup.get("robot"), "seed": setup.get("seed")}
-        check_no_others({**own, "start": asked.start, "config": config, **parameters})
-        of_case = {"controller": case.controller, "physics": case.physics}
-        setup = {**of_case, **setup, "robot": case.robot, "seed": case.seed}
-    chosen = options.Setup(**setup)
-    tuned = (
-        options.changed(case.config(), parameters)
-        if case
-        else options.configured(chosen.robot, config, parameters)
-    )
-    # Imported here, because the import takes longer than finding an error in the options.
+    if asked.case is None:
+        chosen, played = options.Setup(**setup), None
+        tuned = options.configured(chosen.robot, config, parameters)
+    else:
+        others = {"start": asked.start, "config": config, **parameters}
+        run = spec_of_case(asked.case, setup, **others)
+        chosen = options.Setup(**{f.name: getattr(run, f.name) for f in fields(options.Setup)})
+        tuned, played = options.changed(run.config, parameters), run.scenario
     from app.robot.assets import check_robot_name
 
     check_robot_name(chosen.robot)
@@ -86,7 +77,7 @@ def serve(
 
     # The simulation's process imports as much as this one: run both imports in parallel.
     with loop_child() as child:
-        _serve(_First(chosen, tuned, asked, case, child))
+        _serve(_First(chosen, tuned, asked, played, child))
 
 
 class _First(NamedTuple):
@@ -95,13 +86,13 @@ class _First(NamedTuple):
     setup: options.Setup
     config: Config
     asked: Serving
-    case: RunCase | None
+    played: Scenario | None
     child: Child
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
         """(n_m,) [rad or m] joint positions of the arm at the start."""
-        if self.case is not None:
-            return self.case.scenario().setting(model, data, self.config, self.setup.seed).q_m
+        if self.played is not None:
+            return self.played.setting(model, data, self.config, self.setup.seed).q_m
         return free_start(model, data, self.config, self.asked.start, self.setup.seed)
 
     def begin_loop(
@@ -117,25 +108,16 @@ class _First(NamedTuple):
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
-        setup = self.setup
+        seed, given = self.setup.seed, (model, data, config)
         if q_start is None:
-            q_start = free_start(model, data, config, None, setup.seed)
-        make_session = partial(
-            Session,
-            model,
-            data,
-            config,
-            controller=controller,
-            physics=setup.physics,
-            seed=setup.seed,
-        )
-        made = ProcessLoop(make_session, q_start, waiting)
+            q_start = free_start(*given, None, seed)
+        plant = {"controller": controller, "physics": self.setup.physics}
+        made = ProcessLoop(partial(Session, *given, **plant, seed=seed), q_start, waiting)
         made.begin()
         return made
 
 
 def _serve(first: _First) -> None:
-    # Imported here: viser and scipy would delay the start of every other command.
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, is_loopback, serve_dashboard
 
@@ -158,7 +140,7 @@ def _serve(first: _First) -> None:
             host=asked.host,
             port=asked.port,
             allowed=asked.allow_host,
-            case=first.case.scenario() if first.case else None,
+            case=first.played,
             parts=parts,
             start_loop=first.begin_loop,
         )
@@ -174,11 +156,7 @@ def _serve(first: _First) -> None:
 
 
 def _border(model: RobotModel) -> BorderData:
-    """The robot's border from the cache, or a new one.
-
-    If the cache has only a coarse border, a background process samples the full one for the next
-    start.
-    """
+    """The robot's border; a background process refines a coarse one for the next start."""
     from app.border.cache import kept_border_data, load_border_data
     from app.border.config import QUICK
     from app.dashboard.job import Job, sample_border

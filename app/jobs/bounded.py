@@ -21,7 +21,6 @@ Read = TypeVar("Read")
 SMALL = 16 * 2**10
 """[bytes] largest size of data that this process reads itself; most configurations are smaller."""
 _AT_ONCE = threading.BoundedSemaphore(2)  # largest number of reading child processes
-_never = threading.Event()
 _limited = threading.Event()  # set in a reading child, which starts no further child
 
 
@@ -47,12 +46,9 @@ class Budget(NamedTuple):
 
 
 def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
-    """Call `read(*args)` within the budget for its data, and return the result.
+    """Call `read(*args)` within the budget for data of a `size` [bytes], and return the result.
 
-    Args:
-        read: A function of a module, which reads some data; its result must be picklable.
-        args: Arguments of `read`, which must be picklable.
-        size: [bytes] size of the data, which determines the budget.
+    `read` must be a function of a module; its arguments and its result must be picklable.
 
     Raises:
         BudgetError: Reading exceeds the budget.
@@ -62,23 +58,17 @@ def within_budget(read: Callable[..., Read], *args: object, size: int) -> Read:
         return read(*args)
     budget = Budget.of(size)
     with _AT_ONCE, suppress(MemoryError, EndedError):
-        packed = run_in_process(
-            _limited_read,
-            budget,
-            read,
-            args,
-            report=lambda *_: None,
-            cancelled=_never,
-            niceness=0,
+        never = threading.Event()
+        given = _limited_read, budget, read, args
+        return pickle.loads(
+            run_in_process(*given, report=lambda *_: None, cancelled=never, niceness=0)
         )
-        return pickle.loads(packed)
     raise BudgetError(f"it takes more than {budget} to read, more than any valid file")
 
 
 def _limited_read(
     _: object, budget: Budget, read: Callable[..., object], args: tuple[object, ...]
 ) -> bytes:
-    """Call `read` and pickle the result, both within the budget."""
     _limited.set()
     with limited(*budget):
         result = read(*args)

@@ -28,12 +28,10 @@ def wake_without_parent() -> None:
 
 @contextmanager
 def guarded(heard: int, patience: float, *, group: bool = False) -> Iterator[int]:
-    """Run a guard for this process during the `with`.
+    """Run a guard for this process, or for its whole `group`, during the `with`.
 
-    Args:
-        heard: Descriptor of the file that announces the end of the process.
-        patience: [s] time between the announcement and the kill.
-        group: Whether the guard kills the whole group of this process.
+    `heard` is the descriptor of the file that announces the end; `patience` [s] is the time between
+    the announcement and the kill.
 
     Yields:
         The descriptor of a file with the bytes that the guard copies; `heard` if the guard cannot

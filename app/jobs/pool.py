@@ -33,12 +33,10 @@ class Workers(AbstractContextManager["Workers"]):
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
-        """Prepare the processes.
+        """Prepare a number of processes; default: one for each usable core.
 
-        Args:
-            make_context: Makes the data that all jobs share; must be picklable.
-            processes: Number of processes; default: one for each usable core. With 1, this process
-                executes the jobs.
+        With one process, this process executes the jobs. `make_context` makes the data that all
+        jobs share, and must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or usable_cores()
@@ -125,11 +123,17 @@ class Workers(AbstractContextManager["Workers"]):
         child = self._idle.get()
         try:
             for _ in range(_TRIES):
-                outcome = _answer(child, task, tell)
-                if outcome is not None:
-                    return outcome.value()
-                child = self._replaced(child)
-            return task.result_if_lost()
+                try:
+                    child.sender.send(task._replace(lost=None))
+                    while not isinstance(received := child.receiver.recv(), Outcome):
+                        tell(received)
+                except (EOFError, OSError):  # the process has ended
+                    child = self._replaced(child)
+                else:
+                    return received.value()
+            if task.lost is None:
+                raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
+            return task.lost(task.job)
         finally:
             self._idle.put(child)
 
@@ -162,7 +166,6 @@ class _Shares:
         self._sent: SimpleQueue[tuple[int, float]] = SimpleQueue()
 
     def send(self, number: int, share: float) -> None:
-        """Send the share of a job, from any thread."""
         self._sent.put((number, share))
 
     def wait_for(self, number: int) -> None:
@@ -188,24 +191,7 @@ class _Task(NamedTuple):
     lost: Callable[[Any], Any] | None
 
     def do(self, context: Any, tell: OnProgress) -> Any:
-        """Execute the job, and return its result."""
         return self.function(context, self.job, *([tell] if self.tells else []))
-
-    def result_if_lost(self) -> Any:
-        """The result of a job whose process has ended in each attempt."""
-        if self.lost is None:
-            raise LoopError(f"a worker process was killed at the same job {_TRIES} times")
-        return self.lost(self.job)
-
-
-def _answer(child: Child, task: _Task, tell: OnProgress) -> Outcome | None:
-    """The outcome of a job in a process, or None if the process has ended."""
-    with suppress(EOFError, OSError):
-        child.sender.send(task._replace(lost=None))
-        while not isinstance(received := child.receiver.recv(), Outcome):
-            tell(received)
-        return received
-    return None
 
 
 def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:

@@ -24,13 +24,7 @@ from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
 from app.jobs.guard import guarded, wake_without_parent
-from app.system import (
-    end_group,
-    end_when_closed,
-    interrupt_blocked,
-    lead_group,
-    lower_priority,
-)
+from app.system import end_group, end_when_closed, interrupt_blocked, lead_group, lower_priority
 
 Report = Callable[[str, float], None]
 """A function that takes the present activity and the share of the work that is done, 0 to 1, or a
@@ -63,14 +57,7 @@ class Child(AbstractContextManager["Child"]):
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Start the process.
-
-        Args:
-            work: The function.
-            args: Arguments of `work` after the two connections.
-            leads_group: Whether the child leads a group of processes, so that all processes that it
-                starts end with it.
-        """
+        """Start the process; with `leads_group`, all processes that it starts end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
         """Connection to the process."""
@@ -125,9 +112,7 @@ class Outcome(NamedTuple):
     result: Any
     """The result; None after an exception."""
     error: BaseException | None = None
-    """The exception, or None."""
     traceback: str = ""
-    """The text of the exception's traceback."""
 
     @classmethod
     def of(cls, work: Callable[..., Any], *args: Any) -> Outcome:
@@ -151,14 +136,10 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a `Child` of low priority, and return its result.
+    """Run `work(report, *args)` in a `Child` of a niceness 0 to 19, and return its result.
 
-    Args:
-        work: The function.
-        args: Arguments of `work` after `report`.
-        report: Called in this process with each report of `work`.
-        cancelled: An event that ends the process and all its children.
-        niceness: [-] niceness of the process, 0 to 19.
+    `report` is called in this process with each report of `work`. The event `cancelled` ends the
+    child and all its children.
 
     Raises:
         Cancelled: `cancelled` was set.

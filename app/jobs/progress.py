@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from time import monotonic, sleep
 from types import FrameType
-from typing import NoReturn
 
 from app.errors import BrowserError, DbbError
 from app.jobs.guard import guarded
@@ -29,12 +28,7 @@ _received: list[int] = []
 def progress_bar(
     text: str, total: float, *, shown: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Show the progress of some work.
-
-    Args:
-        text: Name of the work.
-        total: The total amount of work, in any unit.
-        shown: Whether the progress is displayed.
+    """Display the progress of some work, if `shown`, by the name of the work and its total amount.
 
     Yields:
         A function that takes the amount of work that is done. If a library has swallowed the
@@ -173,17 +167,13 @@ def _end_late(sources: Sequence[int], numbers: Sequence[int], longest: float) ->
         with os.fdopen(source, "rb", buffering=0) as signals:
             while number := signals.read(1):
                 if number[0] in numbers:
-                    _end_after(longest, 128 + number[0])
-
-
-def _end_after(longest: float, status: int) -> NoReturn:
-    wake_children()
-    sleep(longest)
-    # Temporary folders are removed, as at any end; a removal that hangs delays the end by 1 s only.
-    tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
-    tidying.start()
-    tidying.join(_TIDYING)
-    os._exit(status)
+                    wake_children()
+                    sleep(longest)
+                    # Temporary folders are removed, as at any end; a removal may hang.
+                    tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
+                    tidying.start()
+                    tidying.join(_TIDYING)
+                    os._exit(128 + number[0])
 
 
 def _exception() -> BaseException:

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.config import Config, parameter, tunables
-from app.errors import ConfigError, DbbError
+from app.config import Config, tunables
+from app.errors import DbbError
 from app.robot.description import load_robot
 from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.metrics import extremes, metrics, verdict
@@ -27,11 +27,9 @@ _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1
 
 
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
-    """Make the page of a run: key numbers, pictures, and changed parameters.
+    """Make the page of a run with snapshots: key numbers, pictures, and changed parameters.
 
-    Args:
-        run: The run, with snapshots.
-        on_progress: Called before each picture with the share of the pictures that are finished.
+    Before each picture, `on_progress` gets the share of the pictures that are finished.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
     title = f"{run.meta.scenario or 'Guiding by hand'}, {controllers}"
@@ -46,23 +44,18 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
             on_progress(k / len(_PICTURES))
             parts.append(Part(each.title, each.name, [each.caption], style.png_of(each.draw(run))))
     parts.append(_changes(run))
-    return page_html(title, _about(run), parts)
-
-
-def _about(run: Trace) -> str:
     meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     plant = f"plant {meta.physics}, " if meta.physics else ""
     rows = "one for each control step" if run.each_step else "without the steps between them"
-    return (
+    about = (
         f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
         f"{len(run)} rows, {rows}."
     )
+    return page_html(title, about, parts)
 
 
 def _chain(meta: TraceMeta) -> tuple[str, ...]:
-    """Names of the bodies of the run's robot, the base first; empty if the robot has no valid
-    description here.
-    """
+    """Names of the robot's bodies, the base first; empty without a valid description here."""
     try:
         return tuple(body.name for body in load_robot(meta.robot).bodies)
     except DbbError:
@@ -86,19 +79,14 @@ def _finite(value: Any) -> Any:
 
 def _changes(run: Trace) -> Part:
     changes = config_changes([s.config for s in run.snapshots])
-    rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
+    rows = [
+        (path, getattr(tunables()[path], "unit", "").removeprefix("-"), _value(usual), _value(had))
+        for path, usual, had in changes
+    ]
     if not rows:
         return Part("Parameters", "parameters", text=["All parameters had the program's defaults."])
     head = ("changed", "unit", "default", "here")
     return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
-
-
-def _unit(path: str) -> str:
-    try:
-        unit = parameter(path).unit
-    except ConfigError:  # a choice has no unit
-        return ""
-    return "" if unit == "-" else unit
 
 
 def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
@@ -143,8 +131,7 @@ def distances_figure(run: Trace) -> Figure:
         above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
     above.axhline(0.0, color=style.TARGET, linewidth=1.0)
     above.set_ylabel("distance [m]")
-    below.set_ylabel(r"activation $\beta$ [–]")
-    below.set_ylim(-0.03, 1.05)
+    below.set(ylabel=r"activation $\beta$ [–]", ylim=(-0.03, 1.05))
     _legend_right(above)
     _over_time((above, below), run)
     return figure
@@ -231,8 +218,7 @@ def plan_figure(run: Trace) -> Figure:
         line = {"color": style.TARGET, "linewidth": 1.4, "label": "target of the pull"}
         ax.plot(targets[:, 0], targets[:, 1], ":", **line)
     ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
+    ax.set(xlabel="x [m]", ylabel="y [m]")
     _legend_right(ax)
     return figure
 
@@ -242,8 +228,7 @@ def _legend_right(ax: Axes) -> None:
 
 
 def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
-    """Limit the x axes to the times of the run, and shade intervals in which the arm touches the
-    base or itself.
+    """Limit the x axes to the times of the run, and shade contacts of the arm with base or itself.
 
     `bottom` are the axes with a label of the x axis; default: the last of `axes`.
     """

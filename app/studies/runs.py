@@ -52,7 +52,6 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
 
     The file is written completely or not at all. None and NaN are empty cells.
     """
-    # Imported here: pyarrow is needed only when all runs are done.
     import pyarrow as pa
 
     from app.simulation.trace.arrow import write_arrow
@@ -70,5 +69,4 @@ def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> No
 
 def write_json(path: Path, content: object) -> None:
     """Write JSON completely or not at all."""
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    write_whole(path, text)
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")

@@ -35,7 +35,6 @@ import trimesh
 
 from app.border.cache import BorderData, DamagedFileError, pack, read, unpack, write
 from app.border.dbb import make_cloud
-from app.cli.common import as_json
 from app.config import Config
 from app.config_file import read_config, save_config
 from app.errors import DbbError
@@ -221,7 +220,7 @@ def _log(path: Path) -> None:
 
 
 def _figures(path: Path) -> None:
-    as_json(key_numbers(read_trace(path)))
+    json.dumps(key_numbers(read_trace(path)), allow_nan=False)
 
 
 def _played(path: Path) -> None:

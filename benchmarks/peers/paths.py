@@ -11,7 +11,7 @@ from app.robot.model import RobotModel
 from app.simulation.scenarios.line import StartedLine
 from app.simulation.scenarios.start import StartSolver
 from app.studies.sweep.plan import CLEAR, Approach, Start
-from app.studies.sweep.starts import StartFinder
+from app.studies.sweep.sweep import StartFinder
 
 DURATION = 15.0
 """[s] of each path; a cubic in time from rest to rest."""

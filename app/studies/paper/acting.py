@@ -34,7 +34,6 @@ class Force(NamedTuple):
     q_m: Array
     """(n_m,) [rad or m] joint positions of the arm."""
     closest: ClosestPoints
-    """Closest points of base and end-effector."""
     acting: ActingPoint
     """The result of Algorithm 3."""
     f: Array
@@ -54,13 +53,8 @@ class Force(NamedTuple):
     @property
     def points(self) -> dict[str, Array]:
         """The points of Algorithm 3, (3,) [m] each, by their names."""
-        acting = self.acting
-        return {
-            "p_b": self.closest.p_b,
-            "p_n": acting.p_n,
-            "p_t": acting.p_t,
-            "p_act": acting.p_act,
-        }
+        others = {name: getattr(self.acting, name) for name in ("p_n", "p_t", "p_act")}
+        return {"p_b": self.closest.p_b, **others}
 
     def measured(self) -> dict[str, float]:
         """Distance, step α, and magnitudes of the force and of its components, by key."""
@@ -204,11 +198,7 @@ def _slice(sources: Sources, force: Force) -> drawing.Table:
 
 
 def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> PathCollection:
-    """Draw base, border, end-effector and force from above.
-
-    Returns:
-        The border's points, whose colours are the scores, for a colour bar.
-    """
+    """Draw base, border, end-effector and force from above; return the border's points."""
     drawing.base_in_plan(ax, sources.model)
     score = border["score_m4prad4"]
     shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=style.SCORE_MAP, zorder=2)

@@ -162,8 +162,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
         style.time_axis(activation, DIRECTIONS[name].scenario.duration)
     grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
-    grid[1][0].set_ylabel(r"activation $\beta$ [–]")
-    grid[1][0].set_ylim(-0.02, 1.02)
+    grid[1][0].set(ylabel=r"activation $\beta$ [–]", ylim=(-0.02, 1.02))
     _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
     return drawing.Drawing(

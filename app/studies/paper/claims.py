@@ -71,7 +71,6 @@ class Finding(NamedTuple):
     values: dict[str, float | None]
     """The measured numbers; keys end in the unit. None replaces a missing number."""
     limits: tuple[Threshold, ...] = ()
-    """The bounds of the numbers."""
 
 
 def compare(
@@ -82,14 +81,9 @@ def compare(
     low: Threshold | None = None,
     high: Threshold | None = None,
 ) -> Finding:
-    """Compare a number with its bounds; a missing or infinite number agrees with no bound.
+    """Compare a number with one or two bounds; a missing or infinite number agrees with no bound.
 
-    Args:
-        text: Beginning of the finding's text, before the number.
-        key: Key of the number, which ends in the unit.
-        value: The number, or None.
-        low: Lower bound, which may be absent if there is an upper one.
-        high: Upper bound, which may be absent if there is a lower one.
+    The finding's text begins with `text`, before the number; `key` ends in the unit of the number.
     """
     limits = tuple(limit for limit in (low, high) if limit is not None)
     if low is not None and high is not None:
@@ -112,15 +106,12 @@ class Claim(NamedTuple):
     """A claim of the paper."""
 
     section: str
-    """Section of the paper."""
     figure: str
     """Name of the figure with which `dbb reproduce` judges the claim."""
     paper: str
     """The claim in this project's words."""
     needs: tuple[Experiment, ...]
-    """The experiments from which the measurements come."""
     measure: Callable[[Sources], Findings]
-    """The function that makes the measurements."""
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """Measure the claim; return its entry in `metrics.json`."""

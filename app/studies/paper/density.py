@@ -9,7 +9,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from scipy.interpolate import CubicSpline
 
 from app.avoidance.acting_point import ActingPointFinder, resultant_force
@@ -55,9 +54,7 @@ def figure_density(sources: Sources) -> drawing.Drawing:
             style.level(ax, surface, name)
         else:
             ax.axhline(surface, color="grey", linestyle=":", label=name)
-        ax.set_xscale("log")
-        ax.set_ylim(0.0, None)
-        ax.set(xlabel="points of the border [–]", ylabel=label)
+        ax.set(xscale="log", ylim=(0.0, None), xlabel="points of the border [–]", ylabel=label)
         ax.set_xticks(counts, [f"{n / 1000:.0f}k" for n in counts])
         ax.minorticks_off()
     style.panel_title(jump, "", "jumps of the acting point")
@@ -162,10 +159,15 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
         plan.plot(*place, mark, markersize=4, linewidth=2.2, **look)
         change = np.maximum(along["p_act_step_m"][1:], _MIN_CHANGE)
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
-    _base_and_hand(plan, sources, found["surface"])
+    drawing.base_in_plan(plan, sources.model)
+    line: dict[str, Any] = {"color": style.PAIR_COLOURS["lm-lEE"], "linestyle": (0, (3, 2))}
+    line |= {"linewidth": 1.6, "label": "closest point of the end-effector"}
+    smooth = found["surface"]
+    plan.plot(smooth["p_b_x_m"], smooth["p_b_y_m"], **line)
+    x, y = (np.concatenate([smooth[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
+    drawing.square_around(plan, np.column_stack([x, y]), _MARGIN)
     plan.legend(loc="upper right", fontsize=9)
-    steps.set_yscale("log")
-    steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]")
+    steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]", yscale="log")
     steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
     steps.legend(loc="lower right", fontsize=9)
     return drawing.Drawing(
@@ -233,12 +235,8 @@ def step_sizes(values: Array) -> Array:
 
 
 def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
-    """Numbers of the border of points and of the surface, and two ratios of points to surface.
-
-    The ratios are those of the largest changes of the base's linear and angular acceleration. For
-    each border these are the largest displacement of the acting point between two rows of the
-    path, the same for the finer path, the ratio of these two, and the largest linear and angular
-    change of the base's acceleration between two rows of the path.
+    """Largest changes between two rows of the path, of the acting point and of the base's
+    acceleration, on both borders; for the acting point also on the finer path.
     """
     result: dict[str, Any] = {}
     for kind, along in found.items():
@@ -253,22 +251,9 @@ def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) 
             "acceleration_step_max_mps2": linear,
             "acceleration_step_max_radps2": angular,
         }
-    points, surface = result["points"], result["surface"]
+    points, surface, step = result["points"], result["surface"], "acceleration_step_max_"
     result["points_over_surface"] = {
-        f"{name}_ratio": points[key] / surface[key]
-        for name, key in (
-            ("linear", "acceleration_step_max_mps2"),
-            ("angular", "acceleration_step_max_radps2"),
-        )
+        f"{name}_ratio": points[step + unit] / surface[step + unit]
+        for name, unit in (("linear", "mps2"), ("angular", "radps2"))
     }
     return result
-
-
-def _base_and_hand(ax: Axes, sources: Sources, along: drawing.Table) -> None:
-    """Draw the base's outline and the path of p_b; limit the axes to the paths of p_b and p_act."""
-    drawing.base_in_plan(ax, sources.model)
-    line: dict[str, Any] = {"color": style.PAIR_COLOURS["lm-lEE"], "linestyle": (0, (3, 2))}
-    line |= {"linewidth": 1.6, "label": "closest point of the end-effector"}
-    ax.plot(along["p_b_x_m"], along["p_b_y_m"], **line)
-    x, y = (np.concatenate([along[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
-    drawing.square_around(ax, np.column_stack([x, y]), _MARGIN)

@@ -24,7 +24,6 @@ from app.studies.paper.experiments import (
     LATERAL,
     TRACKING,
     WHEEL_AXIS,
-    Experiment,
     Sources,
 )
 
@@ -147,7 +146,7 @@ def _of_states(sources: Sources) -> Iterator[Departure]:
         pair = nearest_pair(w)
         absent, entered = (activations(w, 0.5, beta, pair) for beta in (0.0, _ENTERS))
         changes = [solve(w, entered, gains) - solve(w, absent, gains) for solve in SOLVERS]
-        enters.append([_torque(w, change) for change in changes])
+        enters.append([float(np.abs(w.M[w.n_b :] @ change).max()) for change in changes])  # [N m]
         left.append(left_as_printed(step_at_rest(controller, q_m, 0.001), gains))
     w = step_at_rest(controller, postures(sources)[0], _FAR)
     demands = [float(np.linalg.norm(b)) for b in (hqp.end_effector(w, gains).b, w.b_ee)]
@@ -197,17 +196,9 @@ def jump(sources: Sources, controller: Controller, solve: Solver) -> float:
     return float(np.linalg.norm(qdd_b - qdd_a))
 
 
-def _torque(w: ControlStep, qdd: Array) -> float:
-    """[N m] largest change of a joint's torque for a change `qdd` (n,) of q̈."""
-    return float(np.abs(w.M[w.n_b :] @ qdd).max())
-
-
 def _of_runs(sources: Sources) -> Iterator[Departure]:
-    tracking, axis = AS_PRINTED[:2]
-
-    def compare(place: str, key: str, theirs: Experiment, ours: Experiment) -> Departure:
-        printed, here = (sources.runs[e].figures[key] for e in (theirs, ours))
-        return place, key, printed, here
-
-    yield compare("(29) base as commanded", "ee_error_max_m", tracking, TRACKING)
-    yield compare("(29) the base's rows fix its motion", "ee_error_final_m", axis, WHEEL_AXIS)
+    for place, key, theirs, ours in (
+        ("(29) base as commanded", "ee_error_max_m", AS_PRINTED[0], TRACKING),
+        ("(29) the base's rows fix its motion", "ee_error_final_m", AS_PRINTED[1], WHEEL_AXIS),
+    ):
+        yield place, key, sources.runs[theirs].figures[key], sources.runs[ours].figures[key]

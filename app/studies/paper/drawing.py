@@ -46,7 +46,6 @@ class Drawing:
     measured: dict[str, Any] = field(default_factory=dict)
     """Measured numbers by key, or one such mapping for each case; keys end in the unit."""
     remarks: Sequence[str] = ()
-    """Remarks on the measured numbers."""
 
     def write(self, folder: Path, name: str, title: str) -> list[Path]:
         """Write a PNG and one CSV file for each table; return the paths, the PNG first."""
@@ -158,7 +157,6 @@ class Strip:
     name: str
     """Name of the run in the CSV file."""
     text: str
-    """Title of the row."""
     run: RunResult
     times: Sequence[float]
     """[s] times of the snapshots."""

@@ -35,14 +35,12 @@ class Experiment(RunSpec):
     __slots__ = ()
 
     @classmethod
-    def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
+    def of(cls, scenario: str, controller: str, **line: Point) -> Self:
         """The run of a scenario, by the names of scenario and controller.
 
-        With `points` the border consists of points, as in the paper. The keyword arguments `start`
-        and `move` (3,) [m] replace those of a scenario on a line.
+        The keyword arguments `start` and `move` (3,) [m] replace those of a scenario on a line.
         """
-        config = Config().replace("border.kind", "points") if points else Config()
-        return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
+        return cls(ROBOT, scenario_by_name(scenario).changed(**line), Config(), controller)
 
     @property
     def name(self) -> str:
@@ -68,16 +66,12 @@ WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
 WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
 LATERAL = Experiment.of("guiding-lateral", "dbb")
 FRONT = Experiment.of("guiding-front", "dbb")
+_GUIDING = {"lateral": LATERAL, "front": FRONT}
+_POINTS = Config().replace("border.kind", "points")  # as in the paper
 GUIDING = {
-    "dbb": {"lateral": LATERAL, "front": FRONT},
-    "points": {
-        "lateral": Experiment.of("guiding-lateral", "dbb", points=True),
-        "front": Experiment.of("guiding-front", "dbb", points=True),
-    },
-    "repulsive": {
-        "lateral": LATERAL._replace(controller="repulsive"),
-        "front": FRONT._replace(controller="repulsive"),
-    },
+    "dbb": _GUIDING,
+    "points": {name: each._replace(config=_POINTS) for name, each in _GUIDING.items()},
+    "repulsive": {name: each._replace(controller="repulsive") for name, each in _GUIDING.items()},
 }
 """The guiding runs, by the method and the direction; `points` is `dbb` on a border of points."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
@@ -101,7 +95,6 @@ class Sources:
     config: Config
     """The default parameters, which all runs have except those on a border of points."""
     runs: Runs
-    """The finished runs."""
 
     @property
     def pair(self) -> Pair:

@@ -177,8 +177,7 @@ def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
     ax.plot(rho[inside], table["fit"][inside], color=fitted, label="fit of (9)")
     ax.plot(rho, table["paper"], "--", color=printed, label="(9) with the paper's A, B, C")
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
-    ax.set_ylim(0.0, 1.25 * float(np.nanmax(mean)))
-    ax.set_xlim(0.0, None)
+    ax.set(xlim=(0.0, None), ylim=(0.0, 1.25 * float(np.nanmax(mean))))
     ax.legend(fontsize=8, loc="upper right")
     style.panel_title(ax, "", "by distance from the mount")
 

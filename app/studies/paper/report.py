@@ -11,13 +11,7 @@ from app.studies.page import Cell, Grid, Part, measured_grids, page_html
 from app.studies.paper import acting, approach, density, departures, offline
 from app.studies.paper.claims import Threshold, claims_of
 from app.studies.paper.drawing import Drawing
-from app.studies.paper.experiments import (
-    ROBOT,
-    Experiment,
-    duration,
-    load_sources,
-    run_experiments,
-)
+from app.studies.paper.experiments import ROBOT, Experiment, duration, load_sources, run_experiments
 from app.studies.runs import write_json
 from app.studies.style import Picture, pictures_in, styled
 from app.system import write_whole

@@ -1,44 +1,50 @@
-"""A case of a study as a row of a table: the random quantities, then the results of the run.
+"""A case of a study: the random draw, the run, and the row of a table with both.
 
-Robot, controller, plant and the random quantities determine the run.
+A draw depends only on the study's parameters and the number of the case. The end-effector starts on
+a ray from a target point in the base, in any direction of the sphere. Robot, controller, plant and
+the random quantities determine the run.
 """
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
-from app.border.cache import BorderData
-from app.errors import AssetError, DbbError
+import numpy as np
+
+from app.border.cache import BorderData, load_border_data
+from app.border.mobile import MobileBody
+from app.config import parameter
+from app.errors import AssetError, DbbError, StudyError, UnreachableError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
 from app.simulation.case import RunSpec
 from app.simulation.run import run_from_spec
 from app.simulation.scenarios.line import RANDOM_PULL
-from app.studies.pulls.parameters import PARAMETERS, StudyParameters
+from app.simulation.scenarios.start import StartSolver
+from app.strict import Array
+from app.studies.pulls.parameters import (
+    FAULTS,
+    LOGARITHMIC,
+    PARAMETERS,
+    Interval,
+    StudyParameters,
+    StudyRange,
+)
 from app.studies.runs import Row, flattened, rounded
+from app.studies.sweep.plan import exit_distance, point_of
 
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Results of a run that depend on the machine, which a study does not store."""
+_ENDINGS = {"-": "", "s": "_s", "rad": "_rad", "m/s": "_mps", "N": "_n", "N/m": "_npm", "kg": "_kg"}
 COLUMNS = {
     "speed": "speed_mps",
     "duration": "duration_s",
     "moving": "moving",
     "release_at": "release_at_s",
     "regrasp_at": "regrasp_at_s",
-    "base_delay": "base_delay_s",
-    "encoder_noise": "encoder_noise_rad",
-    "mass_error": "mass_error",
-    "slip": "slip",
-    "v_max": "v_max_mps",
-    "hand_f_max": "hand_f_max_n",
-    "hand_stiffness": "hand_stiffness_npm",
-    "hand_mass": "hand_mass_kg",
-    "payload": "payload_kg",
-    "sensor_delay": "sensor_delay_s",
-    "sensor_period": "sensor_period_s",
-    "dropped": "dropped",
-    "unknown_load": "unknown_load_kg",
-    "stated_period": "stated_period_s",
+    **{name: name + _ENDINGS[parameter(path).unit] for name, path in PARAMETERS.items()},
     "fault_at": "fault_at_s",
 }
 """The column of each random quantity, by the quantity's name in `StudyRange` or, for `_OF_LINE`, in
@@ -50,6 +56,270 @@ _NOT_STORED = {
     *("stuck", "left_way"),  # no numbers
     *TIMES,
 }
+
+SECTORS = ("front", "front corner", "side", "back", "above", "below")
+"""Equally probable parts of the sphere of directions from the base to the end-effector. "above" is
+more than 45° above the horizontal, "below" more than 10° below it. The other sectors are intervals
+of the angle from the base's heading, on both sides."""
+
+_TRIES = 600  # [-] largest number of positions that are drawn for a case
+_IN_SECTOR = 60  # [-] number of positions after which another sector is drawn
+_SEARCHES = 2  # [-] starting points of the search for a posture, for each pitch of the end-effector
+_GAP = 0.22, 0.50  # [m] range of the distance along the ray from the base's box to the end-effector
+_INNER = 0.9  # [-] part of the base's length and width that contains the targets
+_ABOVE, _BELOW = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
+_EDGES = {"front": 30.0, "front corner": 60.0, "side": 120.0}  # [deg] largest angle from the front
+_SAMPLES = 4000  # [-] number of postures from which the reach is measured
+_SIDEWAYS = 0.5  # [-] largest sideways component of the end-effector's direction
+_UPWARDS = 0.26  # [-] largest upward component of this direction: the start solver's 15°
+_QUANTILES = 0.02, 0.98  # [-] of the end-effector's distance from the shoulder
+_ALONG = 0.15  # [-] probability of a pull along the base
+_ALONG_ANGLE = math.radians(45.0)  # [rad] largest angle of a pull along the base towards it
+_LOWEST = 0.05  # [m] smallest height of a target in the base, and of the end of a pull along it
+_LENGTH = 0.15, 0.60  # [m] range of the length of a pull along the base; longest pull towards it
+_REST = 1.0  # [s] time of the run after the pull, when a collision is still possible
+_PEAK = 1.5  # [-] ratio of the cubic's largest speed to its mean speed
+_RELEASE = 0.3, 1.0  # [-] range of the time of release, as a share of the pull's duration
+_MAX_FAULTS = 3  # [-] largest number of faults in a case
+_LATER = ("payload", *FAULTS)  # from a separate random stream, so that pulls do not depend on them
+_FREE = 0.1, 0.9  # [-] range of the time from release to new grasp, as a share of the time of rest
+
+
+class StudySources(NamedTuple):
+    """Data that all cases of a study share."""
+
+    model: RobotModel
+    data: BorderData
+    lower: Array
+    """(3,) [m] lower corner, on the floor, of a box around the mobile base, in the base's frame."""
+    upper: Array
+    """(3,) [m] upper corner of the box."""
+    shoulder: Array
+    """(3,) [m] the arm's second joint (the shoulder) in the base's frame."""
+    near: float
+    """[m] smallest distance of a start from the shoulder."""
+    far: float
+    """[m] largest distance of a start from the shoulder."""
+
+
+class Start(NamedTuple):
+    """The start of a case, in the base's frame."""
+
+    sector: str
+    """One of `SECTORS`."""
+    p: Array
+    """(3,) [m] position of the end-effector."""
+    aim: Array
+    """(3,) [m] target point inside the base."""
+
+    @property
+    def outwards(self) -> Array:
+        """(3,) unit vector from the target to the end-effector."""
+        ray = self.p - self.aim
+        return ray / np.linalg.norm(ray)
+
+
+@cache
+def load_sources(robot: str) -> StudySources:
+    """Load the data of a robot, once in each process.
+
+    Raises:
+        UnknownNameError: The robot does not exist.
+        AssetError: The robot's URDF or a mesh is missing.
+    """
+    model = RobotModel(load_robot(robot))
+    body = MobileBody(model)
+    lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
+    return StudySources(model, data, lower, body.upper, *_measure_reach(model))
+
+
+def draw_start(
+    sources: StudySources, heights: Interval, rng: np.random.Generator
+) -> tuple[Start, Array, int]:
+    """Draw a start in a range of heights [m], where the arm has every pair outside its buffer.
+
+    Returns:
+        The start, the arm's joint positions (n_m,) at the start, and the number of starts that were
+        drawn before and rejected.
+
+    Raises:
+        StudyError: The arm reaches none of the drawn starts.
+    """
+    d_b = sources.model.description.config.border.d_b
+    solver = StartSolver(sources.model, sources.data.pairs, d_b)
+    sector = ""
+    for redraws in range(_TRIES):
+        if redraws % _IN_SECTOR == 0:
+            sector = SECTORS[rng.integers(len(SECTORS))]
+        start, seed = place(sector, sources, rng), int(rng.integers(2**32))
+        distance = float(np.linalg.norm(start.p - sources.shoulder))
+        high = heights[0] <= start.p[2] <= heights[1]
+        if not (high and sources.near <= distance <= sources.far):
+            continue
+        try:
+            return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
+        except UnreachableError:
+            continue
+    raise StudyError(
+        f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
+        f"end-effector {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
+    )
+
+
+def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start:
+    """Draw a start in a sector; the arm may not be able to reach it."""
+    lower, upper = sources.lower, sources.upper
+    middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
+    plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
+    aim = np.array([*plan, rng.uniform(_LOWEST, float(upper[2]))])
+    outwards = _direction(sector, rng)
+    distance = exit_distance(aim, outwards, lower, upper) + rng.uniform(*_GAP)
+    return Start(sector, aim + distance * outwards, aim)
+
+
+def sector_of(direction: Array) -> str:
+    """The sector of a unit vector (3,) in the base's frame."""
+    x, y, z = direction.tolist()
+    if z > _ABOVE:
+        return "above"
+    if z < _BELOW:
+        return "below"
+    azimuth = abs(math.atan2(y, x))
+    return next((name for name, edge in _EDGES.items() if azimuth < math.radians(edge)), "back")
+
+
+def _direction(sector: str, rng: np.random.Generator) -> Array:
+    """Draw a unit vector (3,) with a uniform distribution in a sector of the sphere."""
+    while True:
+        v = rng.standard_normal(3)
+        v /= np.linalg.norm(v)
+        if sector_of(v) == sector:
+            return v
+
+
+def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
+    """The fields `shoulder`, `near` and `far` of `StudySources`.
+
+    The distances come from random postures in which the end-effector points outwards and not far
+    upwards, as at the starts that the start solver finds. Without such a posture, they are 0 and
+    infinite.
+    """
+    state, rng = RobotState(model), np.random.default_rng(0)
+    joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
+    ready = np.array(model.description.arm.ready_position)
+    state.update(at_rest(model, ready))
+    shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
+    distances = []
+    for _ in range(_SAMPLES):
+        q = rng.uniform(model.q_lower, model.q_upper)
+        state.update(at_rest(model, q))
+        p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
+        out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
+        sideways = abs(z[1] * out[0] - z[0] * out[1])
+        if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
+            distances.append(np.linalg.norm(p - shoulder))
+    near, far = np.quantile(distances, _QUANTILES) if distances else (0.0, np.inf)
+    return shoulder, float(near), float(far)
+
+
+def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
+    """Draw the random quantities of a case, by the columns of the study's table.
+
+    Each case has its own streams of random numbers. Therefore it depends only on the parameters and
+    the number of the case, and not on other cases.
+
+    Raises:
+        StudyError: The arm reaches no start in the range of heights.
+    """
+    rng, others = (
+        np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=key))
+        for key in ((number,), (number, 1))
+    )
+    ranges = parameters.ranges
+    speed = draw_value("speed", ranges, rng)
+    drawn: dict[str, float | None] = {
+        n: draw_value(n, ranges, rng) for n in PARAMETERS if n not in _LATER
+    }
+    start, q_m, redraws = draw_start(sources, ranges.height, rng)
+    move, along = _draw_move(start, rng)
+    move, duration, moving = _timed(move, speed, ranges.duration)
+    release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
+    drawn |= {"speed": speed, "duration": duration, "moving": moving}
+    drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
+    drawn |= _draw_faults(ranges, duration * moving, others)
+    return {
+        "case": number,
+        "kind": f"{start.sector}, along" if along else start.sector,
+        "redraws": redraws,
+        "seed": int(rng.integers(2**32)),
+        **{f"start_{axis}_m": x for axis, x in zip("xyz", start.p.tolist(), strict=True)},
+        **{f"move_{axis}_m": x for axis, x in zip("xyz", move.tolist(), strict=True)},
+        **{column: drawn[name] for name, column in COLUMNS.items()},
+        **{f"q{i}_rad": q for i, q in enumerate(q_m.tolist(), start=1)},
+    }
+
+
+def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float:
+    """Draw the value of a quantity with a name in `StudyRange`."""
+    low, high = getattr(ranges, name)
+    if name not in LOGARITHMIC:
+        return float(rng.uniform(low, high))
+    return float(np.clip(math.exp(rng.uniform(math.log(low), math.log(high))), low, high))
+
+
+def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
+    """Draw the displacement (3,) [m] of a pull, and whether it is along the base.
+
+    The other pulls lead towards the target, and end there or after 0.6 m. A pull along the base is
+    perpendicular to the line to the target, or up to 45° towards the target.
+    """
+    length, along = rng.uniform(*_LENGTH), rng.random() < _ALONG
+    across, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
+    o = start.outwards
+    if not along:
+        move = start.aim - start.p
+        return move * min(1.0, _LENGTH[1] / float(np.linalg.norm(move))), False
+    across -= (across @ o) * o
+    move = length * (math.cos(turn) * across / np.linalg.norm(across) - math.sin(turn) * o)
+    move[2] = max(move[2], _LOWEST - start.p[2])
+    return move, True
+
+
+def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
+    """The displacement (3,) [m] of a pull, shortened if the pull would take too long; the duration
+    [s] of the run; and the ratio [-] of the pull's duration to the run's duration.
+
+    `speed` [m/s] is the largest speed of the hand. The run takes at most `longest` [s], including a
+    rest of 1 s after the pull, or of a quarter of `longest` if that is shorter.
+    """
+    rest = min(_REST, longest / 4)
+    pulling = _PEAK * float(np.linalg.norm(move)) / speed
+    if pulling > longest - rest:
+        move = move * ((longest - rest) / pulling)
+        pulling = longest - rest
+    return move, pulling + rest, pulling / (pulling + rest)
+
+
+def _draw_faults(ranges: StudyRange, pulling: float, rng: np.random.Generator) -> dict[str, float]:
+    """Draw the payload, the faults (at most three), and the time `fault_at` [s] of their beginning.
+
+    `pulling` [s] is the duration of the pull. Absent faults have the parameters' defaults.
+    """
+    drawn = {name: draw_value(name, ranges, rng) for name in _LATER}
+    count = int(rng.integers(1, _MAX_FAULTS + 1)) if rng.random() < ranges.faulty else 0
+    for name in rng.permutation(list(FAULTS))[count:]:
+        drawn[name] = parameter(PARAMETERS[name]).default
+    return drawn | {"fault_at": draw_value("fault_at", ranges, rng) * pulling}
+
+
+def _draw_release(
+    ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
+) -> tuple[float | None, float | None]:
+    """Draw the times [s] of release and new grasp, which are None if the event does not happen."""
+    released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
+    release = duration * moving * rng.uniform(*_RELEASE)
+    regrasp = release + duration * (1.0 - moving) * rng.uniform(*_FREE)
+    return (release if released else None), (regrasp if released and regrasped else None)
 
 
 def spec_of(row: Row, parameters: StudyParameters) -> RunSpec:

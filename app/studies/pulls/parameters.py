@@ -110,12 +110,7 @@ class StudyRange(Strict):
 
     @model_validator(mode="after")
     def _within_bounds(self) -> Self:
-        """Check all values.
-
-        Raises:
-            ConfigError: A value is invalid; the message names the option of `dbb study` and the
-                valid values.
-        """
+        """Raise a `ConfigError` that names the option of `dbb study` and its valid values."""
         for name, value in self:
             option = f"--{name.replace('_', '-')}"
             if name in _BOUNDS:
@@ -137,14 +132,9 @@ class StudyParameters(Strict):
     seed: int = 0
     """Seed of the random quantities; those of case k depend only on seed, k, robot and ranges."""
     robot: str = "husky_panda"
-    """Name of the robot; `dbb robots` lists all names."""
     controller: str = "dbb"
-    """dbb; hqp (the paper's controller as printed, slower); repulsive or barrier (methods for
-    comparison); or none (the same controller without avoidance)."""
     physics: str = Field(default_factory=default_plant)
-    """planar, mujoco, mujoco-contact or kinematic."""
     ranges: StudyRange = StudyRange()
-    """Distributions of the random quantities."""
     inside: bool = False
     """Whether to narrow the ranges to the envelope that the project states."""
 

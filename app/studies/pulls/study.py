@@ -21,8 +21,7 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.simulation.case import RunCase
 from app.strict import file_text, parsed
-from app.studies.pulls.case import failed, play_case, spec_of, stopped
-from app.studies.pulls.draw import StudySources, draw_case, load_sources
+from app.studies.pulls import case
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
 from app.studies.runs import Row, write_json, write_rows
@@ -49,16 +48,11 @@ def study(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Run the missing cases of a study, and write its results into its folder.
+    """Run the missing cases of a study, and write its results into an existing folder.
 
-    Args:
-        parameters: All parameters that determine the cases.
-        cases: Number of cases. If the folder has fewer cases, the others run; if it has more, the
-            results are those of the first cases.
-        out: An existing folder.
-        scheduler: Address of a dask scheduler, or None for processes on this machine.
-        processes: Number of processes on this machine.
-        on_progress: Called with the number of finished cases.
+    If the folder has fewer cases, the others run; if it has more, the results are those of the
+    first cases. The cases run on the workers of a dask `scheduler`, which is given by its address,
+    or else in processes of this machine. `on_progress` gets the number of finished cases.
 
     Returns:
         The content of `study.json`.
@@ -94,7 +88,7 @@ def _do(
     on_progress: Callable[[float], None],
 ) -> None:
     """Run the cases with the numbers `todo`; the journal stores each result immediately."""
-    load = partial(load_sources, parameters.robot)
+    load = partial(case.load_sources, parameters.robot)
     load()  # samples a missing border once
     workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
     kept, lost = len(journal.rows), partial(_lost_row, parameters)
@@ -107,21 +101,19 @@ def _do(
                 on_progress(kept)
 
 
-def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
-    drawn = draw_case(parameters, number, sources)
-    return play_case(drawn, parameters, sources.model, sources.data)
+def _row(parameters: StudyParameters, sources: case.StudySources, number: int) -> Row:
+    drawn = case.draw_case(parameters, number, sources)
+    return case.play_case(drawn, parameters, sources.model, sources.data)
 
 
 def _lost_row(parameters: StudyParameters, number: int) -> Row:
     """The row of a case whose process has ended in each attempt."""
-    drawn = draw_case(parameters, number, load_sources(parameters.robot))
-    return stopped(drawn, "the process was killed in each attempt")
+    drawn = case.draw_case(parameters, number, case.load_sources(parameters.robot))
+    return case.stopped(drawn, "the process was killed in each attempt")
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
-    # Imported here: matplotlib is needed only when all cases are done.
-    from app.studies.pulls.figures import PICTURES
-    from app.studies.pulls.report import report_html, summary_of
+    from app.studies.pulls.report import PICTURES, report_html, summary_of
     from app.studies.style import png_of, styled
 
     d_b = load_robot(parameters.robot).config.border.d_b
@@ -157,8 +149,8 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
     kept = set()
-    for row in filter(failed, rows):
-        run, path = spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
+    for row in filter(case.failed, rows):
+        run, path = case.spec_of(row, parameters), folder / f"case-{row['case']:05d}.json"
         write_whole(path, RunCase.of(run).text())
         kept.add(path)
     for path in set(folder.glob("case-*.json")) - kept:
@@ -175,9 +167,7 @@ class Journal(AbstractContextManager["Journal"]):
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
         """Open or start the journal in an existing folder; use it in a `with`.
 
-        Args:
-            folder: The folder.
-            identity: The data that identify the study, as JSON.
+        `identity` are the data that identify the study, as JSON.
 
         Raises:
             StudyError: The folder has another study, another process uses the folder, or the data
@@ -271,21 +261,33 @@ class Cluster(AbstractContextManager["Cluster"]):
     """
 
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
-        """Connect to a scheduler.
+        """Connect to a scheduler at an address, such as `tls://10.0.0.7:8786`.
 
-        Args:
-            scheduler: Address, such as `tls://10.0.0.7:8786`.
-            make_context: Returns the data that the jobs share; each job calls this function, so it
-                must cache the data.
+        Each job calls `make_context`, which must cache the data that the jobs share.
 
         Raises:
             StudyError: No scheduler answers, the scheduler has no workers, or the workers have
                 other code.
         """
+        # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
+        from distributed import Client
+
         for name in ("distributed", "tornado"):  # their errors arrive as exceptions
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self._make_context = make_context
-        self._client = _connected(scheduler)
+        try:
+            self._client = Client(scheduler, timeout=_PATIENCE)
+        except (
+            OSError,
+            TimeoutError,
+            TypeError,
+            ValueError,
+        ) as error:  # TypeError: no certificate
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise StudyError(
+                f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
+                "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
+            ) from None
         try:
             _check_workers(self._client, scheduler)
         except BaseException:
@@ -324,20 +326,6 @@ def _run(
     function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
 ) -> Result:
     return function(make_context(), job)
-
-
-def _connected(scheduler: str) -> Client:
-    # Imported here: without --scheduler nothing of dask is loaded, and no port is open.
-    from distributed import Client
-
-    try:
-        return Client(scheduler, timeout=_PATIENCE)
-    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificates
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise StudyError(
-            f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
-            "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
-        ) from None
 
 
 def _check_workers(client: Client, scheduler: str) -> None:

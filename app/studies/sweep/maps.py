@@ -244,10 +244,9 @@ def _legend(figure: Figure, *, axis: bool) -> None:
 def _base(
     ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
 ) -> None:
-    """Draw the base's outline in a style, the wheel axis, and the arm's mount.
+    """Draw the base's outline in a style, the wheel axis from y [m] to y [m], and the arm's mount.
 
-    The mount is a circle with the radius `mount` [m]; `axis` has y [m] of both ends of the wheel
-    axis.
+    The mount is a circle with the radius `mount` [m].
     """
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
@@ -286,11 +285,7 @@ def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
-    """Draw a path along the wheel axis as a dot.
-
-    The dots on each side of the base are in the order of x of p_b, with the same angle between
-    neighbours.
-    """
+    """Draw a path along the wheel axis as a dot; the dots are in the order of x of p_b."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)

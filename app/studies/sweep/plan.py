@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
 
-KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b at the starts of the paths along the wheel axis."""
 
@@ -98,17 +98,14 @@ def point_of(p: Array) -> Point:
 
 def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
     """Paths of the kind `side` from all directions, every `step` [deg], at each height [m]."""
-    for height in heights:
-        for k in range(round(360.0 / step)):
-            yield Approach("side", height, k * step)
+    for height, k in product(heights, range(round(360.0 / step))):
+        yield Approach("side", height, k * step)
 
 
 def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
     """Paths of the kind `wheel_axis` from the left and from the right, at each height [m]."""
-    for height in heights:
-        for direction in (90.0, 270.0):
-            for offset in AXIS_OFFSETS:
-                yield Approach("wheel_axis", height, direction, offset)
+    for height, direction, offset in product(heights, (90.0, 270.0), AXIS_OFFSETS):
+        yield Approach("wheel_axis", height, direction, offset)
 
 
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
@@ -118,9 +115,8 @@ def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]
     """
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True))
-    for x in xs:
-        for y in ys:
-            yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
+    for x, y in product(xs, ys):
+        yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
 
 
 def exit_distance(p: Array, direction: Array, lower: Array, upper: Array) -> float:
@@ -166,7 +162,6 @@ class SweepPlan:
     seed: int = 0
     """Seed of all random numbers."""
     config: Config = field(default_factory=Config)
-    """Parameters."""
 
     def __post_init__(self) -> None:
         """Check all values.
@@ -202,7 +197,6 @@ class SweepPlan:
 
     def approaches(self, model: RobotModel) -> list[Approach]:
         """All paths; each is for all speeds and controllers."""
-        # Imported here, so that a plan is checked before slow imports.
         from app.border.mobile import MobileBody
 
         found = list(ring(self.heights, self.step))
@@ -213,15 +207,15 @@ class SweepPlan:
             found += from_above(body.lower[:2], body.upper[:2], self.above_spacing)
         return found
 
-    def trials(self, starts: list[Start]) -> Iterator[Trial]:
-        """One run for each controller, speed, and start that exists."""
-        for controller in self.controllers:
-            for speed in self.speeds:
-                yield from (Trial(start, controller, speed) for start in starts if not start.reason)
+    def trials(self, starts: list[Start]) -> Iterator[tuple[Start, str, float]]:
+        """The arguments of `spec` for each controller, speed, and start that exists."""
+        for controller, speed, start in product(self.controllers, self.speeds, starts):
+            if not start.reason:
+                yield start, controller, speed
 
-    def spec(self, trial: Trial) -> RunSpec:
-        """The run of a trial."""
-        start, moving = trial.start, self.length / trial.speed
+    def spec(self, start: Start, controller: str, speed: float) -> RunSpec:
+        """The run from a start with a controller at a mean speed [m/s] of the end-effector."""
+        moving = self.length / speed
         line = StartedLine(
             start.approach.name,
             moving + self.hold,
@@ -232,7 +226,7 @@ class SweepPlan:
             moving / (moving + self.hold),
             start.q_m,
         )
-        return RunSpec(self.robot, line, self.config, trial.controller, self.physics, self.seed)
+        return RunSpec(self.robot, line, self.config, controller, self.physics, self.seed)
 
 
 class Start(NamedTuple):
@@ -249,12 +243,3 @@ class Start(NamedTuple):
     """[m] distance of the closest point from the base."""
     reason: str = ""
     """The reason why there is no start; empty if there is one."""
-
-
-class Trial(NamedTuple):
-    """A run of a sweep: a start with a speed and a controller."""
-
-    start: Start
-    controller: str
-    speed: float
-    """[m/s] mean speed of the end-effector."""

@@ -4,8 +4,11 @@ The files are `sweep.json`, `sweep.csv`, a map for each height and speed, and, w
 above, a map of these for each speed.
 """
 
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache, partial
-from itertools import groupby
+from itertools import groupby, islice, product, tee
 from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
@@ -13,25 +16,29 @@ from typing import Any
 
 import numpy as np
 
-from app.border.cache import load_border_data
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.border.cache import BorderData, load_border_data
+from app.border.mobile import MobileBody
+from app.errors import UnreachableError
 from app.jobs.pool import Workers
 from app.jobs.progress import OnProgress, part_of
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
 from app.simulation.run import run_from_spec
+from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
 from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
     ERROR_LIMIT,
-    KINDS,
     Approach,
     Kind,
     Start,
     SweepPlan,
-    Trial,
+    exit_distance,
+    point_of,
 )
-from app.studies.sweep.starts import StartFinder
 from app.system import write_whole
 
 _START_SHARE = 0.25  # [-] estimated share of the search for starts in the whole work
@@ -64,6 +71,155 @@ _FIRST = (
 )
 """First columns of `sweep.csv`."""
 
+_Posture = tuple[Array, Array]  # (3,) [m] the end-effector's origin, (n_m,) joint positions
+
+_GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)
+"""[m] distances of the end-effector's origin from the base's outline or top, preferred first."""
+_SEARCHES = tuple(
+    (float(np.radians(turn)), k)
+    for turn, k in ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
+)
+"""[rad] horizontal angle of the end-effector from the outward direction, and a number that is added
+to the seed; preferred first."""
+_TRIES = 4  # [-] starting points of a search for each pitch of the end-effector
+_MAX_POSTURES = 6  # [-] largest number of postures that are tried for a path
+_SLIDE = 0.02  # [m] first step of the end-effector towards the desired distance
+_FARTHEST_SLIDE = 0.25  # [m] sum of these steps after which no further step is made
+_DISTANCE_TOLERANCE = 1e-4  # [m] tolerance of the distance at the start
+_OFFSET_TOLERANCE = 1e-7  # [m] tolerance of the x coordinate of p_b, similar to that of distances
+_OFFSET_TRIES = 40  # [-] largest number of corrections of p_b
+_SMALL_OFFSET = 1e-4  # [m] error of p_b below which joint steps replace the search for postures
+
+
+class StartFinder:
+    """Finds the starts of a robot's paths; the base is at the origin and faces +x."""
+
+    def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
+        """Prepare the search for a robot, its border data and a buffer distance `d_b` [m]."""
+        self.model, self.data = model, data
+        self._solver = StartSolver(model, data.pairs, d_b)
+        self._state = RobotState(model)
+        self._monitor = DistanceMonitor(self._state, data.pairs.mobile)
+        self._body = MobileBody(model)
+        self._searched: tuple[Approach, int] | None = None
+        self._found: Iterator[_Posture] = iter(())
+        self._flaws: Counter[str] = Counter()
+
+    def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
+        """Find the start of a path, or the reasons why there is none.
+
+        If the arm cannot reach the desired `distance` [m] between arm and base on the path's line,
+        the start has the distance at which the search ended.
+        """
+        refused: Counter[str] = Counter()
+        for posture in islice(self._postures(approach, seed), _MAX_POSTURES):
+            try:
+                p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
+                if approach.kind == "wheel_axis":
+                    q_m = self._slide_to_offset(p_ee, q_m, approach.offset)
+            except UnreachableError as error:
+                refused[str(error)] += 1
+                continue
+            closest = self._closest(q_m)
+            p_ee, p_b = point_of(self._state.T_world_ee.translation), point_of(closest.p_b)
+            return Start(approach, tuple(q_m.tolist()), p_ee, p_b, float(closest.d))
+        return Start(approach, reason=_reasons(refused or self._flaws))
+
+    def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
+        """Postures for a path; paths that differ only in `offset` share them."""
+        key = replace(approach, offset=0.0), seed
+        if key != self._searched:
+            self._searched, self._flaws = key, Counter()
+            self._found = self._search(approach, seed, self._flaws)
+        self._found, postures = tee(self._found)  # stores the found postures for the next path
+        return postures
+
+    def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
+        """Search for postures outside all buffers; `flaws` counts the failed tries by reason."""
+        places = [self._place(approach, gap) for gap in _GAPS]
+        reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
+        if len(reached) < len(places):
+            flaws[OUT_OF_REACH] = len(places) - len(reached)
+        for (turn, k), p_ee in product(_SEARCHES, reached):
+            try:
+                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, turn=turn, tries=_TRIES)
+            except UnreachableError as error:
+                flaws.update(error.flaws)
+                continue
+            yield p_ee, q_m
+
+    def _place(self, approach: Approach, gap: float) -> Array:
+        """(3,) [m] position of the end-effector at a gap [m] from the base's outline or top."""
+        lower, upper = self._body.lower, self._body.upper
+        if approach.kind == "above":
+            return np.array([*approach.place, upper[2] + gap])
+        centre, outwards = (lower + upper)[:2] / 2, -approach.inwards[:2]
+        x, y = centre + (exit_distance(centre, outwards, lower[:2], upper[:2]) + gap) * outwards
+        return np.array([x, y, approach.height])
+
+    def _slide_to_distance(
+        self, approach: Approach, p_ee: Array, q_m: Array, distance: float
+    ) -> tuple[Array, Array]:
+        """Move the end-effector along the path's line towards the desired distance [m].
+
+        The result is the position (3,) [m] of the end-effector, and the joint positions (n_m,).
+        """
+        excess = self._closest(q_m).d - distance
+        step, moved = np.sign(excess) * _SLIDE, 0.0
+        while abs(excess) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
+            if moved > _FARTHEST_SLIDE:
+                break
+            p_new = p_ee + step * approach.inwards
+            try:
+                q_new = self._solver.slide(point_of(p_new), q_m)
+            except UnreachableError:
+                step /= 2
+                continue
+            new_excess = self._closest(q_new).d - distance
+            if new_excess * excess < 0:  # the step was too long
+                step /= 2
+                continue
+            p_ee, q_m, excess, moved = p_new, q_new, new_excess, moved + abs(step)
+        return p_ee, q_m
+
+    def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
+        """Find joint positions (n_m,) for which the arm's closest point p_b has x [m], in the base.
+
+        The search starts at `q_m` (n_m,) with the end-effector at `p_ee` (3,) [m]. It shifts this
+        position along the base's x axis, and makes the last small correction by the joints alone.
+
+        Raises:
+            UnreachableError: The search has found no such posture.
+        """
+        smallest = np.inf
+        for _ in range(_OFFSET_TRIES):
+            closest = self._closest(q_m)
+            error = float(closest.p_b[0]) - x
+            if abs(error) < _OFFSET_TOLERANCE:
+                return q_m
+            smallest = min(smallest, abs(error))
+            if abs(error) > _SMALL_OFFSET:
+                p_ee = p_ee - [error, 0.0, 0.0]
+                q_m = self._solver.slide(point_of(p_ee), q_m)
+            else:  # the smallest joint step, which is finer than the search for postures
+                joint = self._state.model.body_joints[closest.pair.b]
+                row = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
+                q_m = q_m - row * error / (row @ row)
+        raise UnreachableError(
+            f"x of the arm's closest point p_b differs by at least {smallest:.1e} m"
+        )
+
+    def _closest(self, q_m: Array) -> ClosestPoints:
+        """The closest points of the nearest pair of L_m at a posture; sets the state to it."""
+        self._state.update(at_rest(self._state.model, q_m))
+        return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
+
+
+def _reasons(flaws: Counter[str]) -> str:
+    """The three most frequent reasons of failed tries, as a text."""
+    ordered = sorted(flaws.items(), key=lambda item: (-item[1], item[0]))
+    return "; ".join(f"{flaw} ({count} tries)" for flaw, count in ordered[:3])
+
 
 @lru_cache(maxsize=1)
 def load(robot: str, d_b: float) -> StartFinder:
@@ -74,18 +230,10 @@ def load(robot: str, d_b: float) -> StartFinder:
 
 
 def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lambda _: None) -> Row:
-    """Run all paths of a plan.
+    """Run all paths of a plan, and return the content of `sweep.json`, whose keys end in the unit.
 
     Each start is searched once for all controllers and speeds. The result, except for `elapsed_s`,
     does not depend on the number of processes.
-
-    Args:
-        plan: The paths.
-        processes: Number of processes.
-        on_progress: Called with the share of the work that is done, 0 to 1.
-
-    Returns:
-        The content of `sweep.json`; keys end in the unit.
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
@@ -94,15 +242,15 @@ def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lamb
     approaches = plan.approaches(make_context().model)
     groups = [tuple(group) for _, group in groupby(approaches, same)]
     starts: list[Start] = []
-    rows: dict[Kind, list[Row]] = {kind: [] for kind in KINDS}
+    rows: dict[Kind, list[Row]] = {kind: [] for kind in LISTS}
     with Workers(make_context, processes) as workers:
         on_share = part_of(on_progress, 0.0, _START_SHARE)
         for found in workers.map(partial(_find_starts, plan), groups, on_share):
             starts += found
         trials, on_share = list(plan.trials(starts)), part_of(on_progress, _START_SHARE, 1.0)
         results = workers.map(partial(_row, plan), trials, on_share)
-        for trial, row in zip(trials, results, strict=True):
-            rows[trial.start.approach.kind].append(row)
+        for (start, *_), row in zip(trials, results, strict=True):
+            rows[start.approach.kind].append(row)
     on_progress(1.0)
     return {
         "robot": plan.robot,
@@ -119,7 +267,7 @@ def sweep(plan: SweepPlan, *, processes: int = 1, on_progress: OnProgress = lamb
         "base_weight": plan.config.task.base_weight,
         "parameters": plan.config.model_dump(),
         "summary": _summaries(plan, starts, rows),
-        **{LISTS[kind]: rows[kind] for kind in KINDS},
+        **{LISTS[kind]: rows[kind] for kind in LISTS},
         "unreachable": [
             {"kind": start.approach.kind, **start.approach.where(), "reason": start.reason}
             for start in starts
@@ -133,15 +281,15 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
     return [finder.find(each, plan.distance, seed=plan.seed) for each in group]
 
 
-def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
-    spec, start = plan.spec(trial), trial.start
+def _row(plan: SweepPlan, finder: StartFinder, trial: tuple[Start, str, float]) -> Row:
+    spec, (start, controller, speed) = plan.spec(*trial), trial
     run, scenario = thinned(run_from_spec(spec, finder.model, finder.data)), spec.scenario
     end = scenario.place(scenario.duration)
     errors = np.linalg.norm(run.trace.of("p_ee") - end, axis=1)
     row: Row = {
-        "controller": trial.controller,
+        "controller": controller,
         **start.approach.where(),
-        "speed_mps": trial.speed,
+        "speed_mps": speed,
         **dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True)),
         "start_clearance_m": start.clearance,
         "start_p_b_x_m": start.p_b[0],
@@ -155,9 +303,7 @@ def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
 def arrival(t: Array, errors: Array) -> float | None:
     """[s] time from which the end-effector stays within 1 mm of the path's end; None if never.
 
-    Args:
-        t: (N,) [s] times.
-        errors: (N,) [m] distances of the end-effector from the path's end at these times.
+    `errors` (N,) [m] are its distances from the path's end at the times `t` (N,) [s].
     """
     arrived = np.append(0, np.flatnonzero(errors > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
@@ -178,13 +324,13 @@ def passes(results: Row, error_limit: float = ERROR_LIMIT) -> bool:
 
 def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
     """Summaries by controller and by the key of `LISTS`, for the kinds of paths in the plan."""
-    by_kind = {kind: [start for start in starts if start.approach.kind == kind] for kind in KINDS}
+    by_kind = {kind: [start for start in starts if start.approach.kind == kind] for kind in LISTS}
     return {
         controller: {
             LISTS[kind]: _summary(
                 by_kind[kind], [row for row in rows[kind] if row["controller"] == controller]
             )
-            for kind in KINDS
+            for kind in LISTS
             if by_kind[kind]
         }
         for controller in plan.controllers
@@ -222,7 +368,6 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
 
 def write_sweep(result: Row, out: Path) -> list[str]:
     """Write the result of a sweep into an existing folder, and return the names of the files."""
-    # Imported here: matplotlib is needed only when all runs are done.
     from app.studies.style import png_of, styled
     from app.studies.sweep.maps import above_map, polar_map
 
