@@ -495,7 +495,7 @@ def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
     """
     steps = 1.0 + w.age[()]
     decay = math.exp(-steps * gains.dt / gains.noise_window)
-    blind = w.age[()] + w.lag[()] > 0.0
+    blind = w.age[()] + w.lag[()] > 0.0 and w.known[()] > 0.0
     for i in range(len(predicted)):
         error = abs(w.x_est[1, i] - predicted[i]) if blind else 0.0
         w.v_error[i] = max(error, decay * w.v_error[i])
