@@ -469,10 +469,17 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     """
     barrier = (which == ARM and gains.barrier) or (which == FREE_BASE and gains.base_in_barrier)
     link_buffers, for_arm = which == ROOM and gains.lookahead, which == ARM
-    n_m = len(w.q_m)
+    n_m, n_b = len(w.q_m), robot.n_b
     qdd_ext, u_min, u_max = np.zeros(n_m), robot.tau_limits[0], robot.tau_limits[1]
+    v_error = w.v_error if for_arm else qdd_ext
     bounds = joint_bounds(
-        w.q_m, w.qd_m, robot.q_limits, robot.qd_limits, gains.position_rate, gains.velocity_rate
+        w.q_m,
+        w.qd_m,
+        robot.q_limits,
+        robot.qd_limits,
+        gains.position_rate,
+        gains.velocity_rate,
+        v_error,
     )
     if for_arm:
         qdd_ext, u_min, u_max = w.x_est[2], w.u_min, w.u_max
@@ -496,8 +503,13 @@ def write_limits(robot: Any, gains: Any, w: Any, which: int) -> int:
     for k in range(count):
         i = rows[k]
         d_min = w.d_b[()] if link_buffers and k >= robot.n_convex_mob else gains.d_min
+        error = math.sqrt((w.J[i, n_b:] ** 2 * v_error**2).sum())
         least[k] = barrier_bound(
-            w.Jdqd[i], w.d_dot[i], w.d[i] - d_min, gains.barrier_rate, gains.max_separation_speed
+            w.Jdqd[i],
+            w.d_dot[i] - error,
+            w.d[i] - d_min,
+            gains.barrier_rate,
+            gains.max_separation_speed,
         )
     distances = slice(2 * n_m, 2 * n_m + count)
     distance_rows(w.J, least, rows, qdd_ext, w.C[distances], w.l[distances], w.u[distances])

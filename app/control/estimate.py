@@ -29,6 +29,8 @@ from app.strict import Array
 FEWEST = 8
 """Samples of the noise before the filter starts."""
 _CLEAR = 0.01  # [-] share of a top speed beyond which a change from a reading to the next is clear
+_PLAUSIBLE = 6.0  # [-] largest ratio of a sample to the variance
+SMALL = 1e-11, 1e-5  # [rad², rad²/s²] variances below which all samples are plausible
 _FARTHEST = 10.0  # [-] largest plausible ratio of a motion to that at top speed
 
 
@@ -124,7 +126,8 @@ def estimate_arm(
         share = max(
             1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / gains.noise_window)
         )
-        _learn(variances, last, known, q, qd, share, dt)
+        robust = samples[()] >= FEWEST
+        _learn(variances, last, known, q, qd, share, dt / gains.noise_window, robust, dt)
     else:
         for i in range(len(q)):
             last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
@@ -148,7 +151,15 @@ def advance(x: Array, known: Array, dt: float) -> None:
 
 @compiled()
 def _learn(
-    variances: Array, last: Array, known: Array, q: Array, qd: Array, share: float, dt: float
+    variances: Array,
+    last: Array,
+    known: Array,
+    q: Array,
+    qd: Array,
+    share: float,
+    least_share: float,
+    robust: bool,
+    dt: float,
 ) -> None:
     """Include one more reading in the noise estimate.
 
@@ -177,10 +188,15 @@ def _learn(
         unknown = steps * dt * (begin - last[0, i])
         of_q = (unknown - last[2, i]) ** 2 / 20.0
         last[0, i], last[1, i], last[2, i] = begin + gained, q[i], unknown
-        if not math.isnan(qd[i]):
-            variances[1, i] += share * ((qd[i] - last[0, i]) ** 2 - variances[1, i])
-        if not math.isnan(of_q):
-            variances[0, i] += share * (of_q - variances[0, i])
+        of_qd = (qd[i] - last[0, i]) ** 2
+        for k in range(2):
+            sample = of_q if k == 0 else of_qd
+            if math.isnan(sample):
+                continue
+            weight, largest = share, _PLAUSIBLE * max(variances[k, i], SMALL[k])
+            if robust and sample > largest:
+                sample, weight = largest, min(share, least_share)
+            variances[k, i] += weight * (sample - variances[k, i])
 
 
 @compiled()

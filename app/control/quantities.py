@@ -130,6 +130,8 @@ noise_var | σ² | 2 n_m | rad², rad²/s² | joints | estimate |
 q_last |  | 3 n_m | rad | joints | estimate |
     memory: last velocity from positions, last position, and their second difference minus the
     prediction
+v_error | | n_m | rad/s, m/s | joints | readings |
+    memory: recent error of predicted joint velocities; 0 while each period has a new reading
 samples | | | 1 | | estimate | memory: number of samples in the noise estimate
 v_last | ν | n_b | m/s, rad/s | axes | estimate | memory: last base velocity; NaN after a gap
 # Link pairs, acting points, the base's acceleration

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from app.compiled import compiled
-from app.control.estimate import FEWEST, advance, estimate_arm, predicted_joint_acceleration
+from app.control.estimate import FEWEST, SMALL, advance, estimate_arm, predicted_joint_acceleration
 from app.control.qp import times
 from app.strict import Array
 from app.structs import fill, put, put_rows
@@ -54,6 +54,8 @@ _STILL = 1e-7  # [rad] largest predicted motion in a period of a robot at rest
 _FARTHEST = 10.0  # [-] multiple of a top speed above which a motion is impossible
 _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the period
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
+_FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
+_RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
 _AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
@@ -312,16 +314,23 @@ def _measure_from(w: Any, q: Array, qd: Array) -> None:
 
 
 @compiled()
+def _divided(way: float, integral: float) -> float:
+    """The ratio of a motion to the integral of its velocity; infinite for an integral of 0."""
+    return way / integral if integral != 0.0 else math.inf
+
+
+@compiled()
 def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     """Estimate `w.ratio`, the displacement of a joint divided by the integral of its velocity.
 
-    The joint is the one with the largest displacement. If the ratio is outside of 0.1 to 10, no
-    plausible period explains it: then `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Three
-    successive ratios that agree and are outside of 0.8 to 1.25 set the fault `period`. A ratio
-    counts as 1 if velocities that are up to one reading old explain it.
+    The joint is the one with the largest displacement. A driver's filter can make velocities late,
+    by 0.01 s at most; each delay within this range implies a ratio. `w.ratio` becomes the ratio
+    nearest to 1. If it is outside of 0.1 to 10, no plausible period explains it: then
+    `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Three successive ratios that agree and
+    differ from 1 set the fault `period`.
     """
     irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
-    if w.known[()] == 0.0 or irregular:  # a gap, or lost readings
+    if irregular:  # lost readings
         w.agreed[()] = 0.0
         _measure_from(w, q, qd)
         return
@@ -335,22 +344,23 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
             far, most = i, share
     if far < 0 or w.since[()] < 4.0:
         return
-    integral, way = w.travel[1, far], q[far] - w.travel[0, far]
-    rounding = steps * gains.dt * abs(qd[far] - w.travel[2, far])
-    ratio = way / integral if integral != 0.0 else math.inf
-    if abs(way - integral) <= rounding:
-        ratio = 1.0
-    if not 0.1 < ratio < 10.0:  # NaN too
-        w.no_velocity[()] = 1.0
-        ratio = 1.0
+    way, change = q[far] - w.travel[0, far], qd[far] - w.travel[2, far]
+    integral = w.travel[1, far] - 0.5 * steps * gains.dt * change  # the trapezoidal rule
+    ratio, late = _divided(way, integral), _divided(way, integral + _FILTER * change)
+    low, high = min(ratio, late), max(ratio, late)
+    if low < 0.0 < high or (low < _RIGHT and high > 1.0 / _RIGHT):
+        found = 1.0
     else:
-        w.no_velocity[()] = 0.0
-    if not 0.8 < ratio < 1.25:
-        agrees = abs(ratio - w.ratio[()]) < 0.15 * ratio
+        found = low if low > 1.0 else high
+    w.no_velocity[()] = 0.0 if 0.1 < found < 10.0 else 1.0  # NaN too
+    if w.no_velocity[()] != 0.0:
+        found = 1.0
+    elif found != 1.0:
+        agrees = abs(found - w.ratio[()]) < 0.15 * found
         w.agreed[()] = w.agreed[()] + 1.0 if agrees else 0.0
         w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
-    w.ratio[()] = ratio
+    w.ratio[()] = found
     _measure_from(w, q, qd)
 
 
@@ -359,7 +369,7 @@ def _begin(gains: Any, w: Any, q: Array, qd: Array) -> None:
     """Initialise the memory with the first valid reading."""
     put(w.q_posture, q)
     w.lag[()] = min(max(round(gains.delay / gains.dt), 0), _MOST_LAG)
-    w.ratio[()] = 1.0
+    w.ratio[()] = 0.0
     _measure_from(w, q, qd)
     for k in range(3):
         w.read_ages[k] = HISTORY * (k + 1.0)  # no earlier readings exist
@@ -450,6 +460,48 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
 
 
 @compiled()
+def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
+    """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
+
+    The reading is compared with the predicted states of the last periods. Thus a delay that begins
+    or ends during a motion is known at once; `_find_lag` finds the other delays. A stop is no
+    delay, because it changes the velocities. `w.age` becomes negative if the reading is older than
+    the last one.
+    """
+    count, lag = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()])
+    if w.samples[()] < FEWEST or lag >= count or not 0.8 < w.ratio[()] < 1.25:
+        return
+    x, errors = w.x_est.copy(), np.zeros(count)
+    for k in range(count):
+        for i in range(len(q)):
+            errors[k] += (q[i] - x[0, i]) ** 2 / max(w.noise_var[0, i], SMALL[0])
+            errors[k] += (qd[i] - x[1, i]) ** 2 / max(w.noise_var[1, i], SMALL[1])
+            x[0, i] -= gains.dt * x[1, i]
+            x[1, i] -= gains.dt * (w.history[(int(w.periods[()]) - k) % HISTORY, i] + x[2, i])
+        if k == lag and errors[k] < _CLEARLY**2 * len(q):
+            return
+    best = int(np.argmin(errors))
+    if errors[lag] > _CLEARLY**2 * (errors[best] + len(q)):
+        w.lag[()] = best
+        w.age[()] += lag - best
+        fill(w.evidence, 0.0)
+
+
+@compiled()
+def _learn_v_error(gains: Any, w: Any, predicted: Array) -> None:
+    """Update `w.v_error` after a new reading, from the velocities (n_m,) predicted without it.
+
+    It is the largest recent error of a prediction, which decays with the window of the noise.
+    """
+    steps = 1.0 + w.age[()]
+    decay = math.exp(-steps * gains.dt / gains.noise_window)
+    blind = w.age[()] + w.lag[()] > 0.0 and w.known[()] > 0.0
+    for i in range(len(predicted)):
+        error = abs(w.x_est[1, i] - predicted[i]) if blind else 0.0
+        w.v_error[i] = max(error, decay * w.v_error[i])
+
+
+@compiled()
 def take_readings(
     robot: Any,
     gains: Any,
@@ -493,9 +545,13 @@ def take_readings(
     if not lost:
         velocity = _usable_velocity(robot, gains, w, base_velocity, first)
     _remember(robot, gains, w, velocity, not lost)
+    advance(w.x_est, _recall(w, 0, 1), gains.dt)
+    predicted = w.x_est[1].copy()
+    if not (lost or first):
+        _match_lag(w, q, qd, gains)
+        lost = w.age[()] < 0.0
     if lost:
         w.age[()] += 1.0
-        advance(w.x_est, _recall(w, 0, 1), gains.dt)
     else:
         w.age[()] += _rested(w, q, qd, gains.dt, first)
         put(w.reading[0], q)
@@ -503,6 +559,7 @@ def take_readings(
         _take_new(robot, gains, w, q, qd, first)
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         put(w.v_read, base_velocity)
+        _learn_v_error(gains, w, predicted)
         w.age[()] = 0.0
     w.faults[LAG] = 1.0 if w.lag[()] > round(gains.delay / gains.dt) else 0.0
     _estimate_load(gains, w)
