@@ -11,7 +11,7 @@ import json
 import logging
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -49,7 +49,6 @@ _UNREADABLE = (
     EOFError,
     BadZipFile,
     zlib.error,
-    NotImplementedError,
     RuntimeError,
     MemoryError,
 )
@@ -64,9 +63,9 @@ class _Header(Strict):
 
     key: str
     format: int
-    mobile: tuple[tuple[str, str], ...]
-    manipulator: tuple[tuple[str, str], ...]
-    never: tuple[tuple[str, str], ...]
+    mobile: tuple[Pair, ...]
+    manipulator: tuple[Pair, ...]
+    never: tuple[Pair, ...]
     rates: dict[str, NonNegative]
     least_distance_m: dict[str, Finite]
     samples: int
@@ -261,15 +260,10 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
         raise DamagedFileError("it belongs to another robot, sampling or version")
-    mobile, manipulator, never = (
-        tuple(Pair(*names) for names in group)
-        for group in (header.mobile, header.manipulator, header.never)
-    )
-    rates, least = header.rates, header.least_distance_m
-    pairs = LinkPairs(mobile, manipulator, never, rates, least, header.samples, header.seed)
+    pairs = LinkPairs(**{each.name: getattr(header, each.name) for each in fields(LinkPairs)})
     clouds = {
         pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
-        for i, pair in enumerate(mobile)
+        for i, pair in enumerate(pairs.mobile)
     }
     return BorderData(pairs, clouds, "cache")
 

@@ -30,6 +30,9 @@ class Witnesses(NamedTuple):
     """(N, 3) unit vectors from l_m to the body."""
 
 
+_Poses = tuple[Array, Witnesses]  # poses (N, n_m) [rad or m], and their closest points
+
+
 class PairReader:
     """Computes closest points of one pair for many poses of the arm; the base is at the origin."""
 
@@ -78,6 +81,7 @@ class Flood:
         model: RobotModel,
         reader: PairReader,
         voxels: Voxels,
+        open_voxels: Array,
         shell: tuple[float, float],
         rng: np.random.Generator,
     ) -> None:
@@ -87,23 +91,20 @@ class Flood:
             model: The robot.
             reader: Computes the pair's closest points.
             voxels: The grid.
+            open_voxels: (voxels.count,) whether each voxel is open; changed in place.
             shell: [m] smallest and largest distance of a valid point.
             rng: Source of random numbers.
         """
+        self._open = open_voxels
         self._model, self._reader, self._voxels, self._rng = model, reader, voxels, rng
         self._low, self._high = shell
         # Scale of a joint's random step: 1 for a full turn, small for a short travel.
         self._scale = np.minimum(model.q_upper - model.q_lower, 2 * np.pi) / (2 * np.pi)
-        self.open = np.zeros(voxels.count, dtype=bool)
-        """(voxels.count,) whether each voxel is still open."""
-        self._q = np.empty((0, model.n_m))
-        self._seen = Witnesses(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
-    def run(self, open_voxels: Array, sources: Array, retries: int) -> tuple[Array, Array]:
+    def run(self, sources: Array, retries: int) -> tuple[Array, Array]:
         """Flood the open voxels.
 
         Args:
-            open_voxels: (voxels.count,) whether each voxel is open; changed in place.
             sources: (N, n_m) [rad or m] starting poses.
             retries: Number of times that a batch is tried again for open neighbouring voxels. Each
                 time, the batch's first pose next to a voxel makes a step.
@@ -112,45 +113,40 @@ class Flood:
             The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and
             their points (N, 3) int16 as in `Cloud`.
         """
-        self.open = open_voxels
         seen = self._reader.witnesses(sources)
-        fresh = self._accept(seen)
-        accepted = [(sources[fresh].astype(np.float32), quantise_points(seen.p_b[fresh]))]
+        accepted = [self._accepted(sources, seen)]
         waiting = [[(sources, seen)]] + [[] for _ in range(retries)]
         while (round_ := next((k for k, queue in enumerate(waiting) if queue), None)) is not None:
             q, seen = _take(waiting[round_])
-            tried, reached = self._expand(q, seen, round_)
-            fresh = self._accept(reached)
-            if len(fresh):
-                accepted.append(
-                    (tried[fresh].astype(np.float32), quantise_points(reached.p_b[fresh]))
-                )
-                waiting[0].append((tried[fresh], _pick(reached, fresh)))
+            fresh = self._accepted(*self._expand(q, seen, round_))
+            if len(fresh[0]):
+                accepted.append(fresh)
+                waiting[0].append(fresh)
             if round_ < retries:
                 waiting[round_ + 1].append((q, seen))
-        q_m, points = (np.concatenate(each) for each in zip(*accepted, strict=True))
-        return q_m, points
+        q_m, points = _joined(accepted)
+        return q_m.astype(np.float32), quantise_points(points.p_b)
 
-    def _accept(self, seen: Witnesses) -> Array:
-        """Select one closest point for each open voxel, close these voxels, return the indices."""
+    def _accepted(self, q: Array, seen: Witnesses) -> _Poses:
+        """Select one pose for each open voxel, and close these voxels."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
         fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
-        candidates = np.flatnonzero(fits & self.open[keys])
+        candidates = np.flatnonzero(fits & self._open[keys])
         _, first = np.unique(keys[candidates], return_index=True)
         fresh = candidates[first]
-        self.open[keys[fresh]] = False
-        return fresh
+        self._open[keys[fresh]] = False
+        return q[fresh], Witnesses(*(column[fresh] for column in seen))
 
-    def _expand(self, q: Array, seen: Witnesses, round_: int) -> tuple[Array, Witnesses]:
+    def _expand(self, q: Array, seen: Witnesses, round_: int) -> _Poses:
         """Make one step towards each open neighbouring voxel, from the first pose next to it."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - seen.p_b[:, None]
         ahead = seen.d[:, None] + (step * seen.normal[:, None]).sum(axis=2)
-        useful = (keys >= 0) & self.open[keys] & (ahead > self._low) & (ahead < self._high)
+        useful = (keys >= 0) & self._open[keys] & (ahead > self._low) & (ahead < self._high)
         source, side = np.nonzero(useful)
         if not len(source):
-            return q[:0], _pick(seen, source)
+            return q[:0], Witnesses(*(column[:0] for column in seen))
         # Without this selection, two poses would try the same voxel in nearly half of all tries.
         _, first = np.unique(keys[source, side], return_index=True)
         source, side = source[first], side[first]
@@ -189,18 +185,18 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
     return free + (J_T @ weight)[:, :, 0]
 
 
-def _take(queue: list[tuple[Array, Witnesses]]) -> tuple[Array, Witnesses]:
+def _take(queue: list[_Poses]) -> _Poses:
     """Remove poses from the end of a queue: at least a batch, or all poses if there are fewer."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())
         count += len(taken[-1][0])
-    columns = zip(*(seen for _, seen in taken), strict=True)
-    return np.concatenate([q for q, _ in taken]), Witnesses(*map(np.concatenate, columns))
+    return _joined(taken)
 
 
-def _pick(seen: Witnesses, rows: Array | slice) -> Witnesses:
-    return Witnesses(seen.d[rows], seen.p_b[rows], seen.normal[rows])
+def _joined(parts: list[_Poses]) -> _Poses:
+    columns = zip(*(seen for _, seen in parts), strict=True)
+    return np.concatenate([q for q, _ in parts]), Witnesses(*map(np.concatenate, columns))
 
 
 _STEPS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])

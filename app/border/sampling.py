@@ -61,31 +61,33 @@ def sample_clouds(
             update(share)
             on_progress(share)
 
-        sampler = _Sampler(Context(model.description, config), workers, tell)
-        return sampler.run(pairs, seeds)
+        seed_of = dict(zip(pairs, seeds, strict=True))
+        return _Sampler(Context(model.description, config), workers, seed_of, tell).run()
 
 
 class _Sampler:
     """The stages of the sampling, each for all pairs at once so that no core waits."""
 
-    def __init__(self, context: Context, workers: Workers, on_progress: OnProgress) -> None:
+    def __init__(
+        self,
+        context: Context,
+        workers: Workers,
+        seed_of: dict[Pair, np.random.SeedSequence],
+        on_progress: OnProgress,
+    ) -> None:
         self._voxels, self._config = context.voxels, context.config
-        self._workers, self._on_progress = workers, on_progress
+        self._workers, self._seed_of, self._on_progress = workers, seed_of, on_progress
         self._flood = _SEED_JOBS / (_SEED_JOBS + context.config.sectors)
         """[-] share of the work that is done when the flood starts."""
 
-    def run(
-        self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
-    ) -> dict[str, Cloud]:
+    def run(self) -> dict[str, Cloud]:
         """Execute all stages; rounds after the first flood start at the borders of the sectors."""
-        found = self._starts(pairs, seeds)
+        found = self._starts()
         kept = {pair: start.none() for pair, start in found.items()}
         tell = part_of(self._on_progress, self._flood, 1.0)
         for _ in range(self._config.rounds):
             jobs = [
-                job
-                for pair, seed in zip(pairs, seeds, strict=True)
-                for job in self._sector_jobs(pair, seed, found[pair], kept[pair])
+                job for pair in kept for job in self._sector_jobs(pair, found[pair], kept[pair])
             ]
             results = self._workers.map(flood_sector, jobs, tell)
             for job, result in zip(jobs, results, strict=True):
@@ -93,26 +95,16 @@ class _Sampler:
             found, tell = kept, lambda _: None
         return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
 
-    def _starts(
-        self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
-    ) -> dict[Pair, Kept]:
-        count = -(-self._config.cloud_samples // _SEED_JOBS)
-        jobs = [
-            SeedJob(pair, child, count)
-            for pair, seed in zip(pairs, seeds, strict=True)
-            for child in seed.spawn(_SEED_JOBS)
-        ]
+    def _starts(self) -> dict[Pair, Kept]:
+        jobs = [(pair, child) for pair, s in self._seed_of.items() for child in s.spawn(_SEED_JOBS)]
         starts: dict[Pair, Kept] = {}
         tell = part_of(self._on_progress, 0.0, self._flood)
         results = self._workers.map(sample_shell, jobs, tell)
-        for job, result in zip(jobs, results, strict=True):
-            so_far = starts.get(job.pair)
-            starts[job.pair] = result if so_far is None else so_far.plus(result)
+        for (pair, _), result in zip(jobs, results, strict=True):
+            starts[pair] = starts[pair].plus(result) if pair in starts else result
         return starts
 
-    def _sector_jobs(
-        self, pair: Pair, seed: np.random.SeedSequence, given: Kept, kept: Kept
-    ) -> list[SectorJob]:
+    def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
         """One job for each sector with a starting pose.
 
         In rounds after the first, the starting poses of a sector come from other sectors.
@@ -126,7 +118,7 @@ class _Sampler:
             sectors[sectors == home[:, None]] = -1
         owner = self._voxels.sectors(taken)
         jobs = []
-        for sector, child in enumerate(seed.spawn(self._config.sectors)):
+        for sector, child in enumerate(self._seed_of[pair].spawn(self._config.sectors)):
             leads = (sectors == sector).any(axis=1)
             if leads.any():
                 sources = given.q_m[leads]
@@ -169,17 +161,6 @@ class Context:
         )
 
 
-class SeedJob(NamedTuple):
-    """A job: random sampling of joint positions for poses in the shell."""
-
-    pair: Pair
-    """The pair."""
-    seed: np.random.SeedSequence
-    """Seed of the job."""
-    count: int
-    """Number of random joint positions."""
-
-
 class SectorJob(NamedTuple):
     """A job: the flood of one sector."""
 
@@ -195,12 +176,13 @@ class SectorJob(NamedTuple):
     """(M,) indices of the sector's filled voxels."""
 
 
-def sample_shell(context: Context, job: SeedJob) -> Kept:
-    """Draw random poses, and return those whose points are in the shell around l_m."""
-    rng = np.random.default_rng(job.seed)
-    q_m = sample_joints(context.model, job.count, rng)
-    seen = PairReader(context.model, job.pair).witnesses(q_m)
-    inside = (seen.d > context.config.d_low) & (seen.d < context.config.d_high)
+def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
+    """Draw random poses for a pair, and return those whose points are in the shell around l_m."""
+    (pair, seed), config = job, context.config
+    count = -(-config.cloud_samples // _SEED_JOBS)
+    q_m = sample_joints(context.model, count, np.random.default_rng(seed))
+    seen = PairReader(context.model, pair).witnesses(q_m)
+    inside = (seen.d > config.d_low) & (seen.d < config.d_high)
     return Kept(
         q_m[inside].astype(np.float32),
         quantise_points(seen.p_b[inside]),
@@ -217,10 +199,11 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
         model,
         PairReader(model, job.pair),
         context.voxels,
+        open_voxels,
         (config.d_low, config.d_high),
         np.random.default_rng(job.seed),
     )
     q_m = np.clip(job.sources.astype(float), model.q_lower, model.q_upper)
-    found, points = flood.run(open_voxels, q_m, config.retries)
+    found, points = flood.run(q_m, config.retries)
     distances = context.body.distance(points * POINT_UNIT)
     return Kept(found, points, quantise_distances(distances))
