@@ -158,13 +158,8 @@ class Flood:
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
         """Compute poses (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
 
-        Args:
-            q: (N, n_m) [rad or m] present poses.
-            J: (N, 3, n_m) Jacobians of the closest points.
-            step: (N, 3) [m] desired motion of the closest points.
-            round_: Number of the retry; from 1 on, random self-motion is added that grows with it.
-
-        Joints that would leave their limits do not move.
+        J (N, 3, n_m) are the closest points' Jacobians at the poses q. Retries add random
+        self-motion, which grows with the round. Joints that would leave their limits do not move.
         """
         lower, upper = self._model.q_lower, self._model.q_upper
         free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
@@ -199,7 +194,9 @@ def _joined(parts: list[_Poses]) -> _Poses:
     return np.concatenate([q for q, _ in parts]), Witnesses(*map(np.concatenate, columns))
 
 
-_STEPS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
+_AROUND = np.array(
+    [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+)  # a voxel, and those that share a face with it
 
 
 class Voxels:
@@ -236,7 +233,10 @@ class Voxels:
         self.shape = np.maximum(-(-span // self._size), 1)
         """(3,) number of voxels along x, y and z."""
         self.count = int(self.shape.prod())
-        self._sectors = sectors
+        # Turned by half a sector, so that no edge of a sector is on the wheels' axis.
+        x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
+        turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
+        self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns
 
     def cells(self, points: Array) -> Array:
         """Cell indices (N, 3) along x, y and z; a cell can be outside of the grid.
@@ -254,7 +254,7 @@ class Voxels:
 
     def neighbours(self, cells: Array) -> Array:
         """(N, 6, 3) the cells that share a face with each cell (N, 3)."""
-        return cells[:, None, :] + _STEPS
+        return cells[:, None, :] + _AROUND[1:]
 
     def centres(self, cells: Array) -> Array:
         """(…, 3) [m] centre of each cell (…, 3)."""
@@ -262,28 +262,16 @@ class Voxels:
 
     def sector_mask(self, sector: int) -> Array:
         """(count,) whether each voxel is in a sector."""
-        return np.tile(self._plan_sectors().ravel() == sector, int(self.shape[2]))
+        return np.tile(self._sectors == sector, int(self.shape[2]))
 
     def sectors(self, keys: Array) -> Array:
         """(…) sector of each voxel, for voxels with the indices `keys` (…)."""
-        return self._plan_sectors().ravel()[keys % (self.shape[0] * self.shape[1])]
+        return self._sectors[keys % len(self._sectors)]
 
     def leads_to(self, points: Array, free: Array) -> Array:
         """(N, 7) sector of each free voxel at or next to points (N, 3) int16, −1 if not free.
 
         `free` (count,) states whether each voxel is free.
         """
-        cells = self.cells(points)
-        around = np.concatenate([cells[:, None], self.neighbours(cells)], axis=1)
-        keys = self.keys(around)
+        keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
         return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)
-
-    def _plan_sectors(self) -> Array:
-        """(ny, nx) sector of each column of voxels.
-
-        The sectors are turned by half a sector, so that none of their edges is on the wheels' axis.
-        """
-        x = (np.arange(self.shape[0]) + 0.5) * self._size[0] + self._origin[0]
-        y = (np.arange(self.shape[1]) + 0.5) * self._size[1] + self._origin[1]
-        turn = np.arctan2(y[:, None], x[None, :]) / (2 * np.pi) + 0.5 / self._sectors
-        return np.floor(turn % 1.0 * self._sectors).astype(int) % self._sectors

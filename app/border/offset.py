@@ -74,12 +74,7 @@ class OffsetContours:
 
 
 def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a closed ring.
-
-    Args:
-        ring: (R + 1,) [m] vertices as x + iy.
-        shown: (R + 1,) [m] distance of the vertices to the other shapes, negative where hidden.
-    """
+    """The visible pieces (K, 2) [m] of a closed ring; the arguments are rows of a `Table`."""
     if (shown >= 0.0).all():
         return [np.column_stack([ring.real, ring.imag])]
     turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
@@ -233,10 +228,7 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] length of each ray; −inf if a ray misses the offset.
-
-        `start` (RAYS,) [m] has initial estimates, or is None.
-        """
+        """(RAYS,) [m] length of each ray, with estimates `start`; −inf if it misses the offset."""
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))

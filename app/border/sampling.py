@@ -165,9 +165,7 @@ class SectorJob(NamedTuple):
     """A job: the flood of one sector."""
 
     pair: Pair
-    """The pair."""
     seed: np.random.SeedSequence
-    """Seed of the sector."""
     sector: int
     """Number of the sector."""
     sources: Array

@@ -13,6 +13,7 @@ import pinocchio as pin
 from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
+from app.robot.urdf import origin
 from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
@@ -100,13 +101,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return M[np.ix_(order, order)], h[order]
 
     def _press(self, link: int, point: Sequence[float], force: Array) -> None:
-        """Apply a force to a point of a link.
-
-        Args:
-            link: Index of the link and of the joint that moves it.
-            point: (3,) [m] the point in the joint's frame.
-            force: (3,) [N] the force in the world.
-        """
+        """Apply a force (3,) [N] in the world to a point (3,) [m] in a joint's frame."""
         fx, fy, fz = np.asarray(force).tolist()
         if fx == fy == fz == 0.0:
             return
@@ -243,25 +238,17 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue
-        T = _origin(joint)
+        T = origin(joint, child)
         for collision in link.findall("collision"):
-            _place(collision, T * _origin(collision))
+            _place(collision, T * origin(collision, child))
             links[parent].append(collision)
         _weigh(links[parent], _inertia(links[parent]) + T.act(_inertia(link)))
         for outer in tree.iterfind("joint"):
             if (end := outer.find("parent")) is not None and end.get("link") == child:
                 end.set("link", parent)
-                _place(outer, T * _origin(outer))
+                _place(outer, T * origin(outer, child))
         tree.remove(joint)
         tree.remove(link)
-
-
-def _origin(element: Element) -> pin.SE3:
-    """The pose in the `<origin>` of an element; the identity if there is none."""
-    at = element.find("origin")
-    words = {} if at is None else at.attrib
-    xyz, rpy = (np.array(words.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
 
 
 def _place(element: Element, T: pin.SE3) -> None:
@@ -277,7 +264,7 @@ def _inertia(link: Element) -> pin.Inertia:
     xx, xy, xz, yy, yz, zz = (float(moments.get(key, 0.0)) for key in _MOMENTS)
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     mass = float(_part(inertial, "mass").get("value", 0.0))
-    return _origin(inertial).act(pin.Inertia(mass, np.zeros(3), tensor))
+    return origin(inertial, str(link.get("name"))).act(pin.Inertia(mass, np.zeros(3), tensor))
 
 
 def _weigh(link: Element, inertia: pin.Inertia) -> None:

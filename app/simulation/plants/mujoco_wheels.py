@@ -107,11 +107,11 @@ class MujocoWheels(Physics):
         turning = [self.world.model.joint(name).qposadr[0] for name in robot.motors]
         self._angles = np.array(turning)
         self._calibrate(differential(description).half_track_m)
-        ready = np.array(description.arm.ready_position)
-        self.reset(np.zeros(3), ready)
+        ready = np.zeros(3), np.array(description.arm.ready_position)
+        self.reset(*ready)
         if wheels.spans:
             self._calibrate(self._turned_half_track())
-            self.reset(np.zeros(3), ready)
+            self.reset(*ready)
 
     @property
     def wheel_angles(self) -> Array:
@@ -183,14 +183,9 @@ class MujocoWheels(Physics):
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Turn the wheels while the arm is fixed, and return the base's turn rates.
+        """Turn the wheels at speeds (n,) [rad/s] while the arm is fixed.
 
-        Args:
-            steps: Number of steps.
-            speeds: (n,) [rad/s] speeds of the wheels.
-
-        Returns:
-            [rad/s] turn rate of the base at each step.
+        The result is the base's turn rate [rad/s] at each step.
         """
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []

@@ -85,14 +85,10 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if the present posture is a valid start for pair i, otherwise 0.
+    """1 if the search's present posture is a valid start for pair i, otherwise 0.
 
-    Args:
-        search: The search, whose present posture is judged.
-        i: Index of the pair, which must be the nearest one.
-        above: Whether the arm must be above the base; None means any direction.
-        depth: [m] range of the pair's distance.
-        _: The posture.
+    The pair must be the nearest one, at a distance in the range `depth` [m]. `above` states whether
+    the arm must be above the base; None means any direction.
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]
