@@ -14,10 +14,10 @@ from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.urdf import origin
-from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
+from app.simulation.plants.bullet_world import BulletWorld, pybullet
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
-from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
+from app.simulation.plants.interface import HeldDoor, PlanarWorld, Push, Wrench
 from app.strict import Array
 
 _AWAY = (100.0, 0.0)  # [m] place at which the refrigerator is loaded, far from the robot
@@ -84,12 +84,6 @@ class BulletRobot(BulletWorld, PlanarWorld):
             self._press(self.joints[push.joint], push.p.tolist(), push.force)
         self.client.stepSimulation()
 
-    def contacts(self) -> Contacts:
-        contacts = super().contacts()
-        if self.door is None:
-            return contacts
-        return contacts._replace(door_base=self.door.touches_base())
-
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
         order = np.argsort(np.argsort(self.moving))  # pybullet orders joints by their indices
         ordered = np.empty((2, len(q)))
@@ -120,7 +114,8 @@ class BulletDoor(HeldDoor):
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
         """Load the refrigerator; `reset` puts it in place with the door at the initial angle."""
         self.door, self._start = start
-        self._client, self._robot = client, robot = world.client, world.robot
+        self._client = client = world.client
+        self._robot = world.robot
         arm = model.description.arm
         self._hand = world.links[arm.end_effector_link]
         turn = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
@@ -142,9 +137,9 @@ class BulletDoor(HeldDoor):
         covered = model.description.mobile_body.covers
         touching = {world.links[name] for name in covered if name in world.links}
         for link in world.links.values():
-            for part in (-1, _DOOR):
-                may = part == _DOOR and link in touching
-                client.setCollisionFilterPair(robot, self.body, link, part, int(may))
+            group = "door_base" if link in touching else None
+            world.allow((self._robot, link), (self.body, -1), None)
+            world.allow((self._robot, link), (self.body, _DOOR), group)
 
     def release(self) -> None:
         """Release the door, if the end-effector holds it."""
@@ -171,11 +166,6 @@ class BulletDoor(HeldDoor):
             return Wrench(np.zeros(3), np.zeros(3))
         R = self._hand_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
-
-    def touches_base(self) -> bool:
-        """Whether the door touched the mobile base in the last step."""
-        contacts = self._client.getContactPoints(self._robot, self.body, linkIndexB=_DOOR)
-        return any(map(touches, contacts))
 
     def _take_hold(self) -> None:
         """Fix the end-effector to the door at the present poses of both."""

@@ -128,6 +128,6 @@ class RefrigeratorScenario(Scenario):
         return config.changed(firm)
 
     def driver(self, session: Session) -> Driver:
-        from app.simulation.scenarios.door_opening import Opener
+        from app.simulation.scenarios.door_opening import opener
 
-        return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)
+        return opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)
