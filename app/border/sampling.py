@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -96,7 +96,7 @@ class _Sampler:
     def run(self) -> dict[str, Cloud]:
         """Execute all stages; rounds after the first flood start at the borders of the sectors."""
         found = self._starts()
-        kept = {pair: start.none() for pair, start in found.items()}
+        kept = {pair: _rows(start, slice(0)) for pair, start in found.items()}
         tell = part_of(self._on_progress, self._flood, 1.0)
         for _ in range(self._config.rounds):
             jobs = [
@@ -104,7 +104,7 @@ class _Sampler:
             ]
             results = self._workers.map(flood_sector, jobs, tell)
             for job, result in zip(jobs, results, strict=True):
-                kept[job.pair] = kept[job.pair].plus(result)
+                kept[job.pair] = _joined([kept[job.pair], result])
             found, tell = kept, lambda _: None
         return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
 
@@ -114,7 +114,7 @@ class _Sampler:
         tell = part_of(self._on_progress, 0.0, self._flood)
         results = self._workers.map(sample_shell, jobs, tell)
         for (pair, _), result in zip(jobs, results, strict=True):
-            starts[pair] = starts[pair].plus(result) if pair in starts else result
+            starts[pair] = _joined([starts[pair], result]) if pair in starts else result
         return starts
 
     def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
@@ -149,13 +149,8 @@ class Kept(NamedTuple):
     distances: Array
     """(N,) uint16 distances of the points, as in `Cloud`."""
 
-    def none(self) -> Kept:
-        """A record without poses."""
-        return Kept(*(column[:0] for column in self))
 
-    def plus(self, more: Kept) -> Kept:
-        """A record with the poses of both."""
-        return Kept(*map(np.concatenate, zip(self, more, strict=True)))
+Columns = TypeVar("Columns", Kept, "Witnesses")
 
 
 class Context:
@@ -212,15 +207,14 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
 class Witnesses(NamedTuple):
     """Closest points of many poses."""
 
+    q_m: Array
+    """(N, n_m) [rad or m] the poses."""
     d: Array
     """(N,) [m] signed distance of the pair."""
     p_b: Array
     """(N, 3) [m] closest point on the arm's body, in the base's frame."""
     normal: Array
     """(N, 3) unit vectors from l_m to the body."""
-
-
-_Poses = tuple[Array, Witnesses]  # poses (N, n_m) [rad or m], and their closest points
 
 
 class PairReader:
@@ -242,7 +236,7 @@ class PairReader:
             reader.update(q)
             result = reader.nearest_result(0)
             d[i], p_b[i], normal[i] = result.min_distance, result.getNearestPoint2(), result.normal
-        return Witnesses(d, p_b, normal)
+        return Witnesses(q_m, d, p_b, normal)
 
     def jacobians(self, q_m: Array, p_b: Array) -> Array:
         """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in poses q_m (N, n_m).
@@ -288,20 +282,20 @@ class _Flood:
             their points (N, 3) int16 as in `Cloud`.
         """
         seen = self._reader.witnesses(sources)
-        accepted = [self._accepted(sources, seen)]
-        waiting = [[(sources, seen)]] + [[] for _ in range(self._retries)]
+        accepted = [self._accepted(seen)]
+        waiting = [[seen]] + [[] for _ in range(self._retries)]
         while (round_ := next((k for k, queue in enumerate(waiting) if queue), None)) is not None:
-            q, seen = _take(waiting[round_])
-            fresh = self._accepted(*self._expand(q, seen, round_))
-            if len(fresh[0]):
+            seen = _take(waiting[round_])
+            fresh = self._accepted(self._expand(seen, round_))
+            if len(fresh.d):
                 accepted.append(fresh)
                 waiting[0].append(fresh)
             if round_ < self._retries:
-                waiting[round_ + 1].append((q, seen))
-        q_m, points = _joined(accepted)
-        return q_m.astype(np.float32), quantise_points(points.p_b)
+                waiting[round_ + 1].append(seen)
+        found = _joined(accepted)
+        return found.q_m.astype(np.float32), quantise_points(found.p_b)
 
-    def _accepted(self, q: Array, seen: Witnesses) -> _Poses:
+    def _accepted(self, seen: Witnesses) -> Witnesses:
         """Select one pose for each open voxel, and close these voxels."""
         keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
         fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
@@ -309,9 +303,9 @@ class _Flood:
         _, first = np.unique(keys[candidates], return_index=True)
         fresh = candidates[first]
         self._open[keys[fresh]] = False
-        return q[fresh], Witnesses(*(column[fresh] for column in seen))
+        return _rows(seen, fresh)
 
-    def _expand(self, q: Array, seen: Witnesses, round_: int) -> _Poses:
+    def _expand(self, seen: Witnesses, round_: int) -> Witnesses:
         """Make one step towards each open neighbouring voxel, from the first pose next to it."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
         keys = self._voxels.keys(cells)
@@ -323,9 +317,9 @@ class _Flood:
         _, first = np.unique(keys[source, side], return_index=True)
         source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
-        J = self._reader.jacobians(q[needed], seen.p_b[needed])[row]
-        tried = self._step(q[source], J, step[source, side], round_)
-        return tried, self._reader.witnesses(tried)
+        J = self._reader.jacobians(seen.q_m[needed], seen.p_b[needed])[row]
+        tried = self._step(seen.q_m[source], J, step[source, side], round_)
+        return self._reader.witnesses(tried)
 
     def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
         """Compute poses (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
@@ -352,18 +346,21 @@ def _damped(J: Array, step: Array, free: Array) -> Array:
     return free + (J_T @ weight)[:, :, 0]
 
 
-def _take(queue: list[_Poses]) -> _Poses:
+def _take(queue: list[Witnesses]) -> Witnesses:
     """Remove poses from the end of a queue: at least a batch, or all poses if there are fewer."""
     taken, count = [], 0
     while queue and count < _BATCH:
         taken.append(queue.pop())
-        count += len(taken[-1][0])
+        count += len(taken[-1].d)
     return _joined(taken)
 
 
-def _joined(parts: list[_Poses]) -> _Poses:
-    columns = zip(*(seen for _, seen in parts), strict=True)
-    return np.concatenate([q for q, _ in parts]), Witnesses(*map(np.concatenate, columns))
+def _joined(parts: list[Columns]) -> Columns:
+    return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _rows(columns: Columns, which: Array | slice) -> Columns:
+    return type(columns)(*(column[which] for column in columns))
 
 
 _AROUND = np.array(
