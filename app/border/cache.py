@@ -108,41 +108,6 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
 
 
-def robot_content(description: RobotDescription) -> dict[str, object]:
-    """All data of a robot that determine its pairs and clouds.
-
-    These are the bodies' shapes, the pairs that are not monitored, the arm's mount, joints and
-    position limits, and the base's link of the description; the joints of the URDF; and the bytes
-    of the meshes. Sources, colours, masses, gains and the paths of installed packages are not
-    included.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
-    """
-    arm = description.arm
-    urdf = read_urdf(description)
-    return {
-        "base": description.base.link,
-        "mount": arm.mount_link,
-        "joints": [arm.joints, arm.position_lower, arm.position_upper],
-        "bodies": [
-            [body.name, body.frame, [shape.model_dump() for shape in body.shapes]]
-            for body in description.bodies
-        ],
-        "meshes": [
-            hashlib.blake2b(resolve_package_uri(shape.file).read_bytes()).hexdigest()
-            for body in description.bodies
-            for shape in body.shapes
-            if isinstance(shape, ConvexMesh)
-        ],
-        **({"unwatched": sorted(description.unwatched)} if description.unwatched else {}),
-        "kinematics": [  # in canonical XML, without comments and white space
-            ElementTree.canonicalize(ElementTree.tostring(joint, "unicode"), strip_text=True)
-            for joint in urdf.iterfind("joint")
-        ],
-    }
-
-
 @dataclass(frozen=True)
 class BorderData:
     """All offline results for one robot."""
@@ -234,10 +199,38 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits that depend on all inputs.
 
+    These are the sampling and all data of the robot that determine its pairs and clouds: the
+    bodies' shapes, the pairs that are not monitored, the arm's mount, joints and position limits,
+    and the base's link of the description; the joints of the URDF; and the bytes of the meshes.
+    Sources, colours, masses, gains and the paths of installed packages are not included.
+
     Raises:
         AssetError: The URDF or a mesh is missing.
     """
-    content = {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
+    arm = description.arm
+    urdf = read_urdf(description)
+    content = {
+        "format": FORMAT,
+        "sampling": sampling.model_dump(),
+        "base": description.base.link,
+        "mount": arm.mount_link,
+        "joints": [arm.joints, arm.position_lower, arm.position_upper],
+        "bodies": [
+            [body.name, body.frame, [shape.model_dump() for shape in body.shapes]]
+            for body in description.bodies
+        ],
+        "meshes": [
+            hashlib.blake2b(resolve_package_uri(shape.file).read_bytes()).hexdigest()
+            for body in description.bodies
+            for shape in body.shapes
+            if isinstance(shape, ConvexMesh)
+        ],
+        **({"unwatched": sorted(description.unwatched)} if description.unwatched else {}),
+        "kinematics": [  # in canonical XML, without comments and white space
+            ElementTree.canonicalize(ElementTree.tostring(joint, "unicode"), strip_text=True)
+            for joint in urdf.iterfind("joint")
+        ],
+    }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

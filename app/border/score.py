@@ -150,10 +150,10 @@ class RadialProfile:
         Raises:
             ValueError: There are no values.
         """
-        enough = self.count >= min(_FEWEST, self.count.max(initial=0))
         if not self.count.any():
             raise ValueError("there are no values")
-        return int(np.argmax(np.where(enough & (self.count > 0), self.mean, -np.inf)))
+        enough = self.count >= min(_FEWEST, self.count.max())
+        return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
         """The range [m] of distances around the peak in which each shell's mean is high enough.

@@ -110,10 +110,8 @@ class DoorOpening:
         self._R_start = T_world_ee.rotation.copy()
         self._angle = math.atan2(radial_guess[1], radial_guess[0])  # initial r̂
         self._pose = T_world_ee.copy()
-        self._sense = 1.0
-        out_of_door = -self._R_start[:, 2]
-        if tangent(self.radial(T_world_ee), 1.0) @ out_of_door < 0.0:
-            self._sense = -1.0
+        into_door = tangent(self.radial(T_world_ee), 1.0) @ self._R_start[:, 2]
+        self._sense = -1.0 if into_door > 0.0 else 1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
         """κ̂ [1/m], positive for counter-clockwise turns, and the commanded speed [m/s] along the
         tangent."""
