@@ -36,7 +36,7 @@ def dense_border(offset: OffsetContours, step: float = 0.002) -> Border:
             n = max(int(np.linalg.norm(b - a) / step), 1)
             points += [(*(a + (b - a) * k / n), z) for k in range(n)]
     array = np.array(points)
-    return Border("lm-lEE", D_B, 0.01, array, array[:, 2].copy())
+    return Border("lm-lEE", D_B, 0.01, array)
 
 
 @pytest.fixture(scope="module", params=["points", "surface"])
@@ -94,7 +94,7 @@ def test_left_and_right_are_mirror_images(finder: ActingPointFinder) -> None:
 def test_a_height_without_points_falls_back_to_the_exact_offset(
     offset: OffsetContours, field: ScoreField
 ) -> None:
-    empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)), np.zeros(0))
+    empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)))
     finder = ActingPointFinder(BorderSearch(offset, [empty]), field)
     acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05), 0.05, FORCE)
     assert acting is not None

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from app.border.mobile import ConvexPart, MobileBody
+from app.border.nearest import BorderSearch
 from app.border.offset import OffsetContours
 from app.robot.shapes import Box, convex_hull
 from tests.nearest import Placed
@@ -87,7 +88,7 @@ def test_the_nearest_point_is_that_of_a_search_edge_by_edge(offset):
 
 def nearest(offset: OffsetContours, p: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
     """The nearest point and the tangent there, in plan."""
-    foot = offset.nearest(np.array([*p, z]))
+    foot = BorderSearch(offset).nearest(np.array([*p, z]))
     assert foot is not None
     assert foot.p[2] == z
     assert foot.t[2] == 0.0

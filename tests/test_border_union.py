@@ -8,6 +8,7 @@ import pytest
 from app.border.cache import load_border_data
 from app.border.dbb import make_cloud
 from app.border.mobile import MobileBody
+from app.border.nearest import BorderSearch
 from app.border.offset import RAYS, OffsetContours
 from app.config import Config
 from app.robot.model import RobotModel
@@ -74,24 +75,27 @@ def dense_border(z: float) -> np.ndarray:
 @pytest.mark.parametrize("z", [0.05, 0.2, 0.41, 0.5, 0.525, 0.56, 0.9, 1.06, 1.13, 1.2])
 def test_the_nearest_point_is_as_near_as_a_dense_search_finds(offset: OffsetContours, z: float):
     """At heights of one contour, of two islands, and of the tower alone."""
+    surface = BorderSearch(offset)
     border = dense_border(z)
     for p in np.random.default_rng(0).uniform([-0.8, -0.6], [0.8, 0.6], (150, 2)):
-        foot = offset.nearest(np.array([*p, z]))
+        foot = surface.nearest(np.array([*p, z]))
         away = np.linalg.norm(foot.p[:2] - p)
         assert away == pytest.approx(np.linalg.norm(border - p, axis=1).min(), abs=0.002)
 
 
 def test_all_points_lie_on_the_exact_offset(offset: OffsetContours):
+    surface = BorderSearch(offset)
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
-    feet = np.array([offset.nearest(p).p for p in points])
+    feet = np.array([surface.nearest(p).p for p in points])
     feet[:, 2] = [offset.within(z) for z in points[:, 2]]
     assert np.abs(distance(feet) - D_B).max() < 0.001
 
 
 def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(offset: OffsetContours):
+    surface = BorderSearch(offset)
     for p in np.random.default_rng(2).uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.2], (500, 3)):
-        foot = offset.nearest(p)
+        foot = surface.nearest(p)
         assert np.linalg.norm(foot.t) == pytest.approx(1.0)
         assert (p - foot.p) @ foot.t == pytest.approx(0.0, abs=1e-8)
         left = foot.p + 1e-3 * np.array([-foot.t[1], foot.t[0], 0.0])
@@ -104,12 +108,13 @@ def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(offset: 
 
     But where a lower shape's offset ends: it has a horizontal piece there.
     """
+    surface = BorderSearch(offset)
     rng = np.random.default_rng(3)
     for _ in range(40):
         z = rng.choice([0.1, 0.3, 0.45, 0.52, 0.6, 1.1]) + rng.uniform(-0.004, 0.004)
         begin, end = rng.uniform([-0.7, -0.5], [0.7, 0.5], (2, 2))
         path = begin + np.linspace(0.0, 1.0, 1500)[:, None] * (end - begin)
-        feet = np.array([offset.nearest(np.array([*p, z])).p[:2] for p in path])
+        feet = np.array([surface.nearest(np.array([*p, z])).p[:2] for p in path])
         ways = np.linalg.norm(feet - path, axis=1)
         step = np.linalg.norm(end - begin) / 1499
         assert np.abs(np.diff(ways)).max() < 1.05 * step + 2e-6
@@ -118,13 +123,14 @@ def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(offset: 
 @pytest.mark.parametrize("z", [0.2, 0.45, 0.8])
 def test_foot_and_tangent_walk_through_a_corner_without_a_jump(offset: OffsetContours, z: float):
     """Past the place where two shapes' offsets meet, inside of the border."""
+    surface = BorderSearch(offset)
     depth = 0.05
     outline = {0.2: None, 0.45: (0.495, 0.0), 0.8: (-0.37, 0.02)}[z]
     turn = np.linspace(0.0, 2 * np.pi, 40001)
     centre = np.array(outline) if outline is not None else np.zeros(2)
     reach = (0.06 if z == 0.45 else 0.12) if outline is not None else 0.25
     path = centre + reach * np.column_stack([np.cos(turn), np.sin(turn)])
-    feet = [offset.nearest(np.array([*p, z])) for p in path]
+    feet = [surface.nearest(np.array([*p, z])) for p in path]
     p = np.array([f.p[:2] for f in feet])
     t = np.array([f.t[:2] for f in feet])
     ways = np.linalg.norm(p - path, axis=1)
@@ -143,7 +149,7 @@ def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
     offset = OffsetContours(with_mobile_shapes(towers), D_B)
     assert len(offset.contours(0.2)) == 2
     for x in (0.4, -0.4):
-        found = offset.nearest(np.array([x, 0.0, 0.2]))
+        found = BorderSearch(offset).nearest(np.array([x, 0.0, 0.2]))
         assert found.p[:2] == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
     sides = [((0.5, 0.0), (0.05, 0.55)), ((0.0, 0.5), (0.55, 0.05))]
     frame = [
@@ -152,7 +158,7 @@ def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
         for s in (1.0, -1.0)
     ]
     offset = OffsetContours(with_mobile_shapes(tuple(frame)), D_B)
-    within = offset.nearest(np.array([0.25, 0.1, 0.2]))
+    within = BorderSearch(offset).nearest(np.array([0.25, 0.1, 0.2]))
     assert within.p[:2] == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
     assert within.t[:2] == pytest.approx([0.0, -1.0], abs=1e-3)
 
@@ -178,7 +184,7 @@ def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
         np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
         assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()
     points = np.random.default_rng(4).uniform([-0.7, -0.6, 0.0], [0.7, 0.6, 1.2], (400, 3))
-    feet = [offset.nearest(p) for p in points]
+    feet = [BorderSearch(offset).nearest(p) for p in points]
     lifted = np.array([foot.p for foot in feet])
     assert np.abs(body.distance(lifted) - D_B).max() < 0.002
 

@@ -23,8 +23,7 @@ from app.robot import assets
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.simulation.trace.mcap_file import write_mcap
-from app.simulation.trace.motion import WORLD
+from app.simulation.trace.mcap_file import WORLD, write_mcap
 from app.simulation.trace.trace import Trace
 from tests.logs import random_snapshots, trace_of
 

@@ -114,6 +114,7 @@ def test_at_another_speed_the_factor_is_simulated_over_real_time(clock, speed):
 def test_a_speed_beyond_what_the_steps_allow_is_not_claimed(clock):
     pacer = Pacer(PERIOD)
     pacer.speed = 4.0
+    pacer.restart()
     assert pacer.realtime_factor == 4.0  # nothing to tell yet
     steps(pacer, clock, [0.0005] * 3000)
     assert pacer.realtime_factor == pytest.approx(2.0, rel=2e-3)

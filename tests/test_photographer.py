@@ -92,7 +92,7 @@ def test_framing_fills_the_picture_with_the_points(photographer):
     camera = CAMERA.framing(points, margin=0.1)
     view, projection = camera.matrices()
     empty = np.ones((camera.height, camera.width), bool)
-    at = Picture(np.zeros((*empty.shape, 3), np.uint8), empty, view, projection).pixels(points)
+    at = Picture(np.zeros((*empty.shape, 3), np.uint8), empty, projection @ view).pixels(points)
     size = np.array([camera.width, camera.height])
     assert (at >= 0.07 * size).all()
     assert (at <= 0.93 * size).all()

@@ -138,7 +138,7 @@ def test_an_option_out_of_range_is_refused_with_its_name_and_the_range(name: str
 
 
 def test_a_hinge_that_is_neither_left_nor_right_is_refused():
-    with pytest.raises(ConfigError, match="--hinge: 'top' is neither left nor right"):
+    with pytest.raises(ConfigError, match="--hinge: 'top' is not one of left, right"):
         RefrigeratorScenario().changed(hinge="top")
 
 

@@ -6,8 +6,7 @@
     offset.py     the surface: the exact offset of l_m
     mobile.py     distances of points to l_m
     contours.py   the nearest point of a contour: p_n of Algorithm 3
-    sampling.py   sampling of P_i on all cores, sector by sector
-    flood.py      the flood of one sector
+    sampling.py   sampling of P_i on all cores, by a flood of each sector
     cache.py      files with the pairs and clouds of a robot
     reach.py      reachability maps and the fit of (9)
 

@@ -11,7 +11,7 @@ import json
 import logging
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -49,7 +49,6 @@ _UNREADABLE = (
     EOFError,
     BadZipFile,
     zlib.error,
-    NotImplementedError,
     RuntimeError,
     MemoryError,
 )
@@ -64,9 +63,9 @@ class _Header(Strict):
 
     key: str
     format: int
-    mobile: tuple[tuple[str, str], ...]
-    manipulator: tuple[tuple[str, str], ...]
-    never: tuple[tuple[str, str], ...]
+    mobile: tuple[Pair, ...]
+    manipulator: tuple[Pair, ...]
+    never: tuple[Pair, ...]
     rates: dict[str, NonNegative]
     least_distance_m: dict[str, Finite]
     samples: int
@@ -107,41 +106,6 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
         raise
     except _UNREADABLE as error:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
-
-
-def robot_content(description: RobotDescription) -> dict[str, object]:
-    """All data of a robot that determine its pairs and clouds.
-
-    These are the bodies' shapes, the pairs that are not monitored, the arm's mount, joints and
-    position limits, and the base's link of the description; the joints of the URDF; and the bytes
-    of the meshes. Sources, colours, masses, gains and the paths of installed packages are not
-    included.
-
-    Raises:
-        AssetError: The URDF or a mesh is missing.
-    """
-    arm = description.arm
-    urdf = read_urdf(description)
-    return {
-        "base": description.base.link,
-        "mount": arm.mount_link,
-        "joints": [arm.joints, arm.position_lower, arm.position_upper],
-        "bodies": [
-            [body.name, body.frame, [shape.model_dump() for shape in body.shapes]]
-            for body in description.bodies
-        ],
-        "meshes": [
-            hashlib.blake2b(resolve_package_uri(shape.file).read_bytes()).hexdigest()
-            for body in description.bodies
-            for shape in body.shapes
-            if isinstance(shape, ConvexMesh)
-        ],
-        **({"unwatched": sorted(description.unwatched)} if description.unwatched else {}),
-        "kinematics": [  # in canonical XML, without comments and white space
-            ElementTree.canonicalize(ElementTree.tostring(joint, "unicode"), strip_text=True)
-            for joint in urdf.iterfind("joint")
-        ],
-    }
 
 
 @dataclass(frozen=True)
@@ -235,10 +199,38 @@ def _path(folder: Path, model: RobotModel, key: str) -> Path:
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """The key of a robot's border: 32 hexadecimal digits that depend on all inputs.
 
+    These are the sampling and all data of the robot that determine its pairs and clouds: the
+    bodies' shapes, the pairs that are not monitored, the arm's mount, joints and position limits,
+    and the base's link of the description; the joints of the URDF; and the bytes of the meshes.
+    Sources, colours, masses, gains and the paths of installed packages are not included.
+
     Raises:
         AssetError: The URDF or a mesh is missing.
     """
-    content = {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
+    arm = description.arm
+    urdf = read_urdf(description)
+    content = {
+        "format": FORMAT,
+        "sampling": sampling.model_dump(),
+        "base": description.base.link,
+        "mount": arm.mount_link,
+        "joints": [arm.joints, arm.position_lower, arm.position_upper],
+        "bodies": [
+            [body.name, body.frame, [shape.model_dump() for shape in body.shapes]]
+            for body in description.bodies
+        ],
+        "meshes": [
+            hashlib.blake2b(resolve_package_uri(shape.file).read_bytes()).hexdigest()
+            for body in description.bodies
+            for shape in body.shapes
+            if isinstance(shape, ConvexMesh)
+        ],
+        **({"unwatched": sorted(description.unwatched)} if description.unwatched else {}),
+        "kinematics": [  # in canonical XML, without comments and white space
+            ElementTree.canonicalize(ElementTree.tostring(joint, "unicode"), strip_text=True)
+            for joint in urdf.iterfind("joint")
+        ],
+    }
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -261,15 +253,10 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     header = _Header.model_validate_json(arrays["header"].tobytes())
     if (header.key, header.format) != (key, FORMAT):
         raise DamagedFileError("it belongs to another robot, sampling or version")
-    mobile, manipulator, never = (
-        tuple(Pair(*names) for names in group)
-        for group in (header.mobile, header.manipulator, header.never)
-    )
-    rates, least = header.rates, header.least_distance_m
-    pairs = LinkPairs(mobile, manipulator, never, rates, least, header.samples, header.seed)
+    pairs = LinkPairs(**{each.name: getattr(header, each.name) for each in fields(LinkPairs)})
     clouds = {
         pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
-        for i, pair in enumerate(mobile)
+        for i, pair in enumerate(pairs.mobile)
     }
     return BorderData(pairs, clouds, "cache")
 

@@ -8,7 +8,7 @@ rings cross where such a distance is zero. The contour changes continuously with
 """
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,23 +26,6 @@ there, both as x + iy."""
 Corner = tuple[complex, complex, bool]
 """A crossing of a ring with another shape: the point [m] and the unit tangent as x + iy, and
 whether the visible part of the ring starts there."""
-
-
-class Foot(NamedTuple):
-    """The point of a border nearest to a point at the same height, in the base's frame."""
-
-    p: Array
-    """(3,) [m] the point of the border."""
-    t: Array
-    """(3,) horizontal unit tangent there, with l_m on its left."""
-
-
-class NearestBorder(Protocol):
-    """The interface of a border for the search of the acting point."""
-
-    def nearest(self, p: Array) -> Foot | None:
-        """The border's point nearest to p (3,) [m] at the height of p; None without a border."""
-        ...
 
 
 class Table(NamedTuple):
@@ -63,77 +46,6 @@ class Table(NamedTuple):
     block."""
 
 
-class Contours:
-    """Horizontal contours around a union of convex shapes."""
-
-    def __init__(self, table: Table) -> None:
-        self.table = table
-
-    def within(self, z: float) -> float:
-        """[m] the height nearest to z [m] that has a contour."""
-        return level(self.table.firsts, self.table.heights, z)
-
-    def nearest(self, p: Array) -> Foot | None:
-        """The contour's point nearest to p (3,) [m], in the base's frame, at the height of p.
-
-        The point moves continuously with p, except if p crosses the medial axis, where two points
-        are nearest. If p is below or above all contours, the lowest or highest contour is used.
-        The result is None if there are no contours.
-        """
-        if not len(self.table.heights):
-            return None
-        foot = nearest_point(*self.table, p)
-        return Foot(foot[0], foot[1])
-
-    def contours(self, z: float) -> list[Array]:
-        """The contour at height z [m] as polygons (K, 2) [m].
-
-        A ring that the other shapes hide in part is divided into its visible pieces. A shape
-        without a ring at z is left out.
-        """
-        table, found = self.table, []
-        for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
-            heights = table.heights[first:end]
-            if not heights[0] <= z <= heights[-1]:
-                continue
-            k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
-            share = (z - heights[k]) / (heights[k + 1] - heights[k])
-            rows, weights = first + k + np.arange(2), (1.0 - share, share)
-            found += _pieces(weights @ table.vertices[rows], weights @ table.shown[rows])
-        return found
-
-    def curves(self, z: float) -> list[Array]:
-        """The contour at the available height nearest to z [m] as curves (K, 3) [m], drawn at z."""
-        if not len(self.table.heights):
-            return []
-        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
-
-
-def _pieces(ring: Array, shown: Array) -> list[Array]:
-    """The visible pieces (K, 2) [m] of a closed ring.
-
-    Args:
-        ring: (R + 1,) [m] vertices as x + iy.
-        shown: (R + 1,) [m] distance of the vertices to the other shapes, negative where hidden.
-    """
-    if (shown >= 0.0).all():
-        return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
-    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
-    found: list[Array] = []
-    piece: list[complex] = []
-    for i in range(len(ring) - 1):
-        a, b = shown[i], shown[i + 1]
-        if (a < 0.0) != (b < 0.0):
-            piece.append(complex(ring[i] + a / (a - b) * (ring[i + 1] - ring[i])))
-        if b >= 0.0:
-            piece.append(complex(ring[i + 1]))
-        elif piece:
-            found.append(np.array([[v.real, v.imag] for v in piece]))
-            piece = []
-    return found
-
-
 @compiled()
 def level(firsts: Array, heights: Array, z: float) -> float:
     """[m] the height nearest to z [m] at which any shape has a ring."""
@@ -146,17 +58,12 @@ def level(firsts: Array, heights: Array, z: float) -> float:
 
 
 @compiled()
-def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, float]:
-    """Row of the ring at or below z, from `first` to before `last`; fraction to the next ring."""
+def _row(heights: Array, first: int, last: int, z: float) -> tuple[int, int, float]:
+    """Rows, from `first` to before `last`, of the rings around z; fraction to the second one."""
     k = first + int(np.searchsorted(heights[first:last], z, side="right")) - 1
     if heights[k] == z or k + 1 == last:
-        return k, 0.0
-    return k, float((z - heights[k]) / (heights[k + 1] - heights[k]))
-
-
-@compiled()
-def _above(k: int, share: float) -> int:
-    return k + 1 if share > 0.0 else k
+        return k, k, 0.0
+    return k, k + 1, float((z - heights[k]) / (heights[k + 1] - heights[k]))
 
 
 @compiled()
@@ -289,28 +196,29 @@ def nearest_point(
     point, so the cost hardly grows with the number of shapes.
 
     Returns:
-        (2, 3) p and t of `Foot`.
+        (2, 3) p and t of `Foot`; not-a-number if there are no contours.
     """
     z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
     shapes, blocks = len(firsts) - 1, spans.shape[1]
-    rows, shares = np.zeros(shapes, np.int64), np.zeros(shapes)
+    rows, ups, shares = np.zeros(shapes, np.int64), np.zeros(shapes, np.int64), np.zeros(shapes)
     bounds = np.full((shapes, blocks), np.inf)  # [m] lower bounds of the distances of blocks
     for j in range(shapes):
         if heights[firsts[j]] <= z <= heights[firsts[j + 1] - 1]:
-            k, share = _row(heights, firsts[j], firsts[j + 1], z)
-            rows[j], shares[j], up = k, share, _above(k, share)
+            k, up, share = _row(heights, firsts[j], firsts[j + 1], z)
+            rows[j], ups[j], shares[j] = k, up, share
             for b in range(blocks):
                 middle = _blend(vertices[k], vertices[up], share, b * BLOCK + BLOCK // 2)
                 bounds[j, b] = max(abs(p - middle) - _blend(spans[k], spans[up], share, b), 0.0)
-    best, corners = (np.inf, 0j, 1 + 0j), [(0j, 0j, False) for _ in range(0)]
+    best: Best = (np.inf, complex(np.nan, np.nan), complex(np.nan, np.nan))
+    corners = [(0j, 0j, False) for _ in range(0)]
     for _ in range(bounds.size):
         nearest = int(np.argmin(bounds))
         j, b = nearest // blocks, nearest % blocks
         if not (bounds[j, b] < np.inf and bounds[j, b] <= best[0] + _SAME_CORNER):
             break
         bounds[j, b] = np.inf
-        k, share, i = int(rows[j]), float(shares[j]), slice(b * BLOCK, (b + 1) * BLOCK + 1)
-        up = _above(k, share)
+        k, up, share = int(rows[j]), int(ups[j]), float(shares[j])
+        i = slice(b * BLOCK, (b + 1) * BLOCK + 1)
         best = _search_edges(
             _blend(vertices[k], vertices[up], share, i),
             _blend(tangents[k], tangents[up], share, i),

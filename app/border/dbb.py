@@ -30,10 +30,6 @@ class Cloud:
         """(N, 3) [m] the points in the base's frame."""
         return self.points * POINT_UNIT
 
-    def points_m_at(self, chosen: Array) -> Array:
-        """(M, 3) [m] the points at the indices `chosen` (M,)."""
-        return self.points[chosen] * POINT_UNIT
-
     @property
     def d_m(self) -> Array:
         """(N,) [m] distances of the points to l_m."""
@@ -79,11 +75,14 @@ class Border:
     """[m] tolerance ε of (3)."""
     points: Array
     """(N, 3) [m] points, by ascending height."""
-    heights: Array
-    """(N,) [m] heights of the points, as a contiguous array."""
 
     def __len__(self) -> int:
         return len(self.points)
+
+    @property
+    def heights(self) -> Array:
+        """(N,) [m] heights of the points."""
+        return self.points[:, 2]
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
         """DBB_xy (M, 3) [m], the points near height z [m]: FindSameHeight of Algorithm 3.
@@ -108,9 +107,5 @@ def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
     slack = eps - DISTANCE_UNIT / 2
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))
     high = int(np.floor((d_b + slack) / DISTANCE_UNIT))
-    chosen = np.flatnonzero((cloud.distances >= low) & (cloud.distances <= high))
-    points = cloud.points_m_at(chosen)
-    heights = np.ascontiguousarray(points[:, 2])
-    points.setflags(write=False)
-    heights.setflags(write=False)
-    return Border(cloud.pair, d_b, eps, points, heights)
+    chosen = (cloud.distances >= low) & (cloud.distances <= high)
+    return Border(cloud.pair, d_b, eps, _frozen(cloud.points[chosen] * POINT_UNIT))

@@ -40,11 +40,6 @@ class ConvexPart:
         found = distances_and_normals(*self.shapes, point[None])[0]
         return found.item(0), found[1:]
 
-    def nearest(self, point: Array) -> Array:
-        """(3,) [m] the point of the shape's surface nearest to a point (3,) [m]."""
-        d, normal = self.distance_and_normal(point)
-        return point - d * normal
-
     def distances(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m]."""
         return distances_and_normals(*self.shapes, points)[:, 0]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from app.border.contours import Foot, Table, nearest_point
+from app.border.contours import Table, nearest_point
 from app.border.dbb import SAME_HEIGHT, Border, Cloud, construct_dbb
 from app.border.offset import OffsetContours, offset_contours
 from app.compiled import compiled
@@ -39,6 +39,15 @@ _BORDER: dict[str, Any] = {  # first the fields of the offset's `Table`
 _Values: Any = NamedTuple("_Values", [(each, Any) for each in _BORDER])  # type: ignore[misc]
 BORDER = struct_type("_Values", _BORDER)
 """The struct of a border, for signatures of compiled functions."""
+
+
+class Foot(NamedTuple):
+    """The point of a border nearest to a point at the same height, in the base's frame."""
+
+    p: Array
+    """(3,) [m] the point of the border."""
+    t: Array
+    """(3,) horizontal unit tangent there, with l_m on its left."""
 
 
 @compiled()
@@ -102,8 +111,6 @@ def nearest_border(border: Any, pair: int, p: Array) -> tuple[Array, Array]:
 
 @compiled()
 def _nearest_offset(border: Any, p: Array) -> Array:
-    if len(border.heights) == 0:
-        return np.full((2, 3), np.nan)
     return nearest_point(
         border.firsts,
         border.heights,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.contours import BLOCK, Contours, Table
+from app.border.contours import BLOCK, Table, level
 from app.border.mobile import ConvexPart, MobileBody
 from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
@@ -23,10 +23,10 @@ _RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] tolerance with which flush shapes count as outside of each other
 _ALONE = 1.0  # [m] distance to the other shapes' offsets if there are no other shapes
 
-_Level = tuple[float, Array, Array | None]  # height [m], centre (2,) [m], lengths of the rays [m]
+_Level = tuple[float, Array, Array]  # height [m], centre (2,) [m], lengths of the rays [m]
 
 
-class OffsetContours(Contours):
+class OffsetContours:
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
     Each shape has a ring at each height. The contours are the parts of the rings that are outside
@@ -43,7 +43,54 @@ class OffsetContours(Contours):
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
         """Rings of each visible shape, in the order of decreasing horizontal size; empty if l_m has
         no offset above the floor."""
-        super().__init__(_table(self.rings, [shown for *_, shown in traced]))
+        self.table = _table(self.rings, [shown for *_, shown in traced])
+
+    def within(self, z: float) -> float:
+        """[m] the height nearest to z [m] that has a contour."""
+        return level(self.table.firsts, self.table.heights, z)
+
+    def contours(self, z: float) -> list[Array]:
+        """The contour at height z [m] as polygons (K, 2) [m].
+
+        A ring that the other shapes hide in part is divided into its visible pieces. A shape
+        without a ring at z is left out.
+        """
+        table, found = self.table, []
+        for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):
+            heights = table.heights[first:end]
+            if not heights[0] <= z <= heights[-1]:
+                continue
+            k = min(int(np.searchsorted(heights, z, "right")) - 1, len(heights) - 2)
+            share = (z - heights[k]) / (heights[k + 1] - heights[k])
+            rows, weights = first + k + np.arange(2), (1.0 - share, share)
+            found += _pieces(weights @ table.vertices[rows], weights @ table.shown[rows])
+        return found
+
+    def curves(self, z: float) -> list[Array]:
+        """The contour at the available height nearest to z [m] as curves (K, 3) [m], drawn at z."""
+        if not len(self.table.heights):
+            return []
+        return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
+
+
+def _pieces(ring: Array, shown: Array) -> list[Array]:
+    """The visible pieces (K, 2) [m] of a closed ring; the arguments are rows of a `Table`."""
+    if (shown >= 0.0).all():
+        return [np.column_stack([ring.real, ring.imag])]
+    turned = int(np.argmin(shown[:-1]))  # start at a hidden vertex
+    ring, shown = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, shown))
+    found: list[Array] = []
+    piece: list[complex] = []
+    for i in range(len(ring) - 1):
+        a, b = shown[i], shown[i + 1]
+        if (a < 0.0) != (b < 0.0):
+            piece.append(complex(ring[i] + a / (a - b) * (ring[i + 1] - ring[i])))
+        if b >= 0.0:
+            piece.append(complex(ring[i + 1]))
+        elif piece:
+            found.append(np.array([[v.real, v.imag] for v in piece]))
+            piece = []
+    return found
 
 
 @kept_per_model(4)
@@ -118,9 +165,9 @@ def trace_rings(part: ConvexPart, d_b: float) -> Rings:
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
     found = tracer.from_middle(heights) or tracer.from_slices(heights)
-    kept = np.array([z for z, _, ends in found if ends is not None])
-    centres = np.array([c for _, c, ends in found if ends is not None]).reshape(-1, 2)
-    ends = np.array([e for _, _, e in found if e is not None]).reshape(-1, RAYS)
+    kept = np.array([z for z, _, _ in found])
+    centres = np.array([centre for _, centre, _ in found]).reshape(-1, 2)
+    ends = np.array([ends for _, _, ends in found]).reshape(-1, RAYS)
     rings = centres[:, None] + ends[:, :, None] * _RAYS[:, :2]
     vertices = np.concatenate([rings, rings[:, :1]], axis=1)
     tangents = _vertex_tangents(np.diff(vertices[..., 0] + 1j * vertices[..., 1], axis=1))
@@ -135,18 +182,17 @@ class _Tracer:
         self._middle = (part.lower[:2] + part.upper[:2]) / 2
 
     def from_middle(self, heights: Array) -> list[_Level] | None:
-        """Trace all heights from the shape's centre; None if the centre is outside of a slice, or
-        all slices are empty.
-        """
+        """Trace all heights from the shape's centre; None if it is outside of a slice."""
         found: list[_Level] = []
         ends: Array | None = None
         for z in heights:
             ends = self._ends(self._middle, float(z), ends)
             hits = np.isfinite(ends)
-            if hits.any() and not hits.all():
+            if hits.all():
+                found.append((float(z), self._middle, ends))
+            elif hits.any():
                 return None
-            found.append((float(z), self._middle, ends if hits.all() else None))
-        return found if any(ends is not None for _, _, ends in found) else None
+        return found
 
     def from_slices(self, heights: Array) -> list[_Level]:
         """Trace each height from the centre of the slice at this height."""
@@ -155,12 +201,12 @@ class _Tracer:
         for z in heights:
             inside = self._inside(centre, float(z))
             if inside is None:
-                found.append((float(z), centre, None))
                 continue
             ring = inside + self._ends(inside, float(z), None)[:, None] * _RAYS[:, :2]
             centre = (ring.min(axis=0) + ring.max(axis=0)) / 2
             ends = self._ends(centre, float(z), None)
-            found.append((float(z), centre, ends if np.isfinite(ends).all() else None))
+            if np.isfinite(ends).all():
+                found.append((float(z), centre, ends))
         return found
 
     def _inside(self, centre: Array, z: float) -> Array | None:
@@ -168,7 +214,8 @@ class _Tracer:
 
         For a start outside, the mean of the rays' far ends is inside, because the slice is convex.
         """
-        nearest = self._part.nearest(np.array([*centre, z]))[:2]
+        d, normal = self._part.distance_and_normal(np.array([*centre, z]))
+        nearest = centre - d * normal[:2]
         for start in (centre, nearest, self._middle):
             ends = self._ends(start, z, None)
             hits = np.isfinite(ends)
@@ -181,10 +228,7 @@ class _Tracer:
         return None
 
     def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
-        """(RAYS,) [m] length of each ray; −inf if a ray misses the offset.
-
-        `start` (RAYS,) [m] has initial estimates, or is None.
-        """
+        """(RAYS,) [m] length of each ray, with estimates `start`; −inf if it misses the offset."""
         part = self._part
         outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
         beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))

@@ -1,28 +1,41 @@
 """Sampling of P_i for all pairs of L_m: random joint positions, then a flood of each sector.
 
-Worker processes execute both stages.
+In a flood, the arm's closest point moves from known poses into empty neighbouring voxels. Worker
+processes execute both stages.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+import pinocchio as pin
 
 from app.border.config import SamplingConfig
-from app.border.dbb import POINT_UNIT, Cloud, make_cloud, quantise_distances, quantise_points
-from app.border.flood import Flood, PairReader, Voxels
+from app.border.dbb import (
+    POINT_RANGE,
+    POINT_UNIT,
+    Cloud,
+    make_cloud,
+    quantise_distances,
+    quantise_points,
+)
 from app.border.mobile import MobileBody
+from app.errors import DescriptionError
 from app.jobs.pool import Workers
 from app.jobs.progress import OnProgress, part_of, progress_bar
 from app.robot.description import RobotDescription
-from app.robot.link_pairs import Pair, sample_joints
+from app.robot.link_pairs import Pair, PairDistances, sample_joints
 from app.robot.model import RobotModel
 from app.strict import Array
 
 _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the number of cores
+_BATCH = 2048  # [-] smallest number of poses in a batch, if there are enough poses
+_DAMPING = 0.03  # [m] damping of the pseudo-inverse; entries of an arm's Jacobian are around 0.5 m
+_FREE_STEP = 0.10  # [rad] self-motion or perturbation of the first retry; it grows with each retry
+_MAX_STEP = 0.25  # [rad] largest step of a joint for which the Jacobian is valid
 
 
 def sample_clouds(
@@ -61,58 +74,50 @@ def sample_clouds(
             update(share)
             on_progress(share)
 
-        sampler = _Sampler(Context(model.description, config), workers, tell)
-        return sampler.run(pairs, seeds)
+        seed_of = dict(zip(pairs, seeds, strict=True))
+        return _Sampler(Context(model.description, config), workers, seed_of, tell).run()
 
 
 class _Sampler:
     """The stages of the sampling, each for all pairs at once so that no core waits."""
 
-    def __init__(self, context: Context, workers: Workers, on_progress: OnProgress) -> None:
+    def __init__(
+        self,
+        context: Context,
+        workers: Workers,
+        seed_of: dict[Pair, np.random.SeedSequence],
+        on_progress: OnProgress,
+    ) -> None:
         self._voxels, self._config = context.voxels, context.config
-        self._workers, self._on_progress = workers, on_progress
+        self._workers, self._seed_of, self._on_progress = workers, seed_of, on_progress
         self._flood = _SEED_JOBS / (_SEED_JOBS + context.config.sectors)
         """[-] share of the work that is done when the flood starts."""
 
-    def run(
-        self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
-    ) -> dict[str, Cloud]:
+    def run(self) -> dict[str, Cloud]:
         """Execute all stages; rounds after the first flood start at the borders of the sectors."""
-        found = self._starts(pairs, seeds)
-        kept = {pair: start.none() for pair, start in found.items()}
+        found = self._starts()
+        kept = {pair: _rows(start, slice(0)) for pair, start in found.items()}
         tell = part_of(self._on_progress, self._flood, 1.0)
         for _ in range(self._config.rounds):
             jobs = [
-                job
-                for pair, seed in zip(pairs, seeds, strict=True)
-                for job in self._sector_jobs(pair, seed, found[pair], kept[pair])
+                job for pair in kept for job in self._sector_jobs(pair, found[pair], kept[pair])
             ]
             results = self._workers.map(flood_sector, jobs, tell)
             for job, result in zip(jobs, results, strict=True):
-                kept[job.pair] = kept[job.pair].plus(result)
+                kept[job.pair] = _joined([kept[job.pair], result])
             found, tell = kept, lambda _: None
         return {pair.name: make_cloud(pair.name, k.points, k.distances) for pair, k in kept.items()}
 
-    def _starts(
-        self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
-    ) -> dict[Pair, Kept]:
-        count = -(-self._config.cloud_samples // _SEED_JOBS)
-        jobs = [
-            SeedJob(pair, child, count)
-            for pair, seed in zip(pairs, seeds, strict=True)
-            for child in seed.spawn(_SEED_JOBS)
-        ]
+    def _starts(self) -> dict[Pair, Kept]:
+        jobs = [(pair, child) for pair, s in self._seed_of.items() for child in s.spawn(_SEED_JOBS)]
         starts: dict[Pair, Kept] = {}
         tell = part_of(self._on_progress, 0.0, self._flood)
         results = self._workers.map(sample_shell, jobs, tell)
-        for job, result in zip(jobs, results, strict=True):
-            so_far = starts.get(job.pair)
-            starts[job.pair] = result if so_far is None else so_far.plus(result)
+        for (pair, _), result in zip(jobs, results, strict=True):
+            starts[pair] = _joined([starts[pair], result]) if pair in starts else result
         return starts
 
-    def _sector_jobs(
-        self, pair: Pair, seed: np.random.SeedSequence, given: Kept, kept: Kept
-    ) -> list[SectorJob]:
+    def _sector_jobs(self, pair: Pair, given: Kept, kept: Kept) -> list[SectorJob]:
         """One job for each sector with a starting pose.
 
         In rounds after the first, the starting poses of a sector come from other sectors.
@@ -126,7 +131,7 @@ class _Sampler:
             sectors[sectors == home[:, None]] = -1
         owner = self._voxels.sectors(taken)
         jobs = []
-        for sector, child in enumerate(seed.spawn(self._config.sectors)):
+        for sector, child in enumerate(self._seed_of[pair].spawn(self._config.sectors)):
             leads = (sectors == sector).any(axis=1)
             if leads.any():
                 sources = given.q_m[leads]
@@ -144,13 +149,8 @@ class Kept(NamedTuple):
     distances: Array
     """(N,) uint16 distances of the points, as in `Cloud`."""
 
-    def none(self) -> Kept:
-        """A record without poses."""
-        return Kept(*(column[:0] for column in self))
 
-    def plus(self, more: Kept) -> Kept:
-        """A record with the poses of both."""
-        return Kept(*map(np.concatenate, zip(self, more, strict=True)))
+Columns = TypeVar("Columns", Kept, "Witnesses")
 
 
 class Context:
@@ -169,24 +169,11 @@ class Context:
         )
 
 
-class SeedJob(NamedTuple):
-    """A job: random sampling of joint positions for poses in the shell."""
-
-    pair: Pair
-    """The pair."""
-    seed: np.random.SeedSequence
-    """Seed of the job."""
-    count: int
-    """Number of random joint positions."""
-
-
 class SectorJob(NamedTuple):
     """A job: the flood of one sector."""
 
     pair: Pair
-    """The pair."""
     seed: np.random.SeedSequence
-    """Seed of the sector."""
     sector: int
     """Number of the sector."""
     sources: Array
@@ -195,12 +182,13 @@ class SectorJob(NamedTuple):
     """(M,) indices of the sector's filled voxels."""
 
 
-def sample_shell(context: Context, job: SeedJob) -> Kept:
-    """Draw random poses, and return those whose points are in the shell around l_m."""
-    rng = np.random.default_rng(job.seed)
-    q_m = sample_joints(context.model, job.count, rng)
-    seen = PairReader(context.model, job.pair).witnesses(q_m)
-    inside = (seen.d > context.config.d_low) & (seen.d < context.config.d_high)
+def sample_shell(context: Context, job: tuple[Pair, np.random.SeedSequence]) -> Kept:
+    """Draw random poses for a pair, and return those whose points are in the shell around l_m."""
+    (pair, seed), config = job, context.config
+    count = -(-config.cloud_samples // _SEED_JOBS)
+    q_m = sample_joints(context.model, count, np.random.default_rng(seed))
+    seen = PairReader(context.model, pair).witnesses(q_m)
+    inside = (seen.d > config.d_low) & (seen.d < config.d_high)
     return Kept(
         q_m[inside].astype(np.float32),
         quantise_points(seen.p_b[inside]),
@@ -210,17 +198,249 @@ def sample_shell(context: Context, job: SeedJob) -> Kept:
 
 def flood_sector(context: Context, job: SectorJob) -> Kept:
     """Find poses for the open voxels of a sector; d_m is computed at the rounded points."""
-    model, config = context.model, context.config
-    open_voxels = context.voxels.sector_mask(job.sector)
-    open_voxels[job.taken] = False
-    flood = Flood(
-        model,
-        PairReader(model, job.pair),
-        context.voxels,
-        (config.d_low, config.d_high),
-        np.random.default_rng(job.seed),
-    )
-    q_m = np.clip(job.sources.astype(float), model.q_lower, model.q_upper)
-    found, points = flood.run(open_voxels, q_m, config.retries)
+    q_m = np.clip(job.sources.astype(float), context.model.q_lower, context.model.q_upper)
+    found, points = _Flood(context, job).run(q_m)
     distances = context.body.distance(points * POINT_UNIT)
     return Kept(found, points, quantise_distances(distances))
+
+
+class Witnesses(NamedTuple):
+    """Closest points of many poses."""
+
+    q_m: Array
+    """(N, n_m) [rad or m] the poses."""
+    d: Array
+    """(N,) [m] signed distance of the pair."""
+    p_b: Array
+    """(N, 3) [m] closest point on the arm's body, in the base's frame."""
+    normal: Array
+    """(N, 3) unit vectors from l_m to the body."""
+
+
+class PairReader:
+    """Computes closest points of one pair for many poses of the arm; the base is at the origin."""
+
+    def __init__(self, model: RobotModel, pair: Pair) -> None:
+        self._model = model
+        self._distances = PairDistances(model, [pair])
+        self._joint = model.body_joints[pair.b]
+        self._q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
+
+    def witnesses(self, q_m: Array) -> Witnesses:
+        """The closest points at poses q_m (N, n_m) [rad or m]."""
+        d = np.empty(len(q_m))
+        p_b, normal = np.empty((len(q_m), 3)), np.empty((len(q_m), 3))
+        q, reader = self._q, self._distances
+        for i, pose in enumerate(q_m):
+            q[4:] = pose
+            reader.update(q)
+            result = reader.nearest_result(0)
+            d[i], p_b[i], normal[i] = result.min_distance, result.getNearestPoint2(), result.normal
+        return Witnesses(q_m, d, p_b, normal)
+
+    def jacobians(self, q_m: Array, p_b: Array) -> Array:
+        """(N, 3, n_m) Jacobians of body points at p_b (N, 3) [m] in poses q_m (N, n_m).
+
+        The points are fixed to the body, but the closest point also moves on the body. A step that
+        uses these Jacobians is therefore only an estimate.
+        """
+        model, data, axes = self._model.pin, self._distances.data, pin.LOCAL_WORLD_ALIGNED
+        J = np.empty((len(q_m), 6, model.nv))
+        origin = np.empty((len(q_m), 3))
+        for i, pose in enumerate(q_m):
+            self._q[4:] = pose
+            pin.computeJointJacobians(model, data, self._q)
+            J[i] = pin.getJointJacobian(model, data, self._joint, axes)
+            origin[i] = data.oMi[self._joint].translation
+        J = J[:, :, 3:]
+        lever = (p_b - origin)[:, :, None]
+        return J[:, :3] + np.cross(J[:, 3:], lever, axis=1)
+
+
+class _Flood:
+    """Finds one point for each open voxel of one pair in one sector."""
+
+    def __init__(self, context: Context, job: SectorJob) -> None:
+        self._model, self._voxels, config = context.model, context.voxels, context.config
+        self._low, self._high, self._retries = config.d_low, config.d_high, config.retries
+        self._reader = PairReader(context.model, job.pair)
+        self._rng = np.random.default_rng(job.seed)
+        self._open = context.voxels.sector_mask(job.sector)  # (voxels.count,)
+        self._open[job.taken] = False
+        # Scale of a joint's random step: 1 for a full turn, small for a short travel.
+        travel = self._model.q_upper - self._model.q_lower
+        self._scale = np.minimum(travel, 2 * np.pi) / (2 * np.pi)
+
+    def run(self, sources: Array) -> tuple[Array, Array]:
+        """Flood the open voxels from starting poses (N, n_m) [rad or m].
+
+        A batch of poses is tried again for open neighbouring voxels; each time, the batch's first
+        pose next to a voxel makes a step.
+
+        Returns:
+            The accepted poses (N, n_m) float32 [rad or m], including sources in open voxels, and
+            their points (N, 3) int16 as in `Cloud`.
+        """
+        seen = self._reader.witnesses(sources)
+        accepted = [self._accepted(seen)]
+        waiting = [[seen]] + [[] for _ in range(self._retries)]
+        while (round_ := next((k for k, queue in enumerate(waiting) if queue), None)) is not None:
+            seen = _take(waiting[round_])
+            fresh = self._accepted(self._expand(seen, round_))
+            if len(fresh.d):
+                accepted.append(fresh)
+                waiting[0].append(fresh)
+            if round_ < self._retries:
+                waiting[round_ + 1].append(seen)
+        found = _joined(accepted)
+        return found.q_m.astype(np.float32), quantise_points(found.p_b)
+
+    def _accepted(self, seen: Witnesses) -> Witnesses:
+        """Select one pose for each open voxel, and close these voxels."""
+        keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
+        fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
+        candidates = np.flatnonzero(fits & self._open[keys])
+        _, first = np.unique(keys[candidates], return_index=True)
+        fresh = candidates[first]
+        self._open[keys[fresh]] = False
+        return _rows(seen, fresh)
+
+    def _expand(self, seen: Witnesses, round_: int) -> Witnesses:
+        """Make one step towards each open neighbouring voxel, from the first pose next to it."""
+        cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
+        keys = self._voxels.keys(cells)
+        step = self._voxels.centres(cells) - seen.p_b[:, None]
+        ahead = seen.d[:, None] + (step * seen.normal[:, None]).sum(axis=2)
+        useful = (keys >= 0) & self._open[keys] & (ahead > self._low) & (ahead < self._high)
+        source, side = np.nonzero(useful)
+        # Without this selection, two poses would try the same voxel in nearly half of all tries.
+        _, first = np.unique(keys[source, side], return_index=True)
+        source, side = source[first], side[first]
+        needed, row = np.unique(source, return_inverse=True)
+        J = self._reader.jacobians(seen.q_m[needed], seen.p_b[needed])[row]
+        tried = self._step(seen.q_m[source], J, step[source, side], round_)
+        return self._reader.witnesses(tried)
+
+    def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
+        """Compute poses (N, n_m) whose closest points have moved by about `step` (N, 3) [m].
+
+        J (N, 3, n_m) are the closest points' Jacobians at the poses q. Retries add random
+        self-motion, which grows with the round. Joints that would leave their limits do not move.
+        """
+        lower, upper = self._model.q_lower, self._model.q_upper
+        free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
+        dq = _damped(J, step, free)
+        held = (q + dq < lower) | (q + dq > upper)
+        dq = _damped(np.where(held[:, None, :], 0.0, J), step, np.where(held, 0.0, free))
+        return np.clip(q + np.clip(dq, -_MAX_STEP, _MAX_STEP), lower, upper)
+
+
+def _damped(J: Array, step: Array, free: Array) -> Array:
+    """ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ): the damped joint step for s with the self-motion of ξ.
+
+    J is (N, 3, n_m), s is `step` (N, 3), and ξ is `free` (N, n_m).
+    """
+    J_T = J.transpose(0, 2, 1)
+    missing = step[:, :, None] - J @ free[:, :, None]
+    weight = np.linalg.solve(J @ J_T + _DAMPING**2 * np.eye(3), missing)
+    return free + (J_T @ weight)[:, :, 0]
+
+
+def _take(queue: list[Witnesses]) -> Witnesses:
+    """Remove poses from the end of a queue: at least a batch, or all poses if there are fewer."""
+    taken, count = [], 0
+    while queue and count < _BATCH:
+        taken.append(queue.pop())
+        count += len(taken[-1].d)
+    return _joined(taken)
+
+
+def _joined(parts: list[Columns]) -> Columns:
+    return type(parts[0])(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _rows(columns: Columns, which: Array | slice) -> Columns:
+    return type(columns)(*(column[which] for column in columns))
+
+
+_AROUND = np.array(
+    [[0, 0, 0], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+)  # a voxel, and those that share a face with it
+
+
+class Voxels:
+    """A voxel grid that covers all points above the floor within a distance of l_m's box.
+
+    Points are int16 in units of 0.1 mm, so that a point has the same voxel on all machines.
+    """
+
+    def __init__(
+        self, lower: Array, upper: Array, *, reach: float, size: Array, sectors: int
+    ) -> None:
+        """Create the grid.
+
+        Args:
+            lower: (3,) [m] lower corner of a box around l_m in the base's frame.
+            upper: (3,) [m] upper corner of that box.
+            reach: [m] largest distance of a point from the box.
+            size: (3,) [m] sides of a voxel, multiples of the points' resolution.
+            sectors: Number of sectors, which are angles around the base's centre.
+
+        Raises:
+            DescriptionError: The base is too large for int16 points.
+        """
+        low, high = lower - reach, upper + reach
+        if max(np.abs(low).max(), np.abs(high).max()) > POINT_RANGE:
+            raise DescriptionError(
+                f"bodies: the mobile robot extends more than {POINT_RANGE - reach:g} m "
+                "from the base's centre, too far for a stored border"
+            )
+        low[2] = 0.0  # no points below the floor
+        self._size = np.rint(size / POINT_UNIT).astype(int)
+        self._origin = np.floor(low / POINT_UNIT / self._size).astype(int) * self._size
+        span = np.ceil(high / POINT_UNIT).astype(int) - self._origin
+        self.shape = np.maximum(-(-span // self._size), 1)
+        """(3,) number of voxels along x, y and z."""
+        self.count = int(self.shape.prod())
+        # Turned by half a sector, so that no edge of a sector is on the wheels' axis.
+        x, y = ((np.arange(self.shape[i]) + 0.5) * self._size[i] + self._origin[i] for i in (0, 1))
+        turn = np.arctan2(y[:, None], x[None, :]).ravel() / (2 * np.pi) + 0.5 / sectors
+        self._sectors = np.floor(turn % 1.0 * sectors).astype(int) % sectors  # of the columns
+
+    def cells(self, points: Array) -> Array:
+        """Cell indices (N, 3) along x, y and z; a cell can be outside of the grid.
+
+        Args:
+            points: (N, 3) int16, in units of `POINT_UNIT`.
+        """
+        return (points - self._origin) // self._size
+
+    def keys(self, cells: Array) -> Array:
+        """(N,) index of each cell (N, 3), or −1 outside of the grid."""
+        inside = ((cells >= 0) & (cells < self.shape)).all(axis=-1)
+        nx, ny, _ = self.shape
+        return np.where(inside, (cells[..., 2] * ny + cells[..., 1]) * nx + cells[..., 0], -1)
+
+    def neighbours(self, cells: Array) -> Array:
+        """(N, 6, 3) the cells that share a face with each cell (N, 3)."""
+        return cells[:, None, :] + _AROUND[1:]
+
+    def centres(self, cells: Array) -> Array:
+        """(…, 3) [m] centre of each cell (…, 3)."""
+        return ((cells + 0.5) * self._size + self._origin) * POINT_UNIT
+
+    def sector_mask(self, sector: int) -> Array:
+        """(count,) whether each voxel is in a sector."""
+        return np.tile(self._sectors == sector, int(self.shape[2]))
+
+    def sectors(self, keys: Array) -> Array:
+        """(…) sector of each voxel, for voxels with the indices `keys` (…)."""
+        return self._sectors[keys % len(self._sectors)]
+
+    def leads_to(self, points: Array, free: Array) -> Array:
+        """(N, 7) sector of each free voxel at or next to points (N, 3) int16, −1 if not free.
+
+        `free` (count,) states whether each voxel is free.
+        """
+        keys = self.keys(self.cells(points)[:, None, :] + _AROUND)
+        return np.where((keys >= 0) & free[keys], self.sectors(keys), -1)

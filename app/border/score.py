@@ -17,7 +17,6 @@ from app.errors import DescriptionError
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.strict import Array
-from app.structs import put
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is modified to stay positive
 SHELL = 0.05  # [m] thickness of a shell around the mount
@@ -96,54 +95,40 @@ class ScoreField:
     def _fields(self, p: Array) -> Array:
         """(…, 5) R, S and ∇S."""
         p = np.asarray(p, dtype=float)
-        signed, by_point = self.base.singularity(p)
-        measures = np.column_stack([signed.ravel(), by_point.reshape(-1, 3)[:, :2]])
-        found = _scores_and_gradients(
-            p.reshape(-1, 3), measures, self.p_base, self.A, self.B, self.C
-        )
-        return found.reshape(*p.shape[:-1], 5)
-
-
-Measure = tuple[float, float, float]
-"""The base's signed measure of (7) at a point, and the derivatives of the measure by x and y."""
+        return _fields_at(self.coefficients(), p.reshape(-1, 3)).reshape(*p.shape[:-1], 5)
 
 
 @compiled()
-def _score_and_gradient(
-    p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
-) -> tuple[float, float, float, float, float]:
+def _field_at(coefficients: Array, p: Array) -> tuple[float, float, Array]:
     """R, S and ∇S at a point; the gradient of R counts as 0 at the mount, where it is undefined."""
+    constant, quadratic, p_base = coefficients[0], coefficients[1], coefficients[3:6]
+    A, B, C = coefficients[6], coefficients[7], coefficients[8]
+    signed, by_x = constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0])
     x, y, z = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
     rho, R_1 = math.sqrt(x * x + y * y + z * z), FLOOR * C
     R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)
     if R < R_1:
         low = R_1 / (2 * R_1 - R)
         R, slope = R_1 * low, slope * low**2
-    signed, by_x, by_y = measure
     by_way = signed * (slope / rho if rho > 0.0 else 0.0)
-    return R, signed * R, x * by_way + by_x * R, y * by_way + by_y * R, z * by_way
+    # The sum with 0 turns −0 into 0.
+    return R, signed * R, np.array([x * by_way + by_x * R, y * by_way + 0.0, z * by_way])
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:], f8, f8, f8)")
-def _scores_and_gradients(
-    points: Array, measures: Array, p_base: Array, A: float, B: float, C: float
-) -> Array:
-    """(N, 5) R, S and ∇S at points (N, 3), from measures (N, 3) there."""
+@compiled("f8[:,::1](f8[:], f8[:,:])")
+def _fields_at(coefficients: Array, points: Array) -> Array:
+    """(N, 5) R, S and ∇S at points (N, 3)."""
     found = np.empty((len(points), 5))
     for k in range(len(points)):
-        measure = (measures[k, 0], measures[k, 1], measures[k, 2])
-        put(found[k], _score_and_gradient(points[k], measure, p_base, A, B, C))
+        found[k, 0], found[k, 1], found[k, 2:] = _field_at(coefficients, points[k])
     return found
 
 
 @compiled()
 def score_at(coefficients: Array, p: Array) -> tuple[float, Array]:
     """S of (10) and (11), and ∇S (3,), at one point (3,) [m], with `ScoreField.coefficients`."""
-    constant, quadratic = coefficients[0], coefficients[1]
-    measure = (constant + quadratic * p[0] * abs(p[0]), 2 * quadratic * abs(p[0]), 0.0)
-    A, B, C = coefficients[6], coefficients[7], coefficients[8]
-    _, score, x, y, z = _score_and_gradient(p, measure, coefficients[3:6], A, B, C)
-    return score, np.array([x, y, z])
+    _, score, gradient = _field_at(coefficients, p)
+    return score, gradient
 
 
 @dataclass(frozen=True)
@@ -165,10 +150,10 @@ class RadialProfile:
         Raises:
             ValueError: There are no values.
         """
-        enough = self.count >= min(_FEWEST, self.count.max(initial=0))
         if not self.count.any():
             raise ValueError("there are no values")
-        return int(np.argmax(np.where(enough & (self.count > 0), self.mean, -np.inf)))
+        enough = self.count >= min(_FEWEST, self.count.max())
+        return int(np.argmax(np.where(enough, self.mean, -np.inf)))
 
     def band(self, share: float) -> tuple[float, float]:
         """The range [m] of distances around the peak in which each shell's mean is high enough.

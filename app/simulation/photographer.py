@@ -59,10 +59,11 @@ class Camera(NamedTuple):
         """
         camera = self
         for _ in range(8):  # the perspective changes a little each time
-            at = _project(points, *camera.matrices())
+            view, projection = camera.matrices()
+            at = _project(points, projection @ view)
             middle = (at.max(axis=0) + at.min(axis=0)) / 2
             half = (at.max(axis=0) - at.min(axis=0)) / 2
-            right, up = camera.matrices()[0][:2, :3]
+            right, up = view[:2, :3]
             reach = camera.distance * math.tan(self.fov / 2)
             aspect = self.width / self.height
             shift = middle[0] * reach * aspect * right + middle[1] * reach * up
@@ -96,15 +97,13 @@ class Picture(NamedTuple):
     """(height, width, 3) colours, uint8."""
     floor: Array
     """(height, width) whether each pixel shows no body, so that it is floor or background."""
-    view: Array
-    """(4, 4) transform from the world to the camera."""
-    projection: Array
-    """(4, 4) transform from the camera to the clip space."""
+    to_clip: Array
+    """(4, 4) transform from the world to the clip space."""
 
     def pixels(self, points: Array) -> Array:
         """(N, 2) [px] column and row of points (N, 3) [m] in the world."""
         height, width = self.floor.shape
-        at = _project(np.atleast_2d(points), self.view, self.projection)
+        at = _project(np.atleast_2d(points), self.to_clip)
         return (at * [1, -1] + 1) / 2 * [width, height] - 0.5
 
     def unhidden(self, points: Array) -> Array:
@@ -185,7 +184,7 @@ class Photographer:
         empty = np.reshape(image[4], (height, width, 1)) < 0
         rgb = np.where(empty, 255.0, np.reshape(image[2], (height, width, 4))[..., :3])
         floor = _smaller(empty.astype(float))[..., 0] > 0.5
-        return Picture(_smaller(rgb).round().astype(np.uint8), floor, view, projection)
+        return Picture(_smaller(rgb).round().astype(np.uint8), floor, projection @ view)
 
     def _add(self, solid: Solid) -> int:
         # Each face has its own vertices; otherwise pybullet would draw a box with rounded edges.
@@ -207,12 +206,12 @@ def _smaller(image: Array) -> Array:
     return image.reshape(h // _FINER, _FINER, w // _FINER, _FINER, c).mean(axis=(1, 3))
 
 
-def _project(points: Array, view: Array, projection: Array) -> Array:
+def _project(points: Array, to_clip: Array) -> Array:
     """(N, 2) offsets right and up from the picture's centre, relative to half its width and height.
 
-    The points are (N, 3) [m] in the world; `view` and `projection` are (4, 4).
+    The points are (N, 3) [m] in the world; `to_clip` (4, 4) is that of `Picture`.
     """
-    clip = np.column_stack([points, np.ones(len(points))]) @ (projection @ view).T
+    clip = np.column_stack([points, np.ones(len(points))]) @ to_clip.T
     return clip[:, :2] / clip[:, 3:]
 
 

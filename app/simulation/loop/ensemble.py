@@ -190,11 +190,6 @@ class Ensemble:
         if self.main is not self._free:
             self.main.close()
 
-    def _case_of(self, scenario: Scenario) -> RunCase:
-        main, robot = self.main, self._free.model.description.name
-        run = robot, scenario, self._config, main.controller.name, main.kind, main.seed
-        return RunCase.of(RunSpec(*run))
-
     def _let_go(self) -> None:
         self.ends = None
         for runner in (self._led, *self.ghosts):
@@ -238,7 +233,9 @@ class Ensemble:
         self._led, self.scenario, self.comparison = led, scenario, comparison
         self.ends = scenario and scenario.duration
         self._holds.clear()
-        self._case = scenario and self._case_of(scenario)
+        run = names[0], free.kind, free.seed
+        robot = free.model.description.name
+        self._case = scenario and RunCase.of(RunSpec(robot, scenario, self._config, *run))
         self._replace_ghosts(ghosts)
 
     def _replace_ghosts(self, ghosts: list[Runner]) -> None:

@@ -225,6 +225,7 @@ class SimulationLoop(LiveLoop):
             self._pacer.restart()
         elif isinstance(command, commands.Speed):
             self._pacer.speed = self._speed = command.factor
+            self._pacer.restart()
         elif isinstance(command, commands.StepOnce):
             self._step_once(command.seconds, ensemble)
         else:

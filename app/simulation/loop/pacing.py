@@ -25,7 +25,9 @@ class Pacer:
             period: [s] simulated duration of a step.
             speed: [-] desired ratio of simulated to real time.
         """
-        self._period, self._speed = period, speed
+        self._period = period
+        self.speed = speed
+        """[-] desired ratio of simulated to real time; `restart` must follow a change."""
         self.overruns = 0
         """Number of steps that took longer than their period, or started after its end."""
         self._marks: deque[tuple[float, int]] = deque()
@@ -40,19 +42,9 @@ class Pacer:
         self._marks.clear()
 
     @property
-    def speed(self) -> float:
-        """[-] desired ratio of simulated to real time; a change starts a new schedule."""
-        return self._speed
-
-    @speed.setter
-    def speed(self, speed: float) -> None:
-        self._speed = speed
-        self.restart()
-
-    @property
     def _real(self) -> float:
         """[s] real time of a step."""
-        return self._period / self._speed
+        return self._period / self.speed
 
     def worked(self, duration: float) -> None:
         """Record the real time [s] of the controller in this step."""
@@ -79,7 +71,7 @@ class Pacer:
     def realtime_factor(self) -> float:
         """[-] ratio of simulated to real time in the last second; at first, the desired ratio."""
         if len(self._marks) < 2:
-            return self._speed
+            return self.speed
         (begin, first), (end, last) = self._marks[0], self._marks[-1]
         return (last - first) * self._period / max(end - begin, 1e-9)
 

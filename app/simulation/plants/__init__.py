@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names of plants
 
 _FORMERLY = {"contact": "mujoco-contact"}
-_DOORS = "planar, mujoco or mujoco-contact"
 
 
 def default_plant() -> str:
@@ -66,7 +65,7 @@ def make_physics(
     if kind in ("planar", "mujoco"):
         from app.simulation.plants.planar import planar_plant
 
-        return planar_plant("mujoco" if kind == "mujoco" else "pybullet", model, dt=dt, door=door)
+        return planar_plant("pybullet" if kind == "planar" else "mujoco", model, dt=dt, door=door)
     if kind == "mujoco-contact":
         from app.robot.bases.differential import DifferentialBase
 
@@ -79,10 +78,10 @@ def make_physics(
         from app.simulation.plants.mujoco_wheels import MujocoWheels
 
         return MujocoWheels(model, dt=dt, door=door)
-    if kind == "kinematic":
-        from app.simulation.plants.kinematic import Kinematic
+    from app.simulation.plants.kinematic import Kinematic
 
-        if door is not None:
-            raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
-        return Kinematic(model, dt=dt)
-    raise NotImplementedError(f"make_physics has no branch for the plant {kind}")
+    if door is not None:
+        raise ConfigError(
+            "the plant kinematic has no door; choose planar, mujoco or mujoco-contact"
+        )
+    return Kinematic(model, dt=dt)

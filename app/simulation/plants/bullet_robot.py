@@ -13,10 +13,11 @@ import pinocchio as pin
 from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
-from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
+from app.robot.urdf import origin
+from app.simulation.plants.bullet_world import BulletWorld, pybullet
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
-from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
+from app.simulation.plants.interface import HeldDoor, PlanarWorld, Push, Wrench
 from app.strict import Array
 
 _AWAY = (100.0, 0.0)  # [m] place at which the refrigerator is loaded, far from the robot
@@ -83,12 +84,6 @@ class BulletRobot(BulletWorld, PlanarWorld):
             self._press(self.joints[push.joint], push.p.tolist(), push.force)
         self.client.stepSimulation()
 
-    def contacts(self) -> Contacts:
-        contacts = super().contacts()
-        if self.door is None:
-            return contacts
-        return contacts._replace(door_base=self.door.touches_base())
-
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
         order = np.argsort(np.argsort(self.moving))  # pybullet orders joints by their indices
         ordered = np.empty((2, len(q)))
@@ -100,13 +95,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         return M[np.ix_(order, order)], h[order]
 
     def _press(self, link: int, point: Sequence[float], force: Array) -> None:
-        """Apply a force to a point of a link.
-
-        Args:
-            link: Index of the link and of the joint that moves it.
-            point: (3,) [m] the point in the joint's frame.
-            force: (3,) [N] the force in the world.
-        """
+        """Apply a force (3,) [N] in the world to a point (3,) [m] in a joint's frame."""
         fx, fy, fz = np.asarray(force).tolist()
         if fx == fy == fz == 0.0:
             return
@@ -125,7 +114,8 @@ class BulletDoor(HeldDoor):
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
         """Load the refrigerator; `reset` puts it in place with the door at the initial angle."""
         self.door, self._start = start
-        self._client, self._robot = client, robot = world.client, world.robot
+        self._client = client = world.client
+        self._robot = world.robot
         arm = model.description.arm
         self._hand = world.links[arm.end_effector_link]
         turn = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
@@ -147,9 +137,9 @@ class BulletDoor(HeldDoor):
         covered = model.description.mobile_body.covers
         touching = {world.links[name] for name in covered if name in world.links}
         for link in world.links.values():
-            for part in (-1, _DOOR):
-                may = part == _DOOR and link in touching
-                client.setCollisionFilterPair(robot, self.body, link, part, int(may))
+            group = "door_base" if link in touching else None
+            world.allow((self._robot, link), (self.body, -1), None)
+            world.allow((self._robot, link), (self.body, _DOOR), group)
 
     def release(self) -> None:
         """Release the door, if the end-effector holds it."""
@@ -176,11 +166,6 @@ class BulletDoor(HeldDoor):
             return Wrench(np.zeros(3), np.zeros(3))
         R = self._hand_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
-
-    def touches_base(self) -> bool:
-        """Whether the door touched the mobile base in the last step."""
-        contacts = self._client.getContactPoints(self._robot, self.body, linkIndexB=_DOOR)
-        return any(map(touches, contacts))
 
     def _take_hold(self) -> None:
         """Fix the end-effector to the door at the present poses of both."""
@@ -243,25 +228,17 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
         alike = touched.get(parent) == touched.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
             continue
-        T = _origin(joint)
+        T = origin(joint, child)
         for collision in link.findall("collision"):
-            _place(collision, T * _origin(collision))
+            _place(collision, T * origin(collision, child))
             links[parent].append(collision)
         _weigh(links[parent], _inertia(links[parent]) + T.act(_inertia(link)))
         for outer in tree.iterfind("joint"):
             if (end := outer.find("parent")) is not None and end.get("link") == child:
                 end.set("link", parent)
-                _place(outer, T * _origin(outer))
+                _place(outer, T * origin(outer, child))
         tree.remove(joint)
         tree.remove(link)
-
-
-def _origin(element: Element) -> pin.SE3:
-    """The pose in the `<origin>` of an element; the identity if there is none."""
-    at = element.find("origin")
-    words = {} if at is None else at.attrib
-    xyz, rpy = (np.array(words.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
-    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
 
 
 def _place(element: Element, T: pin.SE3) -> None:
@@ -277,7 +254,7 @@ def _inertia(link: Element) -> pin.Inertia:
     xx, xy, xz, yy, yz, zz = (float(moments.get(key, 0.0)) for key in _MOMENTS)
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     mass = float(_part(inertial, "mass").get("value", 0.0))
-    return _origin(inertial).act(pin.Inertia(mass, np.zeros(3), tensor))
+    return origin(inertial, str(link.get("name"))).act(pin.Inertia(mass, np.zeros(3), tensor))
 
 
 def _weigh(link: Element, inertia: pin.Inertia) -> None:

@@ -153,12 +153,18 @@ class BulletWorld:
         places = {name: (self.robot, i) for name, i in self.links.items()}
         places[FLOOR] = self.floor, -1
         for a, b in combinations(places, 2):
-            (body_a, link_a), (body_b, link_b) = places[a], places[b]
-            group = pairs.get((a, b)) or pairs.get((b, a))
-            self.client.setCollisionFilterPair(body_a, body_b, link_a, link_b, int(bool(group)))
-            if group:
-                self._contact_of[body_a, body_b, link_a, link_b] = group
-                self._contact_of[body_b, body_a, link_b, link_a] = group
+            self.allow(places[a], places[b], pairs.get((a, b)) or pairs.get((b, a)))
+
+    def allow(self, a: tuple[int, int], b: tuple[int, int], group: str | None) -> None:
+        """Let two links touch if `group`, the field of `Contacts`, is not None.
+
+        `a` and `b` are the indices of each link's body and of the link.
+        """
+        (body_a, link_a), (body_b, link_b) = a, b
+        self.client.setCollisionFilterPair(body_a, body_b, link_a, link_b, int(bool(group)))
+        if group:
+            self._contact_of[body_a, body_b, link_a, link_b] = group
+            self._contact_of[body_b, body_a, link_b, link_a] = group
 
     def contacts(self) -> Contacts:
         """Contacts in the last step."""

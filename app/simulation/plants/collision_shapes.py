@@ -58,9 +58,7 @@ class CollisionShapes(NamedTuple):
     """All shapes of a robot, and the pairs of parts between which contacts are computed."""
 
     shapes: tuple[CollisionShape, ...]
-    """The shapes."""
     pairs: ContactPairs
-    """The pairs of parts between which contacts are computed."""
     mobile: tuple[str, ...]
     """Names of the parts of l_m."""
 

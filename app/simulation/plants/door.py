@@ -133,7 +133,6 @@ class OpenDoor(NamedTuple):
     """A door with its initial opening angle."""
 
     door: Door
-    """The door."""
     angle: float
     """[rad] opening angle at the start."""
 

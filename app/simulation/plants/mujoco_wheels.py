@@ -76,16 +76,13 @@ class Wheels:
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
         small = pin.Inertia.FromSphere(_MIN_MASS * model.pin.inertias[1].mass, r)
         self.inertias = [I if I.mass > 0.0 else small for I in own] or [small] * len(places)
-        """Inertia of each wheel, in a frame at its centre. The root's inertia in the robot model
-        includes the wheels."""
+        """Inertia of each wheel, in a frame at its centre."""
+        self.root = model.pin.inertias[1]
+        """The root's inertia without the wheels, which that of the robot model includes."""
+        for centre, inertia in zip(self.centres, self.inertias, strict=True):
+            self.root = self.root - pin.SE3(np.eye(3), centre).act(inertia)
         self.spans = bool(np.ptp(self.centres[:, 0]) > r)
         """Whether the base can stand on its wheels; otherwise it needs casters."""
-
-    def root_without(self, whole: pin.Inertia) -> pin.Inertia:
-        """The root's inertia without the wheels, from the inertia with the wheels."""
-        for centre, inertia in zip(self.centres, self.inertias, strict=True):
-            whole = whole - pin.SE3(np.eye(3), centre).act(inertia)
-        return whole
 
 
 class MujocoWheels(Physics):
@@ -97,8 +94,7 @@ class MujocoWheels(Physics):
         """Load a robot with a differential base in its ready position; see `make_physics`."""
         description, self.dt = model.description, dt
         self.wheels = wheels = Wheels(model)
-        root = wheels.root_without(model.pin.inertias[1])
-        robot = RobotSpec(model, dt, free_root=root)
+        robot = RobotSpec(model, dt, free_root=wheels.root)
         _add_wheels(robot, wheels, differential(description))
         _add_casters_and_hull(robot, wheels)
         self.world = MujocoWorld(robot, door)
@@ -107,11 +103,11 @@ class MujocoWheels(Physics):
         turning = [self.world.model.joint(name).qposadr[0] for name in robot.motors]
         self._angles = np.array(turning)
         self._calibrate(differential(description).half_track_m)
-        ready = np.array(description.arm.ready_position)
-        self.reset(np.zeros(3), ready)
+        ready = np.zeros(3), np.array(description.arm.ready_position)
+        self.reset(*ready)
         if wheels.spans:
             self._calibrate(self._turned_half_track())
-            self.reset(np.zeros(3), ready)
+            self.reset(*ready)
 
     @property
     def wheel_angles(self) -> Array:
@@ -183,14 +179,9 @@ class MujocoWheels(Physics):
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
     def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
-        """Turn the wheels while the arm is fixed, and return the base's turn rates.
+        """Turn the wheels at speeds (n,) [rad/s] while the arm is fixed.
 
-        Args:
-            steps: Number of steps.
-            speeds: (n,) [rad/s] speeds of the wheels.
-
-        Returns:
-            [rad/s] turn rate of the base at each step.
+        The result is the base's turn rate [rad/s] at each step.
         """
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []

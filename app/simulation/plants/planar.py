@@ -38,7 +38,9 @@ class Planar(Physics):
     def measure(self) -> Measurement:
         pose, v, q_m, qd_m = self.world.read()
         self._heading = heading = pose.item(2)
-        twist = base_twist(v, heading)
+        c, s = math.cos(heading), math.sin(heading)
+        x, y, w = v
+        twist = c * x + s * y, c * y - s * x, w
         velocity = np.array([twist[axis] for axis in self._axes])
         return Measurement(pose, velocity, q_m, qd_m, self._drive.state)
 
@@ -98,27 +100,12 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """The mean twist (3,) in the world during a step, for a twist in the base's frame.
+    """The mean twist (3,) in the world during a step of dt [s], for a twist in the base's frame.
 
-    Both twists are v_x, v_y [m/s] and ω [rad/s]. The direction in the middle of the step is used,
-    which is exact on a circle.
-
-    Args:
-        twist: (3,) twist in the base's frame.
-        heading: [rad] heading at the start of the step.
-        dt: [s] duration of the step.
+    Both twists are v_x, v_y [m/s] and ω [rad/s]; `heading` [rad] is that at the start of the step.
+    The direction in the middle of the step is used, which is exact on a circle.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt
     c, s = math.cos(phi), math.sin(phi)
     return [x * c - y * s, x * s + y * c, w]
-
-
-def base_twist(velocity: Sequence[float], heading: float) -> list[float]:
-    """The twist (3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame, from the twist in the world.
-
-    `velocity` (3,) is the twist in the world, `heading` [rad] the base's heading.
-    """
-    c, s = math.cos(heading), math.sin(heading)
-    x, y, w = velocity
-    return [c * x + s * y, c * y - s * x, w]

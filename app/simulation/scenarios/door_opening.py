@@ -16,7 +16,7 @@ import pinocchio as pin
 from app.control.tasks import Reference
 from app.simulation.plants.door import Door, DoorReading
 from app.simulation.plants.interface import Wrench
-from app.simulation.scenarios.leading import StepInput
+from app.simulation.scenarios.leading import Driver, StepInput
 from app.simulation.session import Session
 from app.strict import Array
 
@@ -110,10 +110,8 @@ class DoorOpening:
         self._R_start = T_world_ee.rotation.copy()
         self._angle = math.atan2(radial_guess[1], radial_guess[0])  # initial r̂
         self._pose = T_world_ee.copy()
-        self._sense = 1.0
-        out_of_door = -self._R_start[:, 2]
-        if tangent(self.radial(T_world_ee), 1.0) @ out_of_door < 0.0:
-            self._sense = -1.0
+        into_door = tangent(self.radial(T_world_ee), 1.0) @ self._R_start[:, 2]
+        self._sense = -1.0 if into_door > 0.0 else 1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
         """κ̂ [1/m], positive for counter-clockwise turns, and the commanded speed [m/s] along the
         tangent."""
@@ -177,41 +175,37 @@ class DoorOpening:
         self._pose.rotation = pin.exp3(turning * self._dt) @ self._pose.rotation
 
 
-class Opener:
-    """The adaptive controller with the sensors of a session."""
+def opener(door: Door, session: Session, *, rate: float, guess: float) -> Driver:
+    """The driver that opens a door with the adaptive controller and the sensors of a session.
 
-    def __init__(self, door: Door, session: Session, *, rate: float, guess: float) -> None:
-        """Start with the end-effector of a session at the handle of a door.
+    Args:
+        door: The held door.
+        session: The session, which is at its start.
+        rate: [deg/s] desired rotation rate of the door.
+        guess: [deg] error of the initial estimate of the direction to the hinge.
+    """
+    gains = DoorOpeningGains(speed=math.radians(rate) * door.handle_radius)
+    turn = -door.side * math.radians(guess)
+    turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    start = session.T_world_ee
+    radial = turned @ door.radial(start.translation)
+    opening = DoorOpening(start, radial, gains, session.physics.dt)
 
-        Args:
-            door: The held door.
-            session: The session, which is at its start.
-            rate: [deg/s] desired rotation rate of the door.
-            guess: [deg] error of the initial estimate of the direction to the hinge.
-        """
-        self._door = door
-        T_ee = session.T_world_ee
-        speed = math.radians(rate) * door.handle_radius
-        gains = DoorOpeningGains(speed=speed)
-        turn = -door.side * math.radians(guess)
-        turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        radial = turned @ door.radial(T_ee.translation)
-        self._opening = DoorOpening(T_ee, radial, gains, session.physics.dt)
-
-    def __call__(self, session: Session) -> StepInput:
+    def lead(session: Session) -> StepInput:
         assert session.physics.door is not None
         wrench = session.physics.door.wrench()
         T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]
-        truth = self._door.radial(T_ee.translation)
-        guess = self._opening.radial(T_ee)
+        truth, estimate = door.radial(T_ee.translation), opening.radial(T_ee)
+        across = truth[0] * estimate[1] - truth[1] * estimate[0]
         reading = DoorReading(
             session.physics.door.angle(),
             wrench.force,
             float(wrench.force[:2] @ truth),
-            math.atan2(truth[0] * guess[1] - truth[1] * guess[0], float(truth @ guess[:2])),
+            math.atan2(across, float(truth @ estimate[:2])),
         )
-        reference = self._opening.step(T_ee, velocity, wrench)
-        return StepInput(reference=reference, door=reading)
+        return StepInput(reference=opening.step(T_ee, velocity, wrench), door=reading)
+
+    return lead
 
 
 def _share(value: float) -> float:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from typing_extensions import Self
 
@@ -70,6 +71,9 @@ class Scenario(ABC):
 
     def __post_init__(self) -> None:
         check_range("--duration", self.duration, *_DURATIONS, "s")
+        for name, choices in _choices(type(self)).items():
+            if (value := getattr(self, name)) not in choices:
+                raise ConfigError(f"--{name}: {value!r} is not one of {', '.join(choices)}")
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -118,6 +122,13 @@ class Scenario(ABC):
         return ConfigError(
             f"--{option}: the scenario {self.name} has no such option; its options are: {options}"
         )
+
+
+@cache
+def _choices(kind: type[Scenario]) -> dict[str, tuple[str, ...]]:
+    """The valid values of each field that has the type of a `Literal`."""
+    hints = get_type_hints(kind).items()
+    return {name: get_args(hint) for name, hint in hints if get_origin(hint) is Literal}
 
 
 def check_point(option: str, point: Sequence[float], size: int = 3) -> None:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from app.simulation.session import Session
 
 Point = tuple[float, float, float]
-MODES = ("guiding", "tracking")
 
 
 @dataclass(frozen=True)
@@ -57,8 +56,6 @@ class LineScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.mode not in MODES:
-            raise ConfigError(f"--mode: {self.mode!r} is not one of {', '.join(MODES)}")
         if not 0.0 < self.moving <= (1.0 if self.release_at is None else math.inf):
             raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
         self._check_release()

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from app.errors import ConfigError
 from app.simulation.scenarios.leading import Driver, Scenario, Setting, check_point
 from app.strict import Array, check_range
 
@@ -71,8 +70,6 @@ class RefrigeratorScenario(Scenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.hinge not in ("left", "right"):
-            raise ConfigError(f"--hinge: {self.hinge!r} is neither left nor right")
         for name, (low, high, unit) in _RANGES.items():
             check_range(f"--{name.replace('_', '-')}", getattr(self, name), low, high, unit)
         check_point("--hinge-position", self.hinge_position or (0.0, 0.0), 2)
@@ -131,6 +128,6 @@ class RefrigeratorScenario(Scenario):
         return config.changed(firm)
 
     def driver(self, session: Session) -> Driver:
-        from app.simulation.scenarios.door_opening import Opener
+        from app.simulation.scenarios.door_opening import opener
 
-        return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)
+        return opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)

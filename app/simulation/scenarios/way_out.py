@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from app.errors import ConfigError, UnreachableError
+from app.errors import UnreachableError
 from app.simulation.scenarios.leading import Driver, Scenario, Setting, StepInput
 from app.strict import Array
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from app.simulation.session import Session
 
 Begin = Literal["penetration", "buffer", "arm"]
-BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")
+BEGINS: tuple[Begin, ...] = get_args(Begin)
 """Kinds of starts: a pair in penetration; a pair of L_m inside its buffer, without penetration;
 a pair of L_m^c inside its buffer, without penetration."""
 
@@ -40,11 +40,6 @@ class WayOutScenario(Scenario):
     about: str = "the robot starts inside a buffer or in penetration, and has to leave it"
     begin: Begin = "penetration"
     """Kind of the start."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.begin not in BEGINS:
-            raise ConfigError(f"--begin: {self.begin!r} is not one of {', '.join(BEGINS)}")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """A random posture of the arm; the base is at the origin. Equal seeds give equal postures.
@@ -85,14 +80,10 @@ class WayOutScenario(Scenario):
 def _judge(
     search: PostureSearch, i: int, above: bool | None, depth: tuple[float, float], _: Array
 ) -> float:
-    """1 if the present posture is a valid start for pair i, otherwise 0.
+    """1 if the search's present posture is a valid start for pair i, otherwise 0.
 
-    Args:
-        search: The search, whose present posture is judged.
-        i: Index of the pair, which must be the nearest one.
-        above: Whether the arm must be above the base; None means any direction.
-        depth: [m] range of the pair's distance.
-        _: The posture.
+    The pair must be the nearest one, at a distance in the range `depth` [m]. `above` states whether
+    the arm must be above the base; None means any direction.
     """
     closest = search.monitor.find_closest_points()
     pair = closest[i]

@@ -90,11 +90,7 @@ def read_trace(path: Path) -> Trace:
 
 
 def _trace(text: str, found: pa.Table, budget: Budget) -> Trace:
-    """Make a trace from the header and the table of a file.
-
-    Raises:
-        LogError: Header and table do not match, are invalid, or need too much memory.
-    """
+    """Make a trace from the header and the table of a file."""
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
     names = _quantities(found.column_names, meta)
@@ -148,12 +144,9 @@ def _snapshots(
 
 
 def _cells(column: Column, values: pa.ChunkedArray, drawn: pa.ChunkedArray) -> list[Any]:
-    """The cells of a column in the rows with snapshots.
+    """The cells of a column in the rows with snapshots, by `_cast`.
 
     A column without numbers at each step must be empty in the other rows.
-
-    Raises:
-        LogError: As for `_cast`, or a text is too long.
     """
     if not column.often:
         _cast(column, values, len(drawn))
@@ -168,10 +161,6 @@ def _cast(column: Column, values: pa.ChunkedArray, filled: int) -> pa.ChunkedArr
     """Convert the cells of a column to the column's type.
 
     `filled` is the required number of cells with a value, unless the column is optional or a text.
-
-    Raises:
-        LogError: The cells have a different type, or fewer or more than `filled` of them have a
-            value.
     """
     empty = filled - (len(values) - values.null_count)
     if not column.optional and column.kind != "text" and empty:

@@ -19,10 +19,11 @@ reads robots and named curves only from these. A file of `--ros` has only the fi
 import io
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from math import nan
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 from urllib.parse import unquote, urlsplit
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -34,30 +35,18 @@ import trimesh
 from foxglove import messages as fg
 from foxglove.mcap import MCAPWriteOptions
 from google.protobuf import descriptor_pb2, message_factory
+from rosbags.typesys import Stores, get_typestore
 
 from app.robot.assets import shown_urdf
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, whole_model
 from app.robot.shapes import shape_mesh
 from app.robot.urdf import colour, numbers, origin, primitive
-from app.simulation.trace.motion import (
-    FRAMES,
-    JOINTS,
-    TEXT,
-    WORLD,
-    Frames,
-    JointReading,
-    joints_of,
-    nanoseconds,
-    ros_definition,
-    ros_frames,
-    ros_joints,
-    ros_text,
-)
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
 from app.strict import Array
 from app.system import write_whole
 
+WORLD = "world"  # name of the world's frame
 Materials = Mapping[str | None, Element]  # materials of the robot by name
 
 _METRES_PER_NEWTON = 1 / 400  # [m/N] scale of drawn forces: 0.1 m represents 40 N
@@ -93,6 +82,18 @@ def write_mcap(path: Path, trace: Trace, model: RobotModel, *, ros: bool = False
     write_whole(path, file.getvalue())
 
 
+class _Joint(NamedTuple):
+    """The state of a joint at one instant; None means unknown."""
+
+    name: str
+    position: float
+    """[rad or m] position about or along the joint's axis in the URDF."""
+    velocity: float | None = None
+    """[rad/s or m/s] velocity."""
+    effort: float | None = None
+    """[N m or N] torque or force."""
+
+
 class _Log:
     """An MCAP log; the first message of a topic opens the topic's channel."""
 
@@ -107,11 +108,35 @@ class _Log:
         """Append a Foxglove message at time t [s]."""
         self._put(topic, t, message.encode(), message.get_schema)
 
-    def put_ros(self, topic: str, t: float, kind: str, content: bytes) -> None:
-        """Append an encoded ROS message of the type `kind` at time t [s]."""
-        data = ros_definition(kind)
-        schema = partial(foxglove.Schema, name=kind, encoding="ros2msg", data=data)
-        self._put(topic, t, content, schema)
+    def put_ros(self, topic: str, t: float, kind: str, **fields: Any) -> None:
+        """Append a ROS message of the type `kind` with these fields at time t [s]."""
+
+        def schema() -> foxglove.Schema:
+            definition, _ = _store().generate_msgdef(kind, ros_version=2)
+            return foxglove.Schema(name=kind, encoding="ros2msg", data=definition.encode())
+
+        self._put(topic, t, bytes(_store().serialize_cdr(_ros(kind, **fields), kind)), schema)
+
+    def put_joints(self, topic: str, t: float, states: Sequence[_Joint]) -> None:
+        """Append the states of joints at time t [s].
+
+        Velocities or efforts are omitted if no joint has them.
+        """
+        names, position, *others = zip(*states, strict=True)
+        velocity, effort = (
+            np.array([nan if x is None else x for x in column if {*column} != {None}], dtype=float)
+            for column in others
+        )
+        self.put_ros(
+            topic,
+            t,
+            "sensor_msgs/msg/JointState",
+            header=_header(t, ""),
+            name=list(names),
+            position=np.array(position, dtype=float),
+            velocity=velocity,
+            effort=effort,
+        )
 
     def put_record(self, topic: str, t: float, name: str, values: Mapping[str, Any]) -> None:
         """Append a record of numbers and texts at time t [s].
@@ -132,7 +157,7 @@ class _Log:
             self._channels[topic] = foxglove.Channel(
                 topic, schema=made, message_encoding=encoding, context=self._context
             )
-        self._channels[topic].log(content, log_time=nanoseconds(t))
+        self._channels[topic].log(content, log_time=_nanoseconds(t))
 
 
 def _record_kind(name: str, example: Mapping[str, Any]) -> tuple[Any, foxglove.Schema]:
@@ -146,13 +171,57 @@ def _record_kind(name: str, example: Mapping[str, Any]) -> tuple[Any, foxglove.S
     return message_factory.GetMessages([file])[name], schema
 
 
+class _Frames:
+    """Poses of the links relative to their parents, including turning wheels."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self._model, self._whole = model, whole_model(model.description)
+        self._data = self._whole.createData()
+        frames = self._whole.frames
+        self._links = [i for i, f in enumerate(frames) if f.type == pin.FrameType.BODY]
+        hand = model.pin.frames[model.ee_frame]
+        link = model.pin.frames[hand.parentFrame]
+        self._hand = link.name, hand.name, link.placement.actInv(hand.placement)
+
+    def at(self, s: Snapshot) -> list[tuple[str, str, pin.SE3]]:
+        """Name of the parent, name of the link and T_parent_link, for each link at a snapshot.
+
+        The end-effector's frame is the last one.
+        """
+        whole, turned = self._whole, np.zeros(self._whole.nv)
+        for joint in _joints_of(s, self._model):
+            turned[whole.joints[whole.getJointId(joint.name)].idx_v] = joint.position
+        q = pin.integrate(whole, pin.neutral(whole), turned)
+        q[:4] = self._model.configuration(s.base_pose, s.q_m)[:4]
+        pin.framesForwardKinematics(whole, self._data, q)
+        return [*map(self._place, self._links), self._hand]
+
+    def _place(self, link: int) -> tuple[str, str, pin.SE3]:
+        frames, oMf = self._whole.frames, self._data.oMf
+        parent = frames[link].parentFrame
+        while parent and frames[parent].type != pin.FrameType.BODY:
+            parent = frames[parent].parentFrame
+        name = frames[parent].name if parent else WORLD  # frame 0 is the world
+        return name, frames[link].name, oMf[parent].actInv(oMf[link])
+
+
+def _joints_of(s: Snapshot, model: RobotModel) -> list[_Joint]:
+    """The states of the joints of arm and wheels at a snapshot."""
+    arm = model.description.arm.joints
+    speeds = [None] * len(arm) if s.qd_m is None else s.qd_m.tolist()
+    moving = zip(arm, s.q_m.tolist(), speeds, s.u_a.tolist(), strict=True)
+    wheels = model.wheel_positions(s.wheel_angles)
+    return [*map(_Joint._make, moving), *(_Joint(*each) for each in wheels.items())]
+
+
 def _put_motion(log: _Log, trace: Trace, model: RobotModel) -> None:
     """Write the robot's URDF and its motion."""
-    frames, urdf = Frames(model), ros_text(shown_urdf(model.description))
-    log.put_ros("/robot_description", trace.snapshots[0].t, TEXT, urdf)
+    frames, urdf = _Frames(model), shown_urdf(model.description)
+    log.put_ros("/robot_description", trace.snapshots[0].t, "std_msgs/msg/String", data=urdf)
     for s in trace.snapshots:
-        log.put_ros("/joint_states", s.t, JOINTS, ros_joints(s.t, joints_of(s, model)))
-        log.put_ros("/tf", s.t, FRAMES, ros_frames(s.t, frames.at(s)))
+        log.put_joints("/joint_states", s.t, _joints_of(s, model))
+        transforms = [_frame(s.t, *each) for each in frames.at(s)]
+        log.put_ros("/tf", s.t, "tf2_msgs/msg/TFMessage", transforms=transforms)
 
 
 def _put_scene(log: _Log, trace: Trace, model: RobotModel) -> None:
@@ -179,8 +248,8 @@ def _put_numbers(log: _Log, trace: Trace) -> None:
     for s in trace.snapshots:
         row = trace.table[trace.row_at(s.t)]
         for quantity, columns in trace.groups.items():
-            curves = [JointReading(name, row[trace.index[name]]) for name in columns]
-            log.put_ros(f"/curves/{quantity}", s.t, JOINTS, ros_joints(s.t, curves))
+            curves = [_Joint(name, row[trace.index[name]]) for name in columns]
+            log.put_joints(f"/curves/{quantity}", s.t, curves)
         if s.config != config:
             config = s.config
             sections = config.model_dump(mode="json").items()
@@ -304,4 +373,35 @@ def _xyz(at: Array) -> dict[str, float]:
 
 
 def _time(t: float) -> fg.Timestamp:
-    return fg.Timestamp(*divmod(nanoseconds(t), 10**9))
+    return fg.Timestamp(*divmod(_nanoseconds(t), 10**9))
+
+
+def _nanoseconds(t: float) -> int:
+    return round(1e9 * t)
+
+
+def _frame(t: float, parent: str, child: str, T: pin.SE3) -> Any:
+    x, y, z, *turn = pin.SE3ToXYZQUAT(T).tolist()
+    place = _ros("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+    rotation = _ros("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turn, strict=True)))
+    motion = _ros("geometry_msgs/msg/Transform", translation=place, rotation=rotation)
+    header = _header(t, parent)
+    return _ros(
+        "geometry_msgs/msg/TransformStamped", header=header, child_frame_id=child, transform=motion
+    )
+
+
+def _header(t: float, frame: str) -> Any:
+    seconds, rest = divmod(_nanoseconds(t), 10**9)
+    stamp = _ros("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+    return _ros("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+
+def _ros(kind: str, **fields: Any) -> Any:
+    """A ROS message, or a part of one."""
+    return _store().types[kind](**fields)
+
+
+@cache
+def _store() -> Any:
+    return get_typestore(Stores.ROS2_JAZZY)

@@ -104,7 +104,7 @@ def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
 def thinned(border: Border, count: int) -> Border:
     """A border with `count` of its points, a fixed random choice."""
     chosen = _chosen(len(border), count)
-    return replace(border, points=border.points[chosen], heights=border.heights[chosen])
+    return replace(border, points=border.points[chosen])
 
 
 def _chosen(total: int, count: int) -> Array:

@@ -39,7 +39,7 @@ def figure_3(sources: Sources) -> drawing.Drawing:
     counts: dict[str, object] = {}
     for pair in sources.data.pairs.mobile:
         cloud, border = sources.data.clouds[pair.name], sources.border_of(pair)
-        parts[f"P {pair.name}"] = drawing.points_table(cloud.points_m_at(_some(len(cloud), rng)))
+        parts[f"P {pair.name}"] = drawing.points_table(cloud.points_m[_some(len(cloud), rng)])
         parts[f"DBB {pair.name}"] = drawing.points_table(border.points[_some(len(border), rng)])
         counts[pair.name] = {"points_P": len(cloud), "points_DBB": len(border)}
     figure = style.new_figure(7.6)
