@@ -188,8 +188,7 @@ def limits_row(model: RobotModel) -> Row:
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
-    kinds = [joint.shortname() for joint in model.pin.joints[2:]]
-    strongest = [_LIFTS if kind.startswith("JointModelP") else _STRONGEST for kind in kinds]
+    strongest = [_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units]
     wrong = [
         f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N)"
         for name, speed, effort, most in zip(

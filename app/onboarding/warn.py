@@ -17,6 +17,7 @@ from app.control.admittance import largest_command
 from app.control.limits import force_bound
 from app.onboarding.compose import ARM_ON_BASE
 from app.onboarding.fit.collision_sampling import ALWAYS
+from app.onboarding.fit.grouping import BY_BODIES
 from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
@@ -121,8 +122,8 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
             "that no pair can monitor, because they are neighbours or close by design: "
             f"{robot.unseen.rule}; limit the joints between them"
         )
-    for name, by_links in verdict.unwatched.items():
-        if not by_links:
+    for name, why in verdict.unwatched.items():
+        if why == BY_BODIES:
             yield (
                 f"{name} is not monitored: its bodies are within d_b of each other in most poses, "
                 "although its links are not"

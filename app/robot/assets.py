@@ -15,6 +15,7 @@ import re
 import sys
 import sysconfig
 from collections.abc import Sized
+from itertools import pairwise
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from typing import NoReturn, Protocol
@@ -191,15 +192,10 @@ def share_folders() -> list[Path]:
 class HasUrdf(Protocol):
     """The part of a robot's description that states the place of the URDF."""
 
-    @property
-    def name(self) -> str:
-        """Name of the robot, and of its folder."""
-        ...
-
-    @property
-    def urdf(self) -> str:
-        """Path of the URDF in the robot's folder, or its `package://` address."""
-        ...
+    name: str
+    """Name of the robot, and of its folder."""
+    urdf: str
+    """Path of the URDF in the robot's folder, or its `package://` address."""
 
 
 def urdf_path(description: HasUrdf) -> Path:
@@ -220,24 +216,6 @@ PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
 """Joints of the planar root that `planar_urdf` puts under the robot."""
 PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
 """Links of the planar root."""
-
-_PLANAR_ROOT = """
-  <link name="planar_world">{zero}</link>
-  <link name="planar_x_link">{zero}</link>
-  <link name="planar_y_link">{zero}</link>
-  <joint name="planar_x" type="prismatic">
-    <parent link="planar_world"/><child link="planar_x_link"/><axis xyz="1 0 0"/>
-    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
-  </joint>
-  <joint name="planar_y" type="prismatic">
-    <parent link="planar_x_link"/><child link="planar_y_link"/><axis xyz="0 1 0"/>
-    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
-  </joint>
-  <joint name="planar_yaw" type="revolute">
-    <parent link="planar_y_link"/><child link="{root}"/><axis xyz="0 0 1"/>
-    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
-  </joint>
-"""
 _ZERO_INERTIAL = (
     '<inertial><mass value="0"/>'
     '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
@@ -438,8 +416,16 @@ def planar_urdf(description: HasUrdf) -> str:
     pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`.
     """
     text = resolved_urdf(description)
-    planar = _PLANAR_ROOT.format(zero=_ZERO_INERTIAL, root=root_link(text))
-    return text.replace("</robot>", planar + "</robot>")
+    parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
+    ends = pairwise((*PLANAR_LINKS, root_link(text)))
+    motions = ("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("revolute", "0 0 1")
+    for name, (parent, child), (kind, axis) in zip(PLANAR_JOINTS, ends, motions, strict=True):
+        parts.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<axis xyz="{axis}"/><limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>'
+            "</joint>"
+        )
+    return text.replace("</robot>", "".join(parts) + "</robot>")
 
 
 def floats(text: str, count: int) -> list[float] | None:

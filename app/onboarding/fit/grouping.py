@@ -54,6 +54,11 @@ _ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
 _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
 
 
+BY_LINKS = "chosen: some of its links are nearer than d_b by design"
+BY_BODIES = "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions"
+"""Why a pair is not monitored."""
+
+
 class Verdict(NamedTuple):
     """The quality of a grouping."""
 
@@ -65,10 +70,9 @@ class Verdict(NamedTuple):
     """Pairs of bodies that overlap although their links never do."""
     always: tuple[str, ...]
     """Monitored pairs that overlap in some pose and are inside their buffer in most free poses."""
-    unwatched: dict[str, bool]
-    """Pairs that are not monitored because they are inside their buffer in most free poses; True if
-    some of their links are close by design, False if only the bodies are and other pairs see their
-    collisions."""
+    unwatched: dict[str, str]
+    """Pairs that are not monitored because they are inside their buffer in most free poses; the
+    value is `BY_LINKS` or `BY_BODIES`."""
     near: dict[str, float]
     """[-] share of the free poses inside the buffer, by the name of the monitored pair."""
     cost: float
@@ -205,7 +209,7 @@ def judge(
         without = kept & (np.arange(len(names)) != k)
         blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
         if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
-            kept, unwatched[names[k]] = without, names[k] in built
+            kept, unwatched[names[k]] = without, BY_LINKS if names[k] in built else BY_BODIES
     names = list(compress(names, kept))
     distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
     meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
@@ -410,6 +414,5 @@ def _ranked(
 
 def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
     """Units on prismatic joints of the arm."""
-    units = [unit for unit in meetings.units if unit.joint > 1]
-    kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in units}
-    return frozenset(k for k, kind in kinds.items() if kind.startswith("JointModelP"))
+    arm = (unit for unit in meetings.units if unit.joint > 1)
+    return frozenset(u.index for u in arm if model.joint_units[u.joint - 2] == "m")

@@ -155,23 +155,6 @@ Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] the result of `group_distances` for groups of shapes outside of any model."""
-    geometry, ids = pin.GeometryModel(), []
-    for group in groups:
-        first = geometry.ngeoms
-        for k, (joint, T, shape) in enumerate(group, first):
-            geometry.addGeometryObject(pin.GeometryObject(f"shape_{k}", joint, 0, T, shape))
-        ids.append(range(first, geometry.ngeoms))
-    return group_distances(model, geometry, ids, pairs, q_m)
-
-
-def group_distances(
-    model: RobotModel,
-    geometry: pin.GeometryModel,
-    groups: Sequence[Sequence[int]],
-    pairs: Pairs,
-    q_m: Array,
-) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
     With 150 or more pairs of shapes, only distances below 0.5 m are exact; a larger result means
@@ -179,15 +162,20 @@ def group_distances(
 
     Args:
         model: The robot; its base is at the origin.
-        geometry: The shapes, without collision pairs; this function adds the required ones.
-        groups: Indices of the shapes of each group.
+        groups: The shapes of each group.
         pairs: Pairs of groups, by the indices of the groups.
         q_m: (N, n_m) joint positions.
     """
+    geometry, ids = pin.GeometryModel(), []
+    for group in groups:
+        first = geometry.ngeoms
+        for k, (joint, T, shape) in enumerate(group, first):
+            geometry.addGeometryObject(pin.GeometryObject(f"shape_{k}", joint, 0, T, shape))
+        ids.append(range(first, geometry.ngeoms))
     starts, shapes = [], []
     for a, b in pairs:
         starts.append(len(shapes))
-        shapes += [(i, j) for i in groups[a] for j in groups[b]]
+        shapes += [(i, j) for i in ids[a] for j in ids[b]]
     for i, j in shapes:
         geometry.addCollisionPair(pin.CollisionPair(i, j))
     found = np.empty((len(q_m), len(pairs)))
