@@ -1,7 +1,5 @@
 """`dbb check-robot`: checks of a description, its URDF and its meshes."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -34,7 +32,6 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.trace.columns import axis_name
 
 _log = logging.getLogger(__name__)
-Array = np.ndarray
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
 _STATES = 20  # [-] number of random states for comparing the dynamics

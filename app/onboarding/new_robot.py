@@ -1,7 +1,5 @@
 """All steps from a URDF to a robot's folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The numbers of a description with their sources: limits, damping, base and reachability."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -18,8 +16,7 @@ from app.onboarding.read.wheels import Steering, Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
-
-Array = np.ndarray
+from app.strict import Array
 
 Sourced = Mapping[str, tuple[Any, str]]
 """Values with their sources, by the field of the description."""

@@ -1,7 +1,5 @@
 """Records of a new robot: the content of its URDF, and the robot that is made from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The input of `dbb new-robot`, and its checks before any file is read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

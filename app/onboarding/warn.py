@@ -4,10 +4,8 @@
 while the base moves, and whether a person can push the arm against the base.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +13,6 @@ from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
-from app.onboarding.compose import ARM_ON_BASE
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.onboarding.fit.grouping import BY_BODIES
 from app.onboarding.fit.travel import followers, with_travel
@@ -23,16 +20,14 @@ from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
+from app.onboarding.record import NewRobot, Parsed
+from app.onboarding.whole import ARM_ON_BASE
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
-
-if TYPE_CHECKING:
-    from app.onboarding.record import NewRobot, Parsed
-
-Array = np.ndarray
+from app.strict import Array
 
 _IN_FLOOR = 0.005  # [m] largest depth below the floor
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links

@@ -1,7 +1,5 @@
 """The files of a new robot: description, new URDF and list of sources."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import zlib
@@ -9,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -22,11 +20,14 @@ from app.config import Config
 from app.errors import DescriptionError
 from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding import ROOT
+from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.tree import FREE, Joint
+from app.onboarding.record import NewRobot, Parsed
+from app.onboarding.request import Request
 from app.robot.assets import followed
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
@@ -34,11 +35,6 @@ from app.robot.shapes import Shape
 from app.robot.urdf import mesh_path
 from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
-
-if TYPE_CHECKING:
-    from app.onboarding.fit.bodies import FittedBody
-    from app.onboarding.record import NewRobot, Parsed
-    from app.onboarding.request import Request
 
 MESH_FOLDER = "meshes"
 """Folder of the converted meshes within a robot's folder."""

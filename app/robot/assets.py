@@ -5,8 +5,6 @@ pinocchio reads a robot's URDF without its shapes (`bare_urdf`), pybullet with i
 planar root (`planar_urdf`).
 """
 
-from __future__ import annotations
-
 import codecs
 import importlib.util
 import math

@@ -1,7 +1,5 @@
 """§2.1: link pairs that can meet, found once by random sampling, and their present distances."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -13,8 +11,7 @@ import pinocchio as pin
 
 from app.compiled import compiled, direct
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Pair(NamedTuple):
@@ -46,7 +43,7 @@ class ClosestPoints(NamedTuple):
     core: Array
     """(3,) [m] point of the core of `b` that belongs to p_b: from p_b, by the radius of `b` along
     n; p_b itself where `b` is not round, and in the results of `PairDistances`."""
-    parts: tuple[ClosestPoints, ...] = ()
+    parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 
 

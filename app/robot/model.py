@@ -5,8 +5,6 @@ reduced velocity to pinocchio's is the constant matrix S. The reduced terms are 
 without a term M Ṡ q̇.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property, wraps
@@ -19,8 +17,8 @@ import pinocchio as pin
 from app.errors import DescriptionError
 from app.robot.assets import bare_urdf
 from app.robot.description import BodyDescription, RobotDescription
+from app.strict import Array
 
-Array = np.ndarray
 STABLE_STEPS = 3.0  # [-] smallest stable ratio of a joint's inertia to its damping, in time steps
 Options = ParamSpec("Options")
 Result = TypeVar("Result")

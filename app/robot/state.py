@@ -8,8 +8,6 @@ body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced
 the base to its twist (v_x, v_y, ω_z).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,9 +17,9 @@ import pinocchio as pin
 from app.compiled import compiled
 from app.errors import MeasurementError
 from app.robot.model import RobotModel
+from app.strict import Array
 from app.structs import put, put_rows
 
-Array = np.ndarray
 _FLOAT = np.dtype(float)
 
 

@@ -1,7 +1,5 @@
 """Small convex bodies around groups of links: around the points that other links can reach."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from types import MappingProxyType
@@ -16,8 +14,7 @@ from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_vo
 from app.onboarding.fit.units import Unit, hulls, moved, shape_distances
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import Hull
-
-Array = np.ndarray
+from app.strict import Array
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points

@@ -1,7 +1,5 @@
 """Collision sampling: the units of links that meet in random poses of the arm."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, compress, product
@@ -25,8 +23,7 @@ from app.onboarding.fit.units import (
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 ALWAYS = 0.6
 """[-] share of the free poses inside the buffer above which a pair counts as always near."""

@@ -1,7 +1,5 @@
 """Convex shapes that enclose points: capsule, box or polytope."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 
@@ -13,8 +11,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from trimesh.intersections import slice_faces_plane
 
 from app.robot.shapes import Box, Capsule, Hull, Shape
-
-Array = np.ndarray
+from app.strict import Array
 
 _UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
 _SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a capsule's end, [-] of its volume

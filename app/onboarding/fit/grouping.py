@@ -8,8 +8,6 @@ links are that close by design or if other pairs see its collisions. A pair sees
 bodies overlap in this pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations, compress, pairwise, product
 from typing import NamedTuple
@@ -32,8 +30,7 @@ from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distance
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm

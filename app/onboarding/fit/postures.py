@@ -1,13 +1,12 @@
 """Postures of a new robot: the ready pose, and the lines for guiding."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
@@ -21,8 +20,7 @@ from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver, find_start
-
-Array = np.ndarray
+from app.strict import Array
 
 RULE = (
     "chosen: the best of random poses within the middle 80 % of each joint's range, by clearance "
@@ -320,7 +318,7 @@ class _Candidate(NamedTuple):
         """[m] vector from its start to its end."""
         return _point(np.round(self.length * self.inwards, 3))
 
-    def is_as(self, other: _Candidate) -> bool:
+    def is_as(self, other: Self) -> bool:
         """Whether the two lines have nearly the same end."""
         ends = (np.add(each.start, each.move) for each in (self, other))
         return float(np.linalg.norm(np.subtract(*ends))) < _OTHER

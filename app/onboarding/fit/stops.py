@@ -4,8 +4,6 @@ These links are within d_b of the base in most poses, so their pairs are not mon
 is the upper arm of a UR: a limit of the shoulder lift joint prevents its collision with the base.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,8 +16,7 @@ from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSES = 60  # [-] sampled poses of the other joints at each of these positions

@@ -1,7 +1,5 @@
 """The volume that links on joints outside of the arm's chain, such as fingers, can occupy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np

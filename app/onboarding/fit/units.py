@@ -1,7 +1,5 @@
 """Units: groups of links that move as one rigid body, and distances between their hulls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
@@ -17,8 +15,8 @@ from app.onboarding.read.links import LinkGeometry
 from app.onboarding.read.tree import Arm
 from app.robot.model import RobotModel
 from app.robot.shapes import convex_hull
+from app.strict import Array
 
-Array = np.ndarray
 Pairs = Sequence[tuple[int, int]]
 
 _ALONG = 0.999  # [-] smallest cosine between parallel lines

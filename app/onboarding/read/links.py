@@ -1,7 +1,5 @@
 """The shapes of a link with their convex hulls, and its inertia, in the frame of the link."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -20,8 +18,7 @@ from app.onboarding.read.tree import Arm, Tree
 from app.robot.assets import floats, refuse_placeholder
 from app.robot.shapes import hull_mesh
 from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
-
-Array = np.ndarray
+from app.strict import Array
 
 _LARGEST = 10.0  # [m] largest size of a shape
 _DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300

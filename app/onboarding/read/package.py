@@ -3,8 +3,6 @@
 The expressions of a xacro are Python, so a xacro in a zip is refused.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A URDF or xacro file as XML, and the files of its meshes."""
 
-from __future__ import annotations
-
 import os
 import re
 import unicodedata

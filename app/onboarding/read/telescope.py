@@ -1,7 +1,5 @@
 """Telescopes: prismatic joints of an arm that follow one another become one prismatic joint."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate

@@ -1,7 +1,5 @@
 """The links and joints of a URDF as a checked tree, and the arm in it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,8 +13,7 @@ import pinocchio as pin
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
 from app.robot.urdf import colour, numbers, origin, unit_of, without_commas
-
-Array = np.ndarray
+from app.strict import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
 FREE = ("planar", "floating")

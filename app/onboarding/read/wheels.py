@@ -1,7 +1,5 @@
 """The drive of a base: driven wheels, which are found by their shape, and steered wheels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -13,8 +11,7 @@ from app.errors import RobotFileError
 from app.onboarding.read.links import LinkGeometry, LinkShape, link_geometry
 from app.onboarding.read.tree import Arm, Joint, Tree
 from app.onboarding.request import Request
-
-Array = np.ndarray
+from app.strict import Array
 
 _LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
 _ROUND = 0.08  # [-] largest difference of the two widths of a wheel

@@ -12,8 +12,6 @@ the speed (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc 
 under a force F_x + κ τ. It moves ahead if κ has the sign of ω, and backwards on the other edge.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
@@ -35,9 +33,7 @@ from app.robot.bases.kind import (
     Wheels,
     clamp,
 )
-from app.strict import Positive
-
-Array = np.ndarray
+from app.strict import Array, Positive
 
 _STEADY = 1.5
 """[-] energy ratio from which the base reverses its direction."""

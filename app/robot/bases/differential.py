@@ -1,15 +1,11 @@
 """The paper's base: two sides of wheels with separate speeds, no motion sideways."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, Measure, TurningBase, Wheels
-from app.strict import Positive
-
-Array = np.ndarray
+from app.strict import Array, Positive
 
 
 def mobile_jacobian(r: float, b: float) -> Array:

@@ -1,15 +1,12 @@
 """A base that moves in every direction, on mecanum, omni or steered wheels."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from app.robot.bases.kind import TURN, Axis, BaseForce, Measure, TurningBase
-
-Array = np.ndarray
+from app.strict import Array
 
 AHEAD = Axis("v_x", False)
 SIDEWAYS = Axis("v_y", False, way="left")

@@ -6,8 +6,6 @@ wheels' speeds, to ν. The method does not distinguish kinds. Only onboarding, w
 the plant with wheels in contact, and the dashboard's words do.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -15,9 +13,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from app.strict import Positive, Sourced
-
-Array = np.ndarray
+from app.strict import Array, Positive, Sourced
 
 
 class Axis(NamedTuple):
