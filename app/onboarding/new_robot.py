@@ -22,14 +22,7 @@ from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, li
 from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import make_units
-from app.onboarding.numbers import (
-    Limits,
-    base_numbers,
-    completed,
-    damping,
-    find_reach,
-    read_limits,
-)
+from app.onboarding.numbers import Limits, base_numbers, completed, damping, find_reach, read_limits
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate
@@ -37,13 +30,7 @@ from app.onboarding.read.tree import Arm, find_arm
 from app.onboarding.read.wheels import find_drive, stands_on_floor, with_rigid_suspensions
 from app.onboarding.record import NewRobot, Parsed
 from app.onboarding.request import Request
-from app.onboarding.warn import (
-    borne_push,
-    carried_hand,
-    holding_warning,
-    push_warning,
-    warnings_of,
-)
+from app.onboarding.warn import borne_push, carried_hand, holding_warning, push_warning, warnings_of
 from app.onboarding.whole import Whole, one_message, whole_robot
 from app.onboarding.write import compiled, description, rebased_urdf, write_robot
 from app.robot.model import RobotModel

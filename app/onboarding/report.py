@@ -1,4 +1,4 @@
-"""The report of a new robot: a page with warnings, pictures and tables, and a view in three dimensions."""
+"""The report of a new robot: a page with warnings, pictures and tables, and a 3D view."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle

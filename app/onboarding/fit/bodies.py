@@ -95,10 +95,7 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 
 
 def _touched(
-    model: RobotModel,
-    meetings: Meetings,
-    mobile: tuple[int, ...],
-    tried: Sequence[Sequence[Fit]],
+    model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
     """[-] mean number of units of the arm that fits of l_m touch in free random poses, per try.
 

@@ -264,10 +264,7 @@ class Unseen(NamedTuple):
 
 
 def unseen_collisions(
-    model: RobotModel,
-    geometry: Mapping[str, LinkGeometry],
-    d_b: float,
-    workers: Workers = ALONE,
+    model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float, workers: Workers = ALONE
 ) -> Unseen:
     """The collisions of links in random poses, and those that the bodies of a description miss.
 
@@ -325,10 +322,7 @@ def unseen_collisions(
 
 
 def _left_out(
-    model: RobotModel,
-    met: Meetings,
-    pairs: Sequence[Pair],
-    geometry: Mapping[str, LinkGeometry],
+    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Mapping[str, LinkGeometry]
 ) -> tuple[int, str]:
     """`left_out` and `rule` of `Unseen`; nested links do not count."""
     units, q_m = met.units, met.random.q_m

@@ -19,13 +19,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from app.robot.bases.differential import free_acceleration
 from app.robot.bases.kind import (
     FORWARD,
     PAPERS_MEASURE,
     TURN,
     Axis,
-    BaseForce,
     BaseKind,
     Channel,
     Follower,
@@ -141,10 +139,6 @@ class CarLikeBase(BaseKind):
     def measure(self) -> Measure:
         """Sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
-
-    def acceleration(self, force: BaseForce) -> Array:
-        """The acceleration by the force, before the cone; see `admissible`."""
-        return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Straight, or along either of the tightest arcs once the wheels are steered."""
