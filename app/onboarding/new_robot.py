@@ -128,7 +128,7 @@ def _make_robot(
         ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
     else:
         ready, rule = judge_ready(model, data.pairs, np.array(request.ready)), "given: --ready"
-    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, parsed.steering)
+    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
     arm = {
         "ready_position": (tuple(ready.q_m.tolist()), rule),
         "joint_damping": (damping(parsed.limits, parsed.arm, model), _DAMPING),
@@ -270,9 +270,9 @@ def parse(request: Request, whole: Whole | None = None) -> Parsed:
     if request.mount is None and stands_on_floor(tree, arm, geometry):
         arm = find_arm(tree, base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
-    wheels, steering = find_drive(request, tree, arm, geometry)
+    wheels = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, changes)
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, changes)
 
 
 def _read_whole(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:

@@ -12,7 +12,7 @@ from app.border.score import ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
 from app.onboarding.read.tree import Arm, Joint
-from app.onboarding.read.wheels import Steering, Wheels
+from app.onboarding.read.wheels import Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
@@ -191,22 +191,18 @@ _GRAVITY = 9.81  # [m/s²]
 _AS_PAPERS = "assumed: as for the paper's robot"
 
 
-def wheel_fields(kind: str, wheels: Wheels, steering: Steering | None) -> dict[str, Any]:
+def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
     """The fields that name joints, for the base of a description."""
     if kind == "differential":
         return {"left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right}
-    if steering is None:
+    if wheels.steering is None:
         return {}
-    rolling = (*wheels.left, *wheels.right, *steering.rolling)
-    return {"wheel_joints": rolling, "steering_joints": steering.joints}
+    rolling = (*wheels.left, *wheels.right, *wheels.steering.rolling)
+    return {"wheel_joints": rolling, "steering_joints": wheels.steering.joints}
 
 
 def base_numbers(
-    model: RobotModel,
-    wheels: Wheels,
-    q_m: Array,
-    half_track: float | None,
-    steering: Steering | None = None,
+    model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None
 ) -> Sourced:
     """Numbers of the base with their sources; q_m (n_m,) is the ready pose.
 
@@ -217,13 +213,13 @@ def base_numbers(
     mass, yaw = float(M[0, 0]), float(M[2, 2])
     fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
     v = min(_BASE_SPEED[0], fastest)
-    found = _geometry(kind, wheels, half_track, steering) | {
+    found = _geometry(kind, wheels, half_track) | {
         "mass_kg": (round(mass, 2), "measured: sum of the URDF's masses"),
         "inertia_kgm2": (
             round(yaw, 3),
             "measured: the yaw inertia of the whole robot in its ready pose, about the rear axle",
         )
-        if steering
+        if wheels.steering
         else (
             round(_YAW_FACTOR * yaw, 3),
             f"measured: {_YAW_FACTOR:g} times the yaw inertia of the whole robot in its ready "
@@ -254,15 +250,13 @@ def base_numbers(
     return found
 
 
-def _geometry(
-    kind: str, wheels: Wheels, half_track: float | None, steering: Steering | None
-) -> dict[str, tuple[Any, str]]:
+def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, tuple[Any, str]]:
     """The wheel radius, and the half track or the steering; none for a holonomic base."""
     how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
         return {}
-    if steering is not None:
+    if (steering := wheels.steering) is not None:
         names = ("wheelbase_m", "steering_limit_rad", "steering_rate_radps")
         values = [round(each, 5) for each in steering[:3]]
         return dict(zip(names, zip(values, steering.sources, strict=True), strict=True)) | radius

@@ -209,7 +209,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
         names = ", ".join(j.name for j in rigid)
         yield f"suspensions of wheels, with a travel of up to {travel:g} m, count as rigid: {names}"
     own = {joint.name for joint in (*arm.joints, *rigid)}
-    own.update(parsed.steering.joints if parsed.steering else ())
+    own.update(parsed.wheels.steering.joints if parsed.wheels.steering else ())
     carried = {link for links in arm.segments for link in links}
     held = [
         joint.name
@@ -358,7 +358,7 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
-    poses = _near_poses(model, np.random.default_rng(0))
+    poses = _near_poses(model)
     lost = np.zeros((len(poses), n_b, 2))
     for k, q_m in enumerate(poses):
         state.update_kinematics(at_rest(model, q_m))
@@ -430,7 +430,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     `_near_poses`; `pairs` are the pairs of L_m. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
-    for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
+    for q_m in _near_poses(model) if pairs else ():
         state.update(at_rest(model, q_m))
         distances.update_from(state.data)
         d = distances.distances()
@@ -457,7 +457,7 @@ def push_warning(borne: Array) -> str:
     )
 
 
-def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
+def _near_poses(model: RobotModel) -> Array:
     """(N, n_m) up to 100 random poses without contact in which the arm is near the base.
 
     If fewer than 25 of these are found, the arm may be anywhere; if no pose is without contact, the
@@ -466,7 +466,7 @@ def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))
     clear, near = [], []
-    for q_m in sample_joints(model, _SAMPLES, rng):
+    for q_m in sample_joints(model, _SAMPLES, np.random.default_rng(0)):
         distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
         d = distances.distances()
         if min(d, default=1.0) <= 0.0:

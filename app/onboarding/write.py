@@ -42,8 +42,7 @@ _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
-    """Write the description, the URDF and the list of sources into a folder."""
-    write_whole(folder / "robot.urdf", robot.urdf)
+    """Write the description and the list of sources into the folder that has the URDF."""
     title = f"{robot.content['title']}, from {robot.request.shown_source}"
     text = description_text(robot.content, title)
     write_whole(folder / "robot.toml", text)
@@ -322,7 +321,7 @@ def description(
     the names of the pairs.
     """
     arm, limits = parsed.arm, parsed.limits
-    wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
+    wheels = wheel_fields(request.kind, parsed.wheels)
     if moving is None:
         fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
         middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))

@@ -147,7 +147,8 @@ def fit_hull(points: Array) -> Hull | Box:
         corners = _polytope(D, reach)
     except QhullError:
         return fit_box(points)
-    corners = _distinct(corners)
+    corners = np.unique(np.round(corners, 4), axis=0)  # of equal corners only one remains
+    corners = corners[ConvexHull(corners).vertices]
     return Hull(
         type="hull",
         vertices_m=tuple(_three(c) for c in corners),
@@ -270,12 +271,6 @@ def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
     volume = volume_of(shape)
     protrusion = float((support(shape, D) - (D @ corners.T).max(axis=1)).max())
     return Fit(shape, volume, volume / inner if inner > 0 else np.inf, protrusion)
-
-
-def _distinct(corners: Array) -> Array:
-    """Corners of the hull, rounded to 0.1 mm; of equal corners only one remains."""
-    rounded = np.unique(np.round(corners, 4), axis=0)
-    return rounded[ConvexHull(rounded).vertices]
 
 
 def _capsule(points: Array, ends: Array) -> Capsule:

@@ -171,7 +171,9 @@ def _arm_grouping(
         return found
 
     chosen = best(None, min(_PAPER, len(units)) if count is None else count)
-    if count is None and (chosen is None or not _good(chosen.verdict)):
+    verdict = chosen and chosen.verdict
+    good = verdict and not (verdict.always or verdict.spurious or verdict.missed > _MISSED)
+    if count is None and not good:
         chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
     if chosen is None:
         parts = sum(bool(meetings.units[unit].parts) for unit in units)
@@ -179,10 +181,6 @@ def _arm_grouping(
             f"--bodies: the arm has {parts} groups of links; choose a number from 1 to {parts}"
         )
     return chosen
-
-
-def _good(verdict: Verdict) -> bool:
-    return not verdict.always and not verdict.spurious and verdict.missed <= _MISSED
 
 
 def judge(

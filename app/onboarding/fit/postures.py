@@ -35,7 +35,7 @@ _BAD = 1e3  # [-] offset that makes every quality positive, so that a pose is al
 
 
 class Ready(NamedTuple):
-    """A pose with its smallest distance and its manipulability."""
+    """A pose with its smallest distance."""
 
     q_m: Array
     """(n_m,) [rad or m]"""
@@ -43,8 +43,6 @@ class Ready(NamedTuple):
     """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
     nearest: str
     """Name of that pair; empty without a pair."""
-    manipulability: float
-    """√det(J Jᵀ) of the end-effector, or of its position alone with fewer than six joints."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
@@ -63,7 +61,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
         return (
             _BAD
             + 1.5 * min(ready.clearance, _ENOUGH) / _ENOUGH
-            + ready.manipulability / best
+            + judge.manipulability(q_m) / best
             + judge.placed()
             - 0.5 * float(np.mean(np.abs(q_m - middle) / span))
         )
@@ -74,7 +72,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The smallest distance of the monitored pairs and the manipulability in a pose q_m (n_m,)."""
+    """The smallest distance of the monitored pairs in a pose q_m (n_m,)."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -85,15 +83,15 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """The smallest distance and the manipulability in a pose q_m (n_m,)."""
-        m = self.manipulability(q_m)
+        """The smallest distance in a pose q_m (n_m,)."""
+        self.search.place(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
         clearance = distances[i] - self.search.d_b if distances else np.inf
-        return Ready(q_m, float(clearance), self._names[i] if distances else "", m)
+        return Ready(q_m, float(clearance), self._names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
-        """Move to a pose; returns `Ready.manipulability`."""
+        """√det(J Jᵀ) of the end-effector in a pose; of its position with fewer than six joints."""
         self.search.place(q_m)
         return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
 

@@ -160,7 +160,8 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     Raises:
         RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
     """
-    search, meant = _search(folder, packages or {}), spellings(reference)
+    search = partial(_package_folders, folder=folder, named=packages or {})
+    meant = spellings(reference)
     for spelling in meant:
         if (found := next(filter(isfile, mesh_places(spelling, folder, search)), None)) is not None:
             if found.suffix.lower() not in FORMATS:
@@ -258,11 +259,6 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     )
 
 
-def _search(folder: Path, named: Mapping[str, Path]) -> Packages:
-    """The search for packages of a URDF in a folder; `named` are folders by package name."""
-    return partial(_package_folders, folder=folder, named=named)
-
-
 def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -> Iterator[Path]:
     """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
     search paths, and of installed packages, in this order.
@@ -325,7 +321,8 @@ def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
     from xacrodoc import XacroDoc
     from xacrodoc import packages as library
 
-    search, otherwise = _search(path.parent, packages), library.get_path
+    search = partial(_package_folders, folder=path.parent, named=packages)
+    otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
     try:
         document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)

@@ -1,6 +1,7 @@
 """The drive of a base: driven wheels, which are found by their shape, and steered wheels."""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,23 @@ _ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
 _TRAVEL = 0.5  # [-] travel of a rigid suspension relative to the wheel's radius
 
 
+class Steering(NamedTuple):
+    """The steered front wheels of a car-like base."""
+
+    wheelbase: float
+    """[m] distance between rear and front axle."""
+    limit: float
+    """[rad] largest steering angle."""
+    rate: float
+    """[rad/s] largest steering rate."""
+    rolling: tuple[str, ...]
+    """Joints about which the steered wheels roll."""
+    joints: tuple[str, ...]
+    """Steering joints."""
+    sources: tuple[str, str, str]
+    """The sources of the first three fields."""
+
+
 class Wheels(NamedTuple):
     """The driven wheels of a base."""
 
@@ -41,23 +59,8 @@ class Wheels(NamedTuple):
     """[rad/s] speed limit of the wheels, or None if the URDF states none."""
     how: str
     """The source of the radius."""
-
-
-class Steering(NamedTuple):
-    """The steered front wheels of a car-like base."""
-
-    wheelbase: float
-    """[m] distance between rear and front axle."""
-    limit: float
-    """[rad] largest steering angle."""
-    rate: float
-    """[rad/s] largest steering rate."""
-    rolling: tuple[str, ...]
-    """Joints about which the steered wheels roll."""
-    joints: tuple[str, ...]
-    """Steering joints."""
-    sources: tuple[str, str, str]
-    """The sources of the first three fields."""
+    steering: Steering | None = None
+    """The steered wheels of a car-like base."""
 
 
 class _Wheel(NamedTuple):
@@ -92,7 +95,7 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeom
 
 def find_drive(
     request: Request, tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]
-) -> tuple[Wheels, Steering | None]:
+) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
     A base without wheels in its URDF stands on the lowest point of its shapes and faces the x axis
@@ -110,10 +113,11 @@ def find_drive(
             )
         floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
-        return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else ""), None
+        return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else "")
     wheels = _find_wheels(tree, arm, geometry, request.wheels)
-    steered = request.kind == "car-like"
-    return wheels, _find_steering(request, tree, arm, wheels.T_base_floor) if steered else None
+    if request.kind != "car-like":
+        return wheels
+    return wheels._replace(steering=_find_steering(request, tree, arm, wheels.T_base_floor))
 
 
 def _lowest(
@@ -293,15 +297,14 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
     The left wheel has the larger y in the base's link or, on an axle along x, the smaller x.
     """
     pairs = []
-    for i, a in enumerate(wheels):
-        for b in wheels[i + 1 :]:
-            apart = a.centre - b.centre
-            across = abs(apart @ a.axis)
-            off = np.linalg.norm(apart - (apart @ a.axis) * a.axis)
-            if across > 0.05 and off < _SAME_PLACE and abs(a.r - b.r) <= _ALIKE * a.r:
-                along_y = abs(a.axis[1]) >= abs(a.axis[0])
-                swap = apart[1] < 0 if along_y else apart[0] > 0
-                pairs.append((b, a) if swap else (a, b))
+    for a, b in combinations(wheels, 2):
+        apart = a.centre - b.centre
+        across = abs(apart @ a.axis)
+        off = np.linalg.norm(apart - (apart @ a.axis) * a.axis)
+        if across > 0.05 and off < _SAME_PLACE and abs(a.r - b.r) <= _ALIKE * a.r:
+            along_y = abs(a.axis[1]) >= abs(a.axis[0])
+            swap = apart[1] < 0 if along_y else apart[0] > 0
+            pairs.append((b, a) if swap else (a, b))
     return pairs
 
 
