@@ -268,10 +268,8 @@ def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, 
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 
-SHARE = 0.5
-"""[-] share of the peak above which (9) is fitted, because the tails are not parabolic."""
-COUNTED_POSES = 20_000
-"""[-] random joint positions for counting a reachability."""
+SHARE = 0.5  # [-] share of the peak above which (9) is fitted, because the tails are not parabolic
+COUNTED_POSES = 20_000  # [-] random joint positions for counting a reachability
 _REACH_SAMPLES = 2000  # [-] number of random poses for an assumed reachability
 _WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
 _MIN_WIDTH = 0.1  # [m] smallest half width of an assumed reachability

@@ -84,8 +84,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
     return page_html(f"New robot: {robot.content['title']}", lead, parts)
 
 
-VIEW = "bodies.html"
-"""Name of the file that shows links and bodies in three dimensions."""
+VIEW = "bodies.html"  # name of the file that shows links and bodies in three dimensions
 
 
 def _bare(bare: dict[str, Bare]) -> list[str]:

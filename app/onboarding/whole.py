@@ -21,8 +21,7 @@ from app.onboarding.request import Request, named, package_folders
 from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 
 _log = logging.getLogger(__name__)
-ARM_ON_BASE = "arm_on_base"
-"""Name of the joint that fixes a separate arm to the base."""
+ARM_ON_BASE = "arm_on_base"  # name of the joint that fixes a separate arm to the base
 _OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
 _OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 

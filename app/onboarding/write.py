@@ -36,8 +36,7 @@ from app.robot.urdf import mesh_path
 from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
 
-MESH_FOLDER = "meshes"
-"""Folder of the converted meshes within a robot's folder."""
+MESH_FOLDER = "meshes"  # folder of the converted meshes within a robot's folder
 _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
@@ -95,8 +94,7 @@ class HandMade(NamedTuple):
     """(n_m,) [rad or m] the new ready pose, or None for no change."""
 
 
-BY_HAND = "set by hand"
-"""Source of a number that a person has changed."""
+BY_HAND = "set by hand"  # source of a number that a person has changed
 
 
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:

@@ -212,8 +212,7 @@ def urdf_path(description: HasUrdf) -> Path:
 
 PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
 """Joints of the planar root that `planar_urdf` puts under the robot."""
-PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
-"""Links of the planar root."""
+PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")  # links of the planar root
 _ZERO_INERTIAL = (
     '<inertial><mass value="0"/>'
     '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'

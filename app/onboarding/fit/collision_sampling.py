@@ -27,8 +27,7 @@ from app.strict import Array
 
 ALWAYS = 0.6
 """[-] share of the free poses inside the buffer above which a pair counts as always near."""
-MARGIN = 0.015
-"""[m] distance below which a point of a surface counts as reached by another unit."""
+MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
 BUILT_IN = 0.5
 """[-] smallest share of the poses in which hulls of nested units touch, as in a telescope."""
 NESTED = BUILT_IN**2

@@ -35,10 +35,8 @@ from app.strict import Array
 _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm
 _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
-MAX_UNSEEN = 0.01
-"""[-] largest share of the links' collisions that their bodies may miss."""
-UNSEEN_POSES = 4000
-"""[-] smallest number of random poses for testing the chosen bodies."""
+MAX_UNSEEN = 0.01  # [-] largest share of the links' collisions that their bodies may miss
+UNSEEN_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
 _UNSEEN_SEED = 2**31  # [-] seed of these poses, which the fit does not use

@@ -115,10 +115,8 @@ _Start = tuple[Array, Array]
 
 INNER = 0.4
 """[-] share of d_b below which the arm's distance to a base at rest has to fall on a line."""
-GIVES_WAY = 0.05
-"""[m] required displacement of the base in a run on a line."""
-CLEARANCE = 0.03
-"""[m] required distance between arm and base in a run on a line."""
+GIVES_WAY = 0.05  # [m] required displacement of the base in a run on a line
+CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
 _MAX_STARTS = 40  # [-] largest number of searched start postures; a failure takes 0.1 to 0.2 s

@@ -7,6 +7,7 @@ is the upper arm of a UR: a limit of the shoulder lift joint prevents its collis
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import find_objects, label
 
 from app.config import parameter
 from app.errors import RobotFileError
@@ -58,8 +59,9 @@ def with_stops(
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
             # Adjacent links are always within `MARGIN`; for these, the threshold is half of their
             # largest distance.
-            for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
-                low, high = values[first], values[last]
+            clear = nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)
+            for (run,) in find_objects(label(clear)[0]):
+                low, high = values[run.start], values[run.stop - 1]
                 span = min((upper - lower)[joint], 2 * np.pi)
                 enough = high - low >= _LEAST * span
                 if enough and (ready is None or low <= ready[joint] <= high):
@@ -105,9 +107,3 @@ def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array)
     """Whether two units meet in a random pose within joint limits."""
     q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index(pair)]
     return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
-
-
-def _runs(clear: Array) -> list[tuple[int, int]]:
-    """First and last index of each sequence of at least two True values."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], clear, [False]]).astype(int)))
-    return [(i, j - 1) for i, j in ends.reshape(-1, 2).tolist() if j - i > 1]

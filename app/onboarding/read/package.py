@@ -25,14 +25,10 @@ from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities, refuse_placeholder
 from app.system import temporary_folder
 
-FOLDER = "package"
-"""Name of the folder in a robot's own folder into which a zip is unpacked."""
-LARGEST_ARCHIVE = 100_000_000
-"""[bytes] largest zip."""
-LARGEST_CONTENT = 500_000_000
-"""[bytes] largest expanded size of all files."""
-MOST_FILES = 2000
-"""[-] largest number of files."""
+FOLDER = "package"  # name of the folder in a robot's own folder into which a zip is unpacked
+LARGEST_ARCHIVE = 100_000_000  # [bytes] largest zip
+LARGEST_CONTENT = 500_000_000  # [bytes] largest expanded size of all files
+MOST_FILES = 2000  # [-] largest number of files
 KEPT = (".urdf", ".xml", *FORMATS[:-1])
 """Endings of the files that are unpacked; other files, such as programs, are not."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)

@@ -27,8 +27,7 @@ from app.robot.assets import (
 )
 from app.strict import LARGEST_TEXT
 
-MESHES = (".stl", ".dae", ".obj")
-"""Endings of mesh files that pybullet reads."""
+MESHES = (".stl", ".dae", ".obj")  # endings of mesh files that pybullet reads
 FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 """Endings of readable mesh files; a file without an ending is read as STL. `new-robot` converts
 formats that pybullet does not read to STL."""

@@ -16,8 +16,7 @@ from app.robot.urdf import colour, numbers, origin, unit_of, without_commas
 from app.strict import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
-FREE = ("planar", "floating")
-"""Kinds of joints that move a whole base."""
+FREE = ("planar", "floating")  # kinds of joints that move a whole base
 _MAX_NAMES = 40  # [-] most names in a message
 _LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
 _X = np.array([1.0, 0.0, 0.0])

@@ -33,8 +33,7 @@ from app.robot.bases.kind import (
 )
 from app.strict import Array, Positive
 
-_STEADY = 1.5
-"""[-] energy ratio from which the base reverses its direction."""
+_STEADY = 1.5  # [-] energy ratio from which the base reverses its direction
 _HELD = 0.005  # [m/s] speed of the front axle below which the steering does not change
 
 
