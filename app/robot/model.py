@@ -146,9 +146,7 @@ class RobotModel:
     def _read_limits(self) -> None:
         arm, base, model = self.description.arm, self.description.base, self.pin
         self.base_acceleration_max = np.array(base.max_acceleration)
-        self.base_inertia = np.array(
-            [base.inertia_kgm2 if axis.angular else base.mass_kg for axis in base.axes]
-        )
+        self.base_inertia = base.T.T @ (base.mass_kg, base.mass_kg, base.inertia_kgm2)
         self.joint_damping = np.array(arm.joint_damping)
         self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
         self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])

@@ -46,16 +46,9 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
     There are only as many shapes, and as many polytopes instead of boxes, as save contacts of l_m
     in poses in which no links touch.
-
-    Raises:
-        RobotFileError: The base has no shapes.
     """
     units, base = meetings.units, meetings.units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
-    if not corners:
-        raise RobotFileError(
-            "--base: no link of the base has a shape; add a <collision>, or choose another --base"
-        )
     tried = [
         [fit_best(points, {kind: 1.0}) for points in groups]
         for groups in _divided(corners)

@@ -58,11 +58,8 @@ def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
         if joint.mimic is None or joint.mimic[0] not in tree.joints:
             break
         name, factor, shift = joint.mimic
-        joint, multiplier, offset = (
-            tree.joints[name],
-            multiplier * factor,
-            offset + multiplier * shift,
-        )
+        offset += multiplier * shift
+        joint, multiplier = tree.joints[name], multiplier * factor
     return joint, multiplier, offset
 
 
