@@ -22,13 +22,14 @@ Sourced = Mapping[str, tuple[Any, str]]
 """Values with their sources, by the field of the description."""
 
 _TURN = np.pi  # [rad] assumed limit in both directions of a joint without limits
-_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed speed limits
+_SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
 _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint counts as unlimited
 _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
 _TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N] smallest assumed effort
+_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}
+"""[N m], [N] smallest assumed effort."""
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] smallest effort of a strong joint
 _STEP = 1e-3  # [s] time step for which the damping is stable
@@ -70,15 +71,15 @@ def read_limits(arm: Arm) -> Limits:
             unit; the message names all of these joints.
     """
     _check_ranges(arm.joints)
-    ranges = [_range(joint) for joint in arm.joints]
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
-    endless = [j.name for j, limits in zip(arm.joints, ranges, strict=True) if limits is None]
+    endless = [joint.name for joint in arm.joints if _range(joint) is None]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
     position = _origin(endless, "half a turn in both directions")
+    lower, upper = zip(*(_range(joint) or (-_TURN, _TURN) for joint in arm.joints), strict=True)
     return Limits(
-        tuple(-_TURN if limits is None else limits[0] for limits in ranges),
-        tuple(_TURN if limits is None else limits[1] for limits in ranges),
-        tuple(v or _SPEED[_kind(j)] for j, v in zip(arm.joints, speeds, strict=True)),
+        lower,
+        upper,
+        tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True)),
         tuple(_within(joint.effort, 1e5) for joint in arm.joints),
         {
             "position_lower": position,
@@ -95,7 +96,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
     if not missing:
         return limits
     effort = [
-        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[_kind(j)])), 2)
+        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     ]
     text = _origin(missing, "2.5 times the largest gravity load in random poses")
@@ -109,14 +110,12 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     is the smallest inertia of the joint in random poses, with the other joints free, and dt = 1 ms.
     """
     least = 1.0 / largest_of_poses(model, lambda q: 1.0 / model.joint_inertia(q))
-    wanted = [
-        _DAMPING["prismatic" if _kind(j) == "prismatic" else "strong" if e >= _STRONG else "weak"]
-        for j, e in zip(arm.joints, limits.effort, strict=True)
-    ]
-    return tuple(
-        float(f"{min(d, m / (STABLE_STEPS * _STEP)):.2g}")
-        for d, m in zip(wanted, least, strict=True)
-    )
+    found = []
+    for joint, effort, m in zip(arm.joints, limits.effort, least, strict=True):
+        strength = "strong" if effort >= _STRONG else "weak"
+        wanted = _DAMPING["prismatic" if joint.kind == "prismatic" else strength]
+        found.append(float(f"{min(wanted, m / (STABLE_STEPS * _STEP)):.2g}"))
+    return tuple(found)
 
 
 def gravity_load(model: RobotModel) -> Array:
@@ -172,10 +171,6 @@ def _within(value: float | None, most: float) -> float:
     return value if value and 0 < value < most else 0.0
 
 
-def _kind(joint: Joint) -> str:
-    return "prismatic" if joint.kind == "prismatic" else "revolute"
-
-
 def _origin(assumed: list[str], what: str) -> str:
     if not assumed:
         return "from the URDF"
@@ -213,22 +208,15 @@ def base_numbers(
     mass, yaw = float(M[0, 0]), float(M[2, 2])
     fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
     v = min(_BASE_SPEED[0], fastest)
+    limit = "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS
+    factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready pose"
+    inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
+    if wheels.steering:
+        factor, inertia = 1.0, f"measured: {about}, about the rear axle"
     found = _geometry(kind, wheels, half_track) | {
         "mass_kg": (round(mass, 2), "measured: sum of the URDF's masses"),
-        "inertia_kgm2": (
-            round(yaw, 3),
-            "measured: the yaw inertia of the whole robot in its ready pose, about the rear axle",
-        )
-        if wheels.steering
-        else (
-            round(_YAW_FACTOR * yaw, 3),
-            f"measured: {_YAW_FACTOR:g} times the yaw inertia of the whole robot in its ready "
-            "pose, as for the paper's robot",
-        ),
-        "max_linear_velocity_mps": (
-            round(v, 3),
-            "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS,
-        ),
+        "inertia_kgm2": (round(factor * yaw, 3), inertia),
+        "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
         "traction_limit_n": (
             round(_FRICTION * _GRAVITY * mass, 1),
@@ -240,13 +228,9 @@ def base_numbers(
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
         one_wheel = "assumed: one wheel is at rest, the other has its largest speed"
-        found |= {
-            "max_angular_velocity_radps": (
-                round(w, 3),
-                _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel,
-            ),
-            "max_angular_acceleration_radps2": (_ACCELERATION[1], _AS_PAPERS),
-        }
+        turning = _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel
+        found["max_angular_velocity_radps"] = round(w, 3), turning
+        found["max_angular_acceleration_radps2"] = _ACCELERATION[1], _AS_PAPERS
     return found
 
 
