@@ -172,13 +172,12 @@ def engines_row(model: RobotModel) -> Row:
 
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH
-    return Row(
-        "engines",
-        "passed" if good else "failed",
+    text = (
         f"pictures differ in {found.picture:.1%} of their rays; in {found.poses} poses the deepest "
-        f"contact of one engine alone is {1e3 * found.depth:.1f} mm",
-        {"picture_difference": found.picture, "contact_difference_m": found.depth},
+        f"contact of one engine alone is {1e3 * found.depth:.1f} mm"
     )
+    numbers = {"picture_difference": found.picture, "contact_difference_m": found.depth}
+    return Row("engines", "passed" if good else "failed", text, numbers)
 
 
 def limits_row(model: RobotModel) -> Row:
@@ -187,11 +186,10 @@ def limits_row(model: RobotModel) -> Row:
     load = gravity_load(model)
     least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
     strongest = [_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units]
+    limits = zip(names, model.qd_max, model.tau_max, strongest, strict=True)
     wrong = [
         f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N)"
-        for name, speed, effort, most in zip(
-            names, model.qd_max, model.tau_max, strongest, strict=True
-        )
+        for name, speed, effort, most in limits
         if speed > _FASTEST or effort > most
     ]
     wrong += [f"{name} moves no inertia" for name, m in zip(names, least, strict=True) if m <= 1e-9]

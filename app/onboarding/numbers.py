@@ -76,18 +76,15 @@ def read_limits(arm: Arm) -> Limits:
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
     position = _origin(endless, "half a turn in both directions")
     lower, upper = zip(*(_range(joint) or (-_TURN, _TURN) for joint in arm.joints), strict=True)
-    return Limits(
-        lower,
-        upper,
-        tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True)),
-        tuple(_within(joint.effort, 1e5) for joint in arm.joints),
-        {
-            "position_lower": position,
-            "position_upper": position,
-            "max_velocity": _origin(speedless, "1.5 rad/s or 0.3 m/s"),
-            "max_effort": "from the URDF",
-        },
-    )
+    source = {
+        "position_lower": position,
+        "position_upper": position,
+        "max_velocity": _origin(speedless, "1.5 rad/s or 0.3 m/s"),
+        "max_effort": "from the URDF",
+    }
+    velocity = tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True))
+    effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
+    return Limits(lower, upper, velocity, effort, source)
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:

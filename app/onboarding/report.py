@@ -102,45 +102,24 @@ def _bare(bare: dict[str, Bare]) -> list[str]:
 
 
 def _bodies(robot: NewRobot) -> Grid:
-    rows = [
-        (
-            body.name,
-            body.frame,
-            ", ".join(body.links),
-            fit.shape.type,
-            f"{1e3 * fit.volume:.2f}",
-            f"{fit.over_cover:.2f}",
-            f"{fit.protrusion:.3f}",
-        )
-        for body in robot.bodies
-        for fit in body.fits
-    ]
-    return Grid(
-        ("body", "frame", "links", "shape", "volume [l]", "volume / hull", "protrusion [m]"), rows
-    )
+    rows = []
+    for body in robot.bodies:
+        for fit in body.fits:
+            sizes = f"{1e3 * fit.volume:.2f}", f"{fit.over_cover:.2f}", f"{fit.protrusion:.3f}"
+            rows.append((body.name, body.frame, ", ".join(body.links), fit.shape.type, *sizes))
+    head = ("body", "frame", "links", "shape", "volume [l]", "volume / hull", "protrusion [m]")
+    return Grid(head, rows)
 
 
 def _pairs(robot: NewRobot, data: BorderData) -> Grid:
-    pairs, near = data.pairs, robot.verdict.near
-    rows = [
-        (
-            pair.name,
-            group,
-            f"{pairs.rates[pair.name]:.3%}",
-            f"{pairs.least_distance_m[pair.name]:+.3f}",
-            f"{near.get(pair.name, 0.0):.0%}",
-        )
-        for group, each in (
-            ("L_m", pairs.mobile),
-            ("L_m^c", pairs.manipulator),
-            ("never", pairs.never),
-        )
-        for pair in each
-    ]
-    return Grid(
-        ("pair", "set", "overlap", "smallest distance [m]", f"within {robot.request.buffer:g} m"),
-        rows,
-    )
+    pairs, near, rows = data.pairs, robot.verdict.near, []
+    sets = {"L_m": pairs.mobile, "L_m^c": pairs.manipulator, "never": pairs.never}
+    for group, each in sets.items():
+        for name in (pair.name for pair in each):
+            overlap, least = f"{pairs.rates[name]:.3%}", f"{pairs.least_distance_m[name]:+.3f}"
+            rows.append((name, group, overlap, least, f"{near.get(name, 0.0):.0%}"))
+    inside = f"within {robot.request.buffer:g} m"
+    return Grid(("pair", "set", "overlap", "smallest distance [m]", inside), rows)
 
 
 def _verdict(robot: NewRobot) -> list[str]:
@@ -160,17 +139,10 @@ def _verdict(robot: NewRobot) -> list[str]:
 
 
 def _reach(robot: NewRobot) -> Grid:
-    rows = [
-        (
-            name,
-            f"{r.A:.1f}",
-            f"{r.B:.3f}",
-            f"{r.C:.1f}",
-            "" if r.fit is None else f"{r.fit.r_squared:.3f}",
-            r.source,
-        )
-        for name, r in robot.reach.items()
-    ]
+    rows = []
+    for name, r in robot.reach.items():
+        fitted = "" if r.fit is None else f"{r.fit.r_squared:.3f}"
+        rows.append((name, f"{r.A:.1f}", f"{r.B:.3f}", f"{r.C:.1f}", fitted, r.source))
     return Grid(("body", "A [1/m²]", "B [m]", "C", "R²", "source"), rows)
 
 
@@ -181,9 +153,8 @@ def _numbers(robot: NewRobot) -> Grid:
         for key, source in record["source"].items():
             rows.append((part, key, _text(record[key]), source))
     for name, place in robot.places.items():
-        rows.append(
-            (name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}", place.source)
-        )
+        line = f"{_text(place.start)}; {_text(place.move)}"
+        rows.append((name, "start_m, move_m", line, place.source))
     return Grid(("part", "number", "value", "source"), rows)
 
 
@@ -208,9 +179,8 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
-        spans = np.ptp(
-            np.vstack([moved(p.corners, placed[u.joint]) for u in units for p in u.parts]), axis=0
-        )
+        corners = [moved(p.corners, placed[u.joint]) for u in units for p in u.parts]
+        spans = np.ptp(np.vstack(corners), axis=0)
         panels = figure.subplots(1, 3, width_ratios=[spans[x] for _, x, _ in _VIEWS])
         for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
             for unit in units:
@@ -252,14 +222,8 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
                 axes.plot(*piece.T, color=INK, linewidth=1.0, label=label)
             for k, cloud in enumerate(clouds):
                 points = construct_dbb(cloud, d_b, eps).same_height(z)
-                axes.plot(
-                    points[:, 0],
-                    points[:, 1],
-                    ".",
-                    markersize=3,
-                    label=cloud.pair,
-                    color=BODY_COLOURS[(k + 2) % len(BODY_COLOURS)],
-                )
+                x, y, colour = *points[:, :2].T, BODY_COLOURS[(k + 2) % len(BODY_COLOURS)]
+                axes.plot(x, y, ".", markersize=3, label=cloud.pair, color=colour)
             title = f"z = {z:.2f} m, d_b = {d_b:g} m"
             axes.set(aspect="equal", title=title, xlabel="x [m]", ylabel="y [m]")
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)

@@ -324,24 +324,15 @@ def description(
         fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
         middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
         limits = limits._replace(effort=tuple(e or 1.0 for e in limits.effort))
-        moving = (
-            dict.fromkeys(sorted(fields), (1.0, "assumed")),
-            {
-                "ready_position": (middle, "assumed"),
-                "joint_damping": ((0.0,) * len(middle), "assumed"),
-            },
-        )
+        free = (0.0,) * len(middle)
+        of_arm = {"ready_position": (middle, "assumed"), "joint_damping": (free, "assumed")}
+        moving = dict.fromkeys(sorted(fields), (1.0, "assumed")), of_arm
     given = any((*request.tip_xyz, *request.tip_rpy))
     tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
-    hand = {
-        "end_effector_xyz_m": (request.tip_xyz, tip),
-        "end_effector_rpy_rad": (request.tip_rpy, tip),
-    }
-    chain = {
-        "mount_link": arm.mount,
-        "joints": tuple(joint.name for joint in arm.joints),
-        "end_effector_link": arm.tip,
-    }
+    xyz, rpy = (request.tip_xyz, tip), (request.tip_rpy, tip)
+    hand = {"end_effector_xyz_m": xyz, "end_effector_rpy_rad": rpy}
+    joints = tuple(joint.name for joint in arm.joints)
+    chain = {"mount_link": arm.mount, "joints": joints, "end_effector_link": arm.tip}
     dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
     dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
     return {

@@ -95,18 +95,10 @@ def fit_capsule(points: Array) -> Capsule:
             low = high = (low + high) / 2
         starts.append(np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis]))
     start = min(starts, key=volume)
-    best = minimize(
-        volume,
-        start,
-        method="Nelder-Mead",
-        options={
-            "maxiter": 400,
-            "xatol": 2e-4,
-            "fatol": 1e-7,
-            "adaptive": True,
-            "initial_simplex": np.vstack([start, start + 0.03 * np.eye(6)]),
-        },
-    )
+    simplex = np.vstack([start, start + 0.03 * np.eye(6)])
+    options = {"maxiter": 400, "xatol": 2e-4, "fatol": 1e-7, "adaptive": True}
+    options["initial_simplex"] = simplex
+    best = minimize(volume, start, method="Nelder-Mead", options=options)
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
     # Coordinates that are small at both ends become zero if this adds little volume: distances have
     # simple formulas if the axis of the capsule meets that of a joint.
@@ -149,12 +141,8 @@ def fit_hull(points: Array) -> Hull | Box:
         return fit_box(points)
     corners = np.unique(np.round(corners, 4), axis=0)  # of equal corners only one remains
     corners = corners[ConvexHull(corners).vertices]
-    return Hull(
-        type="hull",
-        vertices_m=tuple(_three(c) for c in corners),
-        xyz_m=_three(middle),
-        rpy_rad=_three(rpy),
-    )
+    vertices = tuple(map(_three, corners))
+    return Hull(type="hull", vertices_m=vertices, xyz_m=_three(middle), rpy_rad=_three(rpy))
 
 
 def support(shape: Shape, D: Array) -> Array:
@@ -233,12 +221,8 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     if plane is None:
         return []
     normal, at = plane
-    return [
-        trimesh.Trimesh(
-            *slice_faces_plane(mesh.vertices, mesh.faces, s * normal, at)[:2], process=False
-        )
-        for s in (1.0, -1.0)
-    ]
+    sides = [slice_faces_plane(mesh.vertices, mesh.faces, s * normal, at) for s in (1.0, -1.0)]
+    return [trimesh.Trimesh(*side[:2], process=False) for side in sides]
 
 
 @cache

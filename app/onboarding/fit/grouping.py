@@ -329,12 +329,8 @@ def _left_out(
         for a, b in combinations([unit for unit in units if unit.parts], 2)
         if (a.index, b.index) not in distant and a.joint != b.joint
     ]
-    gaps = np.hstack(
-        [
-            met.random.distances[:, [met.pairs.index(pair) for pair in near]],
-            hull_distances(model, units, beside, q_m),
-        ]
-    )
+    sampled = met.random.distances[:, [met.pairs.index(pair) for pair in near]]
+    gaps = np.hstack([sampled, hull_distances(model, units, beside, q_m)])
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
     rows = np.flatnonzero(touch.any(axis=1))
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]

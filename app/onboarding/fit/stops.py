@@ -7,7 +7,6 @@ is the upper arm of a UR: a limit of the shoulder lift joint prevents its collis
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import find_objects, label
 
 from app.config import parameter
 from app.errors import RobotFileError
@@ -60,8 +59,8 @@ def with_stops(
             # Adjacent links are always within `MARGIN`; for these, the threshold is half of their
             # largest distance.
             clear = nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)
-            for (run,) in find_objects(label(clear)[0]):
-                low, high = values[run.start], values[run.stop - 1]
+            for first, after in np.flatnonzero(np.diff(np.pad(clear, 1))).reshape(-1, 2):
+                low, high = values[first], values[after - 1]
                 span = min((upper - lower)[joint], 2 * np.pi)
                 enough = high - low >= _LEAST * span
                 if enough and (ready is None or low <= ready[joint] <= high):
