@@ -254,15 +254,11 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     pairs = candidate_pairs(model)
     q_m = sample_joints(model, samples, np.random.default_rng(seed))
     distances = PairDistances(model, pairs).sampled(q_m)
-    rates = dict(zip(pairs, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
-    least = dict(zip(pairs, distances.min(axis=0).tolist(), strict=True))
+    names = [pair.name for pair in pairs]
+    rates = dict(zip(names, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
+    least = dict(zip(names, distances.min(axis=0).tolist(), strict=True))
     lm = model.description.mobile_body.name
-    return LinkPairs(
-        mobile=tuple(pair for pair in pairs if rates[pair] > 0 and pair.a == lm),
-        manipulator=tuple(pair for pair in pairs if rates[pair] > 0 and pair.a != lm),
-        never=tuple(pair for pair in pairs if rates[pair] == 0),
-        rates={pair.name: rate for pair, rate in rates.items()},
-        least_distance_m={pair.name: d for pair, d in least.items()},
-        samples=samples,
-        seed=seed,
-    )
+    mobile = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a == lm)
+    manipulator = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a != lm)
+    never = tuple(pair for pair in pairs if rates[pair.name] == 0)
+    return LinkPairs(mobile, manipulator, never, rates, least, samples, seed)

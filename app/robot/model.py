@@ -283,10 +283,8 @@ def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
     for field, joints in wanted.items():
         for name in joints:
             if name not in names:
-                known = f"joints: {', '.join(names)}"
-                raise _error(
-                    description, f"{field}: the URDF has no moving joint {name!r}; {known}"
-                )
+                text = f"{field}: the URDF has no moving joint {name!r}; joints: {', '.join(names)}"
+                raise _error(description, text)
     locked = [full.getJointId(name) for name in names if name not in description.arm.joints]
     try:
         model = pin.buildReducedModel(full, locked, pin.neutral(full))

@@ -278,9 +278,8 @@ def _box(points: Array, rpy: Array) -> Box:
     high = np.ceil(inside.max(axis=0) / _UNIT) * _UNIT
     size = np.maximum(high - low, _THINNEST) + 2 * _UNIT  # the centre is rounded too
     centre = np.round(R @ ((low + high) / 2), 5)
-    return Box(
-        type="box", size_m=_three(np.round(size, 4)), xyz_m=_three(centre), rpy_rad=_three(rpy)
-    )
+    size_m = _three(np.round(size, 4))
+    return Box(type="box", size_m=size_m, xyz_m=_three(centre), rpy_rad=_three(rpy))
 
 
 def _outermost(points: Array) -> Array:

@@ -233,10 +233,8 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
     if (found := element.find("mimic")) is not None:
-        factor, offset = (
-            float(numbers(found, key, (default,), where)[0])
-            for key, default in (("multiplier", 1.0), ("offset", 0.0))
-        )
+        factor = float(numbers(found, "multiplier", (1.0,), where)[0])
+        offset = float(numbers(found, "offset", (0.0,), where)[0])
         mimic = str(found.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}

@@ -213,16 +213,10 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
     sides = [[n for n in like if abs(y[n] - own) < _SAME_PLACE] for own in (y_left, y_right)]
     middle = np.mean([np.mean([like[n].centre for n in side], axis=0) for side in sides], axis=0)
     rotation = np.column_stack([forward, sideways, [0.0, 0.0, 1.0]])
-    speeds = [w.joint.velocity for w in (left, right) if w.joint.velocity]
-    return Wheels(
-        left=tuple(sides[0]),
-        right=tuple(sides[1]),
-        r=left.r,
-        b=abs(y_left - y_right) / 2,
-        T_base_floor=pin.SE3(rotation, np.array([middle[0], middle[1], floor])),
-        joint_velocity=min(speeds) if speeds else None,
-        how=left.how,
-    )
+    T = pin.SE3(rotation, np.array([middle[0], middle[1], floor]))
+    speed = min((w.joint.velocity for w in (left, right) if w.joint.velocity), default=None)
+    lefts, rights = map(tuple, sides)
+    return Wheels(lefts, rights, left.r, abs(y_left - y_right) / 2, T, speed, left.how)
 
 
 def _named(
