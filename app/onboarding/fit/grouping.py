@@ -147,8 +147,8 @@ def _arm_grouping(
     """The best grouping if l_m encloses the units `mobile`."""
     base, fitter = fit_base(model, meetings, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
-
-    slides = _sliding(model, meetings)
+    arm = (unit for unit in meetings.units if unit.joint > 1)
+    slides = frozenset(u.index for u in arm if model.joint_units[u.joint - 2] == "m")
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
@@ -373,6 +373,7 @@ def _ranked(
     """All divisions of the chain into groups with shapes, with lower bounds of their costs.
 
     The cost of ideal bodies, which overlap exactly if their links do, determines the order.
+    `slides` are the units on prismatic joints of the arm.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -393,9 +394,3 @@ def _ranked(
             least = _BODY_COST * (count + 1)
             ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
     return [(least, groups) for _, _, groups, least in sorted(ranked)]
-
-
-def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
-    """Units on prismatic joints of the arm."""
-    arm = (unit for unit in meetings.units if unit.joint > 1)
-    return frozenset(u.index for u in arm if model.joint_units[u.joint - 2] == "m")
