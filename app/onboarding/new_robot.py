@@ -298,15 +298,13 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):
-        names = ", ".join(joint.name for joint in arm.joints)
         raise RobotFileError(
             f"--ready: it has {len(request.ready)} numbers, but the arm has {len(arm.joints)} "
-            f"joints: {names}"
+            f"joints: {', '.join(arm.names)}"
         )
-    for joint, q, low, high in zip(
-        arm.joints, request.ready, limits.lower, limits.upper, strict=True
-    ):
+    rows = zip(arm.names, request.ready, limits.lower, limits.upper, strict=True)
+    for name, q, low, high in rows:
         if not low <= q <= high:
             raise RobotFileError(
-                f"--ready: {joint.name} at {q:g} is outside of its limits, {low:g} to {high:g}"
+                f"--ready: {name} at {q:g} is outside of its limits, {low:g} to {high:g}"
             )

@@ -223,7 +223,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
             "these joints are not between the base and --tip, so they are fixed at zero or at the "
             f"limit nearest to zero: {names}"
         )
-    if led := followers(tree, [joint.name for joint in arm.joints]):
+    if led := followers(tree, arm.names):
         names = ", ".join(joint.name for joint in led)
         yield (
             f"these joints follow a joint of the arm (<mimic>), but are fixed here: {names}; the "
@@ -238,10 +238,9 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
     """Distances by which moving links outside of the arm's chain can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
-    chain = [joint.name for joint in arm.joints]
     roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
     for carrier in roots:
-        filled = with_travel(tree, robot.parsed.geometry, carrier, chain)
+        filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
         for body in robot.bodies:
             joint = model.body_joints[body.name]
             mine = [k for k in body.links if filled[k] is not robot.parsed.geometry[k]]
@@ -275,8 +274,7 @@ def wheels_carried(parsed: Parsed) -> list[str]:
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
-    own = [joint.name for joint in parsed.arm.joints]
-    return [joint.name for joint in turning if joint.name not in own]
+    return [joint.name for joint in turning if joint.name not in parsed.arm.names]
 
 
 def _base(robot: NewRobot) -> Iterator[str]:

@@ -331,8 +331,7 @@ def description(
     tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
     xyz, rpy = (request.tip_xyz, tip), (request.tip_rpy, tip)
     hand = {"end_effector_xyz_m": xyz, "end_effector_rpy_rad": rpy}
-    joints = tuple(joint.name for joint in arm.joints)
-    chain = {"mount_link": arm.mount, "joints": joints, "end_effector_link": arm.tip}
+    chain = {"mount_link": arm.mount, "joints": arm.names, "end_effector_link": arm.tip}
     dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
     dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
     return {

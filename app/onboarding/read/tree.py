@@ -279,6 +279,11 @@ class Arm(NamedTuple):
     """Links of each segment that a joint outside of the arm moves, such as a head. The last entry
     is empty: fingers do not count. The parts of a telescope do not count either."""
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(n_m,) names of `joints`."""
+        return tuple(joint.name for joint in self.joints)
+
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """Find the arm between the links `base` and `tip`.

@@ -76,11 +76,10 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeom
 
     A suspension is a slide with a travel below `_TRAVEL` of the radius of each wheel on it.
     """
-    taken = {joint.name for joint in arm.joints}
     rigid = list(arm.rigid_links)
     for link in rigid:
         for joint in tree.children(link):
-            if joint.kind != "prismatic" or joint.name in taken:
+            if joint.kind != "prismatic" or joint.name in arm.names:
                 continue
             below = [tree.joint_of[name] for name in tree.below(joint.child)]
             try:
@@ -154,9 +153,8 @@ def _find_wheels(
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
-    taken = {joint.name for joint in arm.joints}
     for joint in tree.joints.values():
-        if joint.parent in arm.rigid_links and joint.name not in taken and turns_round(joint):
+        if joint.parent in arm.rigid_links and joint.name not in arm.names and turns_round(joint):
             try:
                 found[joint.name] = _wheel(tree, arm, geometry, joint)
             except RobotFileError as error:
@@ -304,12 +302,11 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
 
 def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3) -> Steering:
     """The upright joints on the base that carry wheels; options override the results."""
-    taken = {joint.name for joint in arm.joints}
     found: list[Joint] = []
     rolling: list[str] = []
     places: list[float] = []
     for joint in tree.joints.values():
-        if joint.parent not in arm.rigid_links or joint.name in taken or not joint.moves:
+        if joint.parent not in arm.rigid_links or joint.name in arm.names or not joint.moves:
             continue
         T = T_base_floor.inverse() * tree.pose(joint.child, arm.base)
         on_it = [j for j in tree.children(joint.child) if j.kind in ("continuous", "revolute")]
