@@ -93,12 +93,11 @@ def _bare(bare: dict[str, Bare]) -> list[str]:
         "design": "by design: no link of a body that is not a neighbour can reach these parts",
         "mistake": "by mistake: a link of a body that is not a neighbour can reach these parts",
     }
-    links = {why: [link for link, each in bare.items() if each == why] for why in whys}
-    return [
-        f"extending beyond their bodies {text}: {', '.join(links[why])}"
-        for why, text in whys.items()
-        if links[why]
-    ]
+    sentences = []
+    for why, text in whys.items():
+        if links := [link for link, each in bare.items() if each == why]:
+            sentences.append(f"extending beyond their bodies {text}: {', '.join(links)}")
+    return sentences
 
 
 def _bodies(robot: NewRobot) -> Grid:
@@ -303,8 +302,12 @@ def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
 
 def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
     """A page with a 3D view of the links, in the colours of `COLOURS`, and of the bodies."""
+    units = robot.meetings.units
+    hulls = [(moved(p.corners, placed[u.joint]), p.link) for u in units for p in u.parts]
+    links = [(trimesh.convex.convex_hull(p), COLOURS[bare.get(link)], 1.0) for p, link in hulls]
+    bodies = [(mesh, _BODY, 0.3) for _, mesh in body_meshes(robot.model, placed)]
     scene = trimesh.Scene()
-    for mesh, colour, alpha in _meshes(robot, placed, bare):
+    for mesh, colour, alpha in (*links, *bodies):
         r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
         material = trimesh.visual.material.PBRMaterial(
             baseColorFactor=[r, g, b, int(255 * alpha)],
@@ -314,18 +317,6 @@ def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bar
         mesh.visual = trimesh.visual.TextureVisuals(material=material)
         scene.add_geometry(mesh)
     return scene_to_html(scene)
-
-
-def _meshes(
-    robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]
-) -> Iterator[tuple[trimesh.Trimesh, str, float]]:
-    """Mesh, colour and opacity of each hull of a link and each shape of a body."""
-    for unit in robot.meetings.units:
-        for part in unit.parts:
-            hull = trimesh.convex.convex_hull(moved(part.corners, placed[unit.joint]))
-            yield hull, COLOURS[bare.get(part.link)], 1.0
-    for _, mesh in body_meshes(robot.model, placed):
-        yield mesh, _BODY, 0.3
 
 
 def body_meshes(

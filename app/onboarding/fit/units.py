@@ -12,14 +12,13 @@ import trimesh
 from app.onboarding import ROOT
 from app.onboarding.fit.convex import directions, hull_corners
 from app.onboarding.read.links import LinkGeometry
-from app.onboarding.read.tree import Arm
+from app.onboarding.read.tree import PARALLEL, Arm
 from app.robot.model import RobotModel
 from app.robot.shapes import convex_hull
 from app.strict import Array
 
 Pairs = Sequence[tuple[int, int]]
 
-_ALONG = 0.999  # [-] smallest cosine between parallel lines
 _THIN_OUT = 500  # [-] largest number of points on a unit's surface, without the outermost points
 _EXACT = 0.5  # [m] distance below which distances are exact even with many shapes
 _MANY = 150  # [-] number of pairs of shapes from which bounding spheres save time
@@ -142,7 +141,7 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))
     joints = model.pin.joints[first + 1 : last + 1]
     columns = data.J[:, [joint.idx_v for joint in joints]]
-    parallel = np.abs(columns[:3].T @ columns[:3, 0]) > _ALONG
+    parallel = np.abs(columns[:3].T @ columns[:3, 0]) > PARALLEL
     return not columns[3:].any() and bool(parallel.all())
 
 
