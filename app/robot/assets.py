@@ -307,9 +307,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 def refuse_placeholder(content: bytes, where: object) -> None:
     """Refuse placeholders that a download or a repository can leave instead of a file.
 
-    Args:
-        content: The first bytes of the file, or all of them.
-        where: Name for the message.
+    `content` are the first bytes of the file, or all of them; `where` is its name for the message.
 
     Raises:
         RobotFileError: The content is such a placeholder; the message names its kind.
@@ -348,10 +346,8 @@ def xml_text(path: Path) -> str:
 def refuse_entities(content: bytes | str, path: Path) -> None:
     """Refuse XML that expands, refers to other files or is huge, before parsing a tree.
 
-    Args:
-        content: Content of an XML file: bytes in their declared encoding, or text, whose declared
-            encoding is ignored.
-        path: Name for the message.
+    `content` is the file's content: bytes in their declared encoding, or text, whose declared
+    encoding is ignored. `path` is its name for the message.
 
     Raises:
         RobotFileError: It declares an entity, as in a "billion laughs" attack, nests deeper, has

@@ -88,13 +88,10 @@ class LinkPairs:
 
 @compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
 def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group into an array.
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
 
-    Args:
-        values: (n,) the values.
-        order: (m,) indices of the values, group by group.
-        firsts: (k + 1,) index in `order` at which each group begins; the last one is m.
-        into: (k,) the smallest value of each group; changed in place.
+    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
+    `order` at which each group begins, then m.
     """
     for k in range(len(into)):
         into[k] = values[order[firsts[k]]]

@@ -154,14 +154,9 @@ def shape_distances(
 ) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
 
-    With 150 or more pairs of shapes, only distances below 0.5 m are exact; a larger result means
-    only that the distance is at least 0.5 m.
-
-    Args:
-        model: The robot; its base is at the origin.
-        groups: The shapes of each group.
-        pairs: Pairs of groups, by the indices of the groups.
-        q_m: (N, n_m) joint positions.
+    `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions,
+    with the base at the origin. With 150 or more pairs of shapes, only distances below 0.5 m are
+    exact; a larger result means only that the distance is at least 0.5 m.
     """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
