@@ -26,6 +26,7 @@ from app.strict import Array, Positive, Strict, Vector3
 
 if TYPE_CHECKING:
     import trimesh
+
 INTERVALS = 24
 """[-] intervals along each edge of the cube whose grid is projected onto a superquadric."""
 Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
