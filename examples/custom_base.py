@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from app import Config, RobotModel, load_border_data, load_robot
-from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind, Measure
+from app.robot.bases.kind import FORWARD, Axis, BaseKind, Measure
 from app.robot.description import register_base_kind
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
@@ -25,10 +25,6 @@ class RailBase(BaseKind):
     max_acceleration = property(lambda self: (self.max_linear_acceleration_mps2,))
     yaw_limit_nm = property(lambda self: 1e4)  # [N m] the rail prevents rotation
     measure = property(lambda self: Measure(1.0, 0.0))  # it moves every point equally well
-
-    def acceleration(self, force: BaseForce) -> np.ndarray:
-        """The force along the rail moves the carriage."""
-        return np.array([force.x / self.mass_kg])
 
 
 def main(duration: float = 8.0) -> dict[str, object]:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from app.avoidance.acting_point import avoidance_force, generate_mob_acc, resultant_force
-from app.robot.bases.differential import control_point_jacobian, free_acceleration, mobile_jacobian
-from app.robot.bases.kind import BaseForce
+from app.robot.bases.differential import control_point_jacobian, mobile_jacobian
 from tests.robots import husky_panda
 
 SIDE = np.array([0.0, 1.0, 0.0])
@@ -83,9 +82,8 @@ def test_a_pair_without_a_force_needs_no_acting_point() -> None:
 
 
 def test_17_18_a_force_accelerates_along_x_and_its_torque_about_the_centre() -> None:
-    np.testing.assert_allclose(
-        free_acceleration(BaseForce(6.0, 99.0, 4.0), m=3.0, I=8.0), [2.0, 0.5]
-    )
+    base = husky_panda().description.base.model_copy(update={"mass_kg": 3.0, "inertia_kgm2": 8.0})
+    np.testing.assert_allclose(base.A_b @ [6.0, 99.0, 4.0], [2.0, 0.5])
 
 
 def test_J_m_agrees_with_the_control_points_jacobian_and_has_full_rank() -> None:

@@ -715,7 +715,7 @@ def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Gr
     """Bodies that are spheres of some radii [m]."""
     frames = ("base_link", "panda_link0", "panda_link2", "panda_hand")
     bodies = [
-        FittedBody(name, frame, (), (), (Fit(sphere, 0.0, 1.0, 0.0),), np.zeros((0, 3)))
+        FittedBody(name, frame, (), (), (Fit(sphere, 0.0, 1.0, 0.0),))
         for name, frame, sphere in zip(
             ("lm", "l1", "l2", "lEE"),
             frames,

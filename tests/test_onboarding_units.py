@@ -15,7 +15,7 @@ from app.onboarding.fit.bodies import ArmFitter
 from app.onboarding.fit.collision_sampling import Meetings, Poses, _grazing
 from app.onboarding.fit.convex import directions
 from app.onboarding.fit.grouping import _ranked
-from app.onboarding.fit.units import Part, Unit, group_distances, neighbours, units_of_links
+from app.onboarding.fit.units import Part, Unit, neighbours, shape_distances, units_of_links
 from app.onboarding.read.links import LinkGeometry, LinkShape
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from tests.robots import husky_panda
@@ -148,11 +148,11 @@ def test_groups_are_as_near_as_the_library_says_up_to_half_a_metre(
     monkeypatch.setattr(units, "_MANY", 0)
     model = husky_panda()
     names, every = model.body_names, candidate_pairs(model)
-    geometry = model.geometry.copy()
-    geometry.removeAllCollisionPairs()
+    shapes = [[model.geometry.geometryObjects[k] for k in model.shape_ids[name]] for name in names]
+    groups = [[(s.parentJoint, s.placement, s.geometry) for s in group] for group in shapes]
     pairs = [(names.index(pair.a), names.index(pair.b)) for pair in every]
     q_m = sample_joints(model, 100, np.random.default_rng(0))
-    ours = group_distances(model, geometry, [model.shape_ids[n] for n in names], pairs, q_m)
+    ours = shape_distances(model, groups, pairs, q_m)
     theirs = PairDistances(model, every).sampled(q_m)
     near = theirs < 0.5
     assert near.any()

@@ -1,7 +1,5 @@
 """`dbb check-robot`: checks of a description, its URDF and its meshes."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -16,6 +14,7 @@ from app.border.config import SamplingConfig
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.errors import DbbError, UnreachableError
+from app.onboarding import SIDES
 from app.onboarding.fit.collision_sampling import ALWAYS, NESTED, nested_touches
 from app.onboarding.fit.grouping import MAX_UNSEEN, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
@@ -34,7 +33,6 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.trace.columns import axis_name
 
 _log = logging.getLogger(__name__)
-Array = np.ndarray
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
 _STATES = 20  # [-] number of random states for comparing the dynamics
@@ -109,7 +107,7 @@ def check_robot(
         "hand held": holding_row,
     }.items():
         tell(name)
-        yield _done(name, lambda check=check: check(model))
+        yield _done(name, check, model)
     tell("sampling pairs and border")
     try:
         data = load_border_data(model, sampling=sampling, processes=processes)
@@ -117,21 +115,21 @@ def check_robot(
         yield Row("border", "failed", str(error), {})
         return
     checks = {"pairs": pairs_row, "push": push_row, "ready pose": ready_row, "border": border_row}
-    guided = ("guiding-lateral", "guiding-front") if runs else ()
+    guided = SIDES if runs else ()
     rows: list[Row] = []
     for name, check in (checks | {name: partial(run_row, name=name) for name in guided}).items():
         tell(name)
-        rows.append(_done(name, lambda check=check: check(model, data)))
+        rows.append(_done(name, check, model, data))
         yield rows[-1]
     shown = any(r.numbers and r.outcome != "nothing to show" for r in rows[len(checks) :])
     if runs and data.pairs.mobile and not shown:
         yield Row("guiding", "failed", "no guiding run tests the base", {})
 
 
-def _done(name: str, check: Callable[[], Row]) -> Row:
+def _done(name: str, check: Callable[..., Row], *arguments: object) -> Row:
     """The row of a check; an exception of a library becomes a row with the outcome failed."""
     try:
-        return check()
+        return check(*arguments)
     except DbbError as error:
         return Row(name, "failed", str(error), {})
     except Exception as error:  # pybullet, MuJoCo, coal: without a common base class
@@ -174,13 +172,12 @@ def engines_row(model: RobotModel) -> Row:
 
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH
-    return Row(
-        "engines",
-        "passed" if good else "failed",
+    text = (
         f"pictures differ in {found.picture:.1%} of their rays; in {found.poses} poses the deepest "
-        f"contact of one engine alone is {1e3 * found.depth:.1f} mm",
-        {"picture_difference": found.picture, "contact_difference_m": found.depth},
+        f"contact of one engine alone is {1e3 * found.depth:.1f} mm"
     )
+    numbers = {"picture_difference": found.picture, "contact_difference_m": found.depth}
+    return Row("engines", "passed" if good else "failed", text, numbers)
 
 
 def limits_row(model: RobotModel) -> Row:
@@ -188,13 +185,11 @@ def limits_row(model: RobotModel) -> Row:
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
-    kinds = [joint.shortname() for joint in model.pin.joints[2:]]
-    strongest = [_LIFTS if kind.startswith("JointModelP") else _STRONGEST for kind in kinds]
+    strongest = [_LIFTS if unit == "m" else _STRONGEST for unit in model.joint_units]
+    limits = zip(names, model.qd_max, model.tau_max, strongest, strict=True)
     wrong = [
         f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N)"
-        for name, speed, effort, most in zip(
-            names, model.qd_max, model.tau_max, strongest, strict=True
-        )
+        for name, speed, effort, most in limits
         if speed > _FASTEST or effort > most
     ]
     wrong += [f"{name} moves no inertia" for name, m in zip(names, least, strict=True) if m <= 1e-9]
@@ -204,12 +199,13 @@ def limits_row(model: RobotModel) -> Row:
         if effort < most
     ]
     share = float((load / model.tau_max).max())
-    if wrong:
-        return Row("limits", "failed", "; ".join(wrong), {"gravity_share": share})
     text = f"gravity requires {share:.0%} of a joint's torque limit or less"
-    if weak:
+    if wrong:
+        text = "; ".join(wrong)
+    elif weak:
         text = f"some joints cannot hold the arm's weight in all poses: {'; '.join(weak)}"
-    return Row("limits", "warned" if weak else "passed", text, {"gravity_share": share})
+    outcome: Outcome = "failed" if wrong else "warned" if weak else "passed"
+    return Row("limits", outcome, text, {"gravity_share": share})
 
 
 def nested_row(model: RobotModel) -> Row:
@@ -263,12 +259,12 @@ def arm_row(model: RobotModel) -> Row:
         text += f"neighbours or close by design: {found.rule}"
     if found.blind:
         text += f"; the bodies of {', '.join(found.blind)} do not enclose their colliding links"
-        return Row("arm's bodies", "failed", text, numbers)
-    if not found.poses:
-        return Row("arm's bodies", "nothing to show", text, numbers)
-    if found.unseen or found.missed > MAX_UNSEEN * found.watched:
-        return Row("arm's bodies", "failed", text, numbers)
-    return Row("arm's bodies", "warned" if found.missed else "passed", text, numbers)
+    outcome: Outcome = "passed" if found.poses else "nothing to show"
+    if found.blind or found.unseen or found.missed > MAX_UNSEEN * found.watched:
+        outcome = "failed"
+    elif found.missed:
+        outcome = "warned"
+    return Row("arm's bodies", outcome, text, numbers)
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
@@ -316,15 +312,14 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     near = (seen[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]
     numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
+    always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
+    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free poses"
     if missing:
         text = f"{', '.join(missing)} can meet the base, but has no reachability"
-        return Row("pairs", "failed", text, numbers)
-    always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
-    if always:
+    elif always:
         text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of the free poses"
-        return Row("pairs", "warned", text, numbers)
-    text = f"{', '.join(names)}; inside the buffer in at most {near.max():.0%} of the free poses"
-    return Row("pairs", "passed", text, numbers)
+    outcome: Outcome = "failed" if missing else "warned" if always else "passed"
+    return Row("pairs", outcome, text, numbers)
 
 
 def ready_row(model: RobotModel, data: BorderData) -> Row:

@@ -1,8 +1,6 @@
 """All steps from a URDF to a robot's folder."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -20,51 +18,21 @@ from app.jobs.progress import OnProgress
 from app.onboarding import SIDES
 from app.onboarding.fit.collision_sampling import ENOUGH, Meetings, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import (
-    RULE,
-    Place,
-    Ready,
-    find_ready,
-    judge_ready,
-    line_from,
-)
+from app.onboarding.fit.postures import RULE, Place, find_ready, judge_ready, line_from
 from app.onboarding.fit.stops import watching_buffer, with_stops
 from app.onboarding.fit.travel import filled
 from app.onboarding.fit.units import make_units
-from app.onboarding.numbers import (
-    Limits,
-    Sourced,
-    base_numbers,
-    completed,
-    damping,
-    find_reach,
-    read_limits,
-)
+from app.onboarding.numbers import Limits, base_numbers, completed, damping, find_reach, read_limits
 from app.onboarding.read.links import read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate
 from app.onboarding.read.tree import Arm, find_arm
-from app.onboarding.read.wheels import (
-    find_drive,
-    stands_on_floor,
-    with_rigid_suspensions,
-)
+from app.onboarding.read.wheels import find_drive, stands_on_floor, with_rigid_suspensions
 from app.onboarding.record import NewRobot, Parsed
 from app.onboarding.request import Request
-from app.onboarding.warn import (
-    borne_push,
-    carried_hand,
-    holding_warning,
-    push_warning,
-    warnings_of,
-)
+from app.onboarding.warn import borne_push, carried_hand, holding_warning, push_warning, warnings_of
 from app.onboarding.whole import Whole, one_message, whole_robot
-from app.onboarding.write import (
-    compiled,
-    description,
-    rebased_urdf,
-    write_robot,
-)
+from app.onboarding.write import compiled, description, rebased_urdf, write_robot
 from app.robot.model import RobotModel
 from app.robot.urdf import mesh_bytes
 from app.system import whole_folder, write_whole
@@ -73,6 +41,10 @@ MEETING_SAMPLES = 6000
 """[-] smallest number of random poses in which the distances between hulls are computed."""
 _MAX_FITS = 3  # [-] largest number of fits of bodies; each fit uses other random poses
 _URDF = "robot.urdf"  # name of the new URDF in the robot's folder
+_DAMPING = (
+    "chosen: as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are "
+    "stable"
+)
 
 
 def finish(
@@ -124,11 +96,52 @@ def finish(
         say("reading the URDF")
         parsed, urdf = _read_whole(request, whole or whole_robot(request), folder)
         with helpers() as workers:
-            robot, data = make_robot(
-                request, parsed, urdf, folder, border, workers, tell=say, on_progress=on_progress
+            robot, data = _make_robot(
+                request, parsed, urdf, folder, border, workers, say, on_progress
             )
             robot = _written(robot, data, folder, workers, say, on_progress)
     return robot, data
+
+
+def _make_robot(
+    request: Request,
+    parsed: Parsed,
+    urdf: str,
+    folder: Path,
+    border: Callable[[RobotModel], BorderData],
+    workers: Workers,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
+) -> tuple[NewRobot, BorderData]:
+    """The robot without lines for guiding and warnings, and its border; writes the URDF."""
+    path = folder / _URDF
+    write_whole(path, urdf)
+    bare = compiled(description(request, parsed), path)
+    parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
+    fitted = _embodied(request, parsed, bare, path, workers, tell, on_progress)
+    request, parsed, model, meetings, (bodies, verdict), unseen = fitted
+    counted = find_reach(model, workers)
+    tell("sampling the border")
+    data = border(model)
+    tell("choosing the ready pose")
+    if request.ready is None:
+        ready, rule = find_ready(model, data.pairs, seed=request.seed), RULE
+    else:
+        ready, rule = judge_ready(model, data.pairs, np.array(request.ready)), "given: --ready"
+    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
+    arm = {
+        "ready_position": (tuple(ready.q_m.tolist()), rule),
+        "joint_damping": (damping(parsed.limits, parsed.arm, model), _DAMPING),
+    }
+    content = description(request, parsed, bodies, (base, arm), verdict.unwatched)
+    tell("counting the reachability")
+    near = {pair.b for pair in data.pairs.mobile}
+    reach = {body: each for body, each in counted if body in near}
+    content["reachability"] = {name: each.content() for name, each in reach.items()}
+    model = compiled(content, path)
+    held = holding_warning(carried_hand(model))
+    fit = meetings, bodies, verdict, unseen, ready, reach
+    return NewRobot(request, parsed, urdf, content, model, *fit, {}, {}, held, []), data
 
 
 def _written(
@@ -141,98 +154,29 @@ def _written(
 ) -> NewRobot:
     """The robot with its lines and all warnings, after writing all other files."""
     tell("searching lines for guiding")
-    lines = _lines(robot, data, workers, on_progress)
+    # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
+    anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
+    jobs = [(name, robot.model, data, anyway) for name in names]
+    lines = workers.map(line_from, jobs, on_progress, tells=True)
     # Imported here: worker processes import this module, and need no matplotlib.
     from app.onboarding.report import VIEW, draw, report_html
 
     pictures = workers.map(draw, [(robot, data)])  # in a worker that has finished its line
-    robot = _with_lines(robot, data, folder, dict(lines))
+    found = dict(zip(names, lines, strict=True))
+    places = {name: each for name, each in found.items() if isinstance(each, Place)}
+    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
+    content = {name: place.content() for name, place in places.items()}
+    content = robot.content | {"lines": content, "without_line": lacking}
+    model = compiled(content, folder / _URDF)
+    robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
+    weak = push_warning(borne_push(model, data.pairs.mobile))
+    robot = replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
     tell("writing the report")
     write_robot(robot, folder)
     drawn = next(pictures)
     write_whole(folder / "report.html", report_html(robot, data, drawn))
     write_whole(folder / VIEW, drawn.view)
     return robot
-
-
-_UNWATCHED = {
-    True: "chosen: some of its links are nearer than d_b by design",
-    False: "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions",
-}
-"""Why a pair is not monitored, by the value of `Verdict.unwatched`."""
-
-
-def make_robot(
-    request: Request,
-    parsed: Parsed,
-    urdf: str,
-    folder: Path,
-    border: Callable[[RobotModel], BorderData],
-    workers: Workers,
-    *,
-    tell: Callable[[str], None] = lambda _: None,
-    on_progress: OnProgress = lambda _: None,
-) -> tuple[NewRobot, BorderData]:
-    """Create a robot and its border, without lines for guiding and warnings, which `finish` adds.
-
-    The new URDF, with the text `urdf`, is written into `folder`. `border` returns the pairs and the
-    clouds of border points of a model. `workers` compute random poses and reachability maps.
-
-    Raises:
-        DbbError: As in `finish`, except `OutputError` for an existing folder.
-    """
-    path = folder / _URDF
-    write_whole(path, urdf)
-    bare = compiled(description(request, parsed), path)
-    parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    fitted = _embodied(request, parsed, bare, path, workers, tell, on_progress)
-    request, parsed, model, meetings, (bodies, verdict), unwatched, unseen = fitted
-    counted = find_reach(model, workers)
-    tell("sampling the border")
-    data = border(model)
-    pairs = data.pairs
-    tell("choosing the ready pose")
-    if request.ready is None:
-        ready = find_ready(model, pairs, seed=request.seed)
-    else:
-        ready = judge_ready(model, pairs, np.array(request.ready))
-    moving = _moving(request, parsed, model, ready)
-    content = description(request, parsed, bodies, moving, unwatched)
-    tell("counting the reachability")
-    near = {pair.b for pair in pairs.mobile}
-    reach = {body: each for body, each in counted if body in near}
-    content["reachability"] = {name: each.content() for name, each in reach.items()}
-    model = compiled(content, path)
-    held = holding_warning(carried_hand(model))
-    fitted = meetings, bodies, verdict, unseen, ready, reach
-    return NewRobot(request, parsed, urdf, content, model, *fitted, {}, {}, held, []), data
-
-
-def _lines(
-    robot: NewRobot, data: BorderData, workers: Workers, on_progress: OnProgress
-) -> Iterator[tuple[str, Place | str]]:
-    """Each scenario with its line for guiding, or with the reason why it has no line.
-
-    There is none if the arm and the base are no pair.
-    """
-    # If the arm cannot hold its end-effector, it avoids the base by itself, on any line.
-    anyway, names = bool(robot.held), SIDES if data.pairs.mobile else ()
-    jobs = [(name, robot.model, data, anyway) for name in names]
-    return zip(names, workers.map(line_from, jobs, on_progress, tells=True), strict=True)
-
-
-def _with_lines(
-    robot: NewRobot, data: BorderData, folder: Path, found: Mapping[str, Place | str]
-) -> NewRobot:
-    """The robot with its lines and all warnings."""
-    places = {name: each for name, each in found.items() if isinstance(each, Place)}
-    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
-    lines = {name: place.content() for name, place in places.items()}
-    content = robot.content | {"lines": lines, "without_line": lacking}
-    model = compiled(content, folder / _URDF)
-    robot = replace(robot, content=content, model=model, places=places, lacking=lacking)
-    weak = push_warning(borne_push(model, data.pairs.mobile))
-    return replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)])
 
 
 class _Embodied(NamedTuple):
@@ -243,8 +187,6 @@ class _Embodied(NamedTuple):
     model: RobotModel
     meetings: Meetings
     grouping: Grouping
-    unwatched: dict[str, str]
-    """Why a pair of bodies is not monitored, by the pair's name."""
     unseen: Unseen
 
 
@@ -293,13 +235,11 @@ def _embodied(
             bare, meetings, d_b=request.buffer, count=request.bodies, on_progress=on_progress
         )
         limited = replace(parsed, limits=limits)
-        unwatched = {
-            name: _UNWATCHED[by_links] for name, by_links in grouping.verdict.unwatched.items()
-        }
+        unwatched = grouping.verdict.unwatched
         content = description(request, limited, grouping.bodies, unwatched=unwatched)
         model = compiled(content, path)
         unseen = unseen_collisions(model, geometry, request.buffer, workers)
-        found.append(_Embodied(request, limited, model, meetings, grouping, unwatched, unseen))
+        found.append(_Embodied(request, limited, model, meetings, grouping, unseen))
     best = min(found, key=lambda each: (len(each.unseen.blind), each.unseen.unseen))
     if best.unseen.blind:
         raise RobotFileError(
@@ -310,30 +250,29 @@ def _embodied(
     return best
 
 
-def _moving(
-    request: Request, parsed: Parsed, model: RobotModel, ready: Ready
-) -> tuple[Sourced, Sourced]:
-    """Numbers of the base, and the ready pose and the damping of the arm, with their sources."""
-    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, parsed.steering)
-    why = (
-        "as for the paper's robot, but smaller for a light joint, so that steps of 1 ms are stable"
-    )
-    rule = RULE if request.ready is None else "given: --ready"
-    return base, {
-        "ready_position": (tuple(float(q) for q in ready.q_m), rule),
-        "joint_damping": (damping(parsed.limits, parsed.arm, model), f"chosen: {why}"),
-    }
-
-
-def parse(request: Request) -> Parsed:
-    """Read and check the URDF.
+def parse(request: Request, whole: Whole | None = None) -> Parsed:
+    """Read and check the URDF; `whole` is the result of `whole_robot`, which is read if it is None.
 
     Raises:
         RobotFileError: The URDF cannot become a robot; the message names the reason and the option
             that helps.
         AssetError: A package is not installed.
     """
-    return _parsed(request, whole_robot(request))
+    tree, base, tip, arm, changes = whole or whole_robot(request)
+    limits = read_limits(arm)
+    _check_ready(request, arm, limits)
+    geometry = read_geometry(tree)
+    if not any(geometry[name].shapes for part in arm.segments for name in part):
+        raise RobotFileError(
+            f"no link between {base!r} and {tip!r} has a shape; add a <collision> or <visual> to "
+            "the arm's links, or choose another --tip"
+        )
+    if request.mount is None and stands_on_floor(tree, arm, geometry):
+        arm = find_arm(tree, base, tip, arm.joints[0].child)
+    arm = with_rigid_suspensions(tree, arm, geometry)
+    wheels = find_drive(request, tree, arm, geometry)
+    inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, changes)
 
 
 def _read_whole(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
@@ -347,29 +286,11 @@ def _read_whole(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, s
 
 def _read(request: Request, whole: Whole, folder: Path) -> tuple[Parsed, str]:
     """The checked robot and the text of its new URDF; some meshes are converted into `folder`."""
-    parsed = _parsed(request, whole)
+    parsed = parse(request, whole)
     header = (
         f"Made by dbb new-robot from {request.shown_source}; its sources and licences: SOURCES.md"
     )
     return parsed, rebased_urdf(parsed, name=request.name, header=header, home=folder)
-
-
-def _parsed(request: Request, whole: Whole) -> Parsed:
-    tree, base, tip, arm, changes = whole
-    limits = read_limits(arm)
-    _check_ready(request, arm, limits)
-    geometry = read_geometry(tree)
-    if not any(geometry[name].shapes for part in arm.segments for name in part):
-        raise RobotFileError(
-            f"no link between {base!r} and {tip!r} has a shape; add a <collision> or <visual> to "
-            "the arm's links, or choose another --tip"
-        )
-    if request.mount is None and stands_on_floor(tree, arm, geometry):
-        arm = find_arm(tree, base, tip, arm.joints[0].child)
-    arm = with_rigid_suspensions(tree, arm, geometry)
-    wheels, steering = find_drive(request, tree, arm, geometry)
-    inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering, changes)
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
@@ -377,15 +298,13 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
     if request.ready is None:
         return
     if len(request.ready) != len(arm.joints):
-        names = ", ".join(joint.name for joint in arm.joints)
         raise RobotFileError(
             f"--ready: it has {len(request.ready)} numbers, but the arm has {len(arm.joints)} "
-            f"joints: {names}"
+            f"joints: {', '.join(arm.names)}"
         )
-    for joint, q, low, high in zip(
-        arm.joints, request.ready, limits.lower, limits.upper, strict=True
-    ):
+    rows = zip(arm.names, request.ready, limits.lower, limits.upper, strict=True)
+    for name, q, low, high in rows:
         if not low <= q <= high:
             raise RobotFileError(
-                f"--ready: {joint.name} at {q:g} is outside of its limits, {low:g} to {high:g}"
+                f"--ready: {name} at {q:g} is outside of its limits, {low:g} to {high:g}"
             )

@@ -1,7 +1,5 @@
 """The numbers of a description with their sources: limits, damping, base and reachability."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -14,24 +12,24 @@ from app.border.score import ReachFit
 from app.errors import DescriptionError, RobotFileError
 from app.jobs.pool import Workers
 from app.onboarding.read.tree import Arm, Joint
-from app.onboarding.read.wheels import Steering, Wheels
+from app.onboarding.read.wheels import Wheels
 from app.robot.link_pairs import candidate_pairs, sample_joints
 from app.robot.model import STABLE_STEPS, RobotModel
 from app.robot.state import RobotState, at_rest
-
-Array = np.ndarray
+from app.strict import Array
 
 Sourced = Mapping[str, tuple[Any, str]]
 """Values with their sources, by the field of the description."""
 
 _TURN = np.pi  # [rad] assumed limit in both directions of a joint without limits
-_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed speed limits
+_SPEED = {"revolute": 1.5, "continuous": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] assumed limits
 _LARGEST = 1000.0  # [rad] or [m] position limit from which a joint counts as unlimited
 _DEGREES = 4 * np.pi  # [rad] position limit above which the unit is probably degrees
 _TOO_FAR = 5.0  # [m] largest plausible position limit of a prismatic joint
 _FASTEST = 20.0  # [rad/s] or [m/s] speed limit from which a joint counts as unlimited
 _GRAVITY_SHARE = 2.5  # [-] ratio of the assumed effort to the largest gravity load
-_MIN_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N] smallest assumed effort
+_MIN_EFFORT = {"revolute": 5.0, "continuous": 5.0, "prismatic": 50.0}
+"""[N m], [N] smallest assumed effort."""
 _DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], prismatic [N s/m]
 _STRONG = 30.0  # [N m] smallest effort of a strong joint
 _STEP = 1e-3  # [s] time step for which the damping is stable
@@ -73,23 +71,20 @@ def read_limits(arm: Arm) -> Limits:
             unit; the message names all of these joints.
     """
     _check_ranges(arm.joints)
-    ranges = [_range(joint) for joint in arm.joints]
     speeds = [_within(joint.velocity, _FASTEST) for joint in arm.joints]
-    endless = [j.name for j, limits in zip(arm.joints, ranges, strict=True) if limits is None]
+    endless = [joint.name for joint in arm.joints if _range(joint) is None]
     speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
     position = _origin(endless, "half a turn in both directions")
-    return Limits(
-        tuple(-_TURN if limits is None else limits[0] for limits in ranges),
-        tuple(_TURN if limits is None else limits[1] for limits in ranges),
-        tuple(v or _SPEED[_kind(j)] for j, v in zip(arm.joints, speeds, strict=True)),
-        tuple(_within(joint.effort, 1e5) for joint in arm.joints),
-        {
-            "position_lower": position,
-            "position_upper": position,
-            "max_velocity": _origin(speedless, "1.5 rad/s or 0.3 m/s"),
-            "max_effort": "from the URDF",
-        },
-    )
+    lower, upper = zip(*(_range(joint) or (-_TURN, _TURN) for joint in arm.joints), strict=True)
+    source = {
+        "position_lower": position,
+        "position_upper": position,
+        "max_velocity": _origin(speedless, "1.5 rad/s or 0.3 m/s"),
+        "max_effort": "from the URDF",
+    }
+    velocity = tuple(v or _SPEED[j.kind] for j, v in zip(arm.joints, speeds, strict=True))
+    effort = tuple(_within(joint.effort, 1e5) for joint in arm.joints)
+    return Limits(lower, upper, velocity, effort, source)
 
 
 def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
@@ -98,7 +93,7 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
     if not missing:
         return limits
     effort = [
-        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[_kind(j)])), 2)
+        round(e or float(max(_GRAVITY_SHARE * g, _MIN_EFFORT[j.kind])), 2)
         for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
     ]
     text = _origin(missing, "2.5 times the largest gravity load in random poses")
@@ -112,14 +107,12 @@ def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
     is the smallest inertia of the joint in random poses, with the other joints free, and dt = 1 ms.
     """
     least = 1.0 / largest_of_poses(model, lambda q: 1.0 / model.joint_inertia(q))
-    wanted = [
-        _DAMPING["prismatic" if _kind(j) == "prismatic" else "strong" if e >= _STRONG else "weak"]
-        for j, e in zip(arm.joints, limits.effort, strict=True)
-    ]
-    return tuple(
-        float(f"{min(d, m / (STABLE_STEPS * _STEP)):.2g}")
-        for d, m in zip(wanted, least, strict=True)
-    )
+    found = []
+    for joint, effort, m in zip(arm.joints, limits.effort, least, strict=True):
+        strength = "strong" if effort >= _STRONG else "weak"
+        wanted = _DAMPING["prismatic" if joint.kind == "prismatic" else strength]
+        found.append(float(f"{min(wanted, m / (STABLE_STEPS * _STEP)):.2g}"))
+    return tuple(found)
 
 
 def gravity_load(model: RobotModel) -> Array:
@@ -175,10 +168,6 @@ def _within(value: float | None, most: float) -> float:
     return value if value and 0 < value < most else 0.0
 
 
-def _kind(joint: Joint) -> str:
-    return "prismatic" if joint.kind == "prismatic" else "revolute"
-
-
 def _origin(assumed: list[str], what: str) -> str:
     if not assumed:
         return "from the URDF"
@@ -194,22 +183,18 @@ _GRAVITY = 9.81  # [m/s²]
 _AS_PAPERS = "assumed: as for the paper's robot"
 
 
-def wheel_fields(kind: str, wheels: Wheels, steering: Steering | None) -> dict[str, Any]:
+def wheel_fields(kind: str, wheels: Wheels) -> dict[str, Any]:
     """The fields that name joints, for the base of a description."""
     if kind == "differential":
         return {"left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right}
-    if steering is None:
+    if wheels.steering is None:
         return {}
-    rolling = (*wheels.left, *wheels.right, *steering.rolling)
-    return {"wheel_joints": rolling, "steering_joints": steering.joints}
+    rolling = (*wheels.left, *wheels.right, *wheels.steering.rolling)
+    return {"wheel_joints": rolling, "steering_joints": wheels.steering.joints}
 
 
 def base_numbers(
-    model: RobotModel,
-    wheels: Wheels,
-    q_m: Array,
-    half_track: float | None,
-    steering: Steering | None = None,
+    model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None
 ) -> Sourced:
     """Numbers of the base with their sources; q_m (n_m,) is the ready pose.
 
@@ -220,22 +205,15 @@ def base_numbers(
     mass, yaw = float(M[0, 0]), float(M[2, 2])
     fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
     v = min(_BASE_SPEED[0], fastest)
-    found = _geometry(kind, wheels, half_track, steering) | {
+    limit = "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS
+    factor, about = _YAW_FACTOR, "the yaw inertia of the whole robot in its ready pose"
+    inertia = f"measured: {factor:g} times {about}, as for the paper's robot"
+    if wheels.steering:
+        factor, inertia = 1.0, f"measured: {about}, about the rear axle"
+    found = _geometry(kind, wheels, half_track) | {
         "mass_kg": (round(mass, 2), "measured: sum of the URDF's masses"),
-        "inertia_kgm2": (
-            round(yaw, 3),
-            "measured: the yaw inertia of the whole robot in its ready pose, about the rear axle",
-        )
-        if steering
-        else (
-            round(_YAW_FACTOR * yaw, 3),
-            f"measured: {_YAW_FACTOR:g} times the yaw inertia of the whole robot in its ready "
-            "pose, as for the paper's robot",
-        ),
-        "max_linear_velocity_mps": (
-            round(v, 3),
-            "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS,
-        ),
+        "inertia_kgm2": (round(factor * yaw, 3), inertia),
+        "max_linear_velocity_mps": (round(v, 3), limit),
         "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
         "traction_limit_n": (
             round(_FRICTION * _GRAVITY * mass, 1),
@@ -247,25 +225,19 @@ def base_numbers(
         b = found["half_track_m"][0] if "half_track_m" in found else 0.0
         w = min(_BASE_SPEED[1], v / b if b else np.inf)
         one_wheel = "assumed: one wheel is at rest, the other has its largest speed"
-        found |= {
-            "max_angular_velocity_radps": (
-                round(w, 3),
-                _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel,
-            ),
-            "max_angular_acceleration_radps2": (_ACCELERATION[1], _AS_PAPERS),
-        }
+        turning = _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel
+        found["max_angular_velocity_radps"] = round(w, 3), turning
+        found["max_angular_acceleration_radps2"] = _ACCELERATION[1], _AS_PAPERS
     return found
 
 
-def _geometry(
-    kind: str, wheels: Wheels, half_track: float | None, steering: Steering | None
-) -> dict[str, tuple[Any, str]]:
+def _geometry(kind: str, wheels: Wheels, half_track: float | None) -> dict[str, tuple[Any, str]]:
     """The wheel radius, and the half track or the steering; none for a holonomic base."""
     how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
     radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
     if kind == "holonomic":
         return {}
-    if steering is not None:
+    if (steering := wheels.steering) is not None:
         names = ("wheelbase_m", "steering_limit_rad", "steering_rate_radps")
         values = [round(each, 5) for each in steering[:3]]
         return dict(zip(names, zip(values, steering.sources, strict=True), strict=True)) | radius
@@ -277,10 +249,8 @@ def _geometry(
     return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
 
 
-SHARE = 0.5
-"""[-] share of the peak above which (9) is fitted, because the tails are not parabolic."""
-COUNTED_POSES = 20_000
-"""[-] random joint positions for counting a reachability."""
+SHARE = 0.5  # [-] share of the peak above which (9) is fitted, because the tails are not parabolic
+COUNTED_POSES = 20_000  # [-] random joint positions for counting a reachability
 _REACH_SAMPLES = 2000  # [-] number of random poses for an assumed reachability
 _WIDTH = 3.0  # [-] half width of an assumed reachability, in standard deviations of ρ
 _MIN_WIDTH = 0.1  # [m] smallest half width of an assumed reachability

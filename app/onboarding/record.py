@@ -1,7 +1,5 @@
 """Records of a new robot: the content of its URDF, and the robot that is made from it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +10,7 @@ from app.onboarding.fit.postures import Place, Ready
 from app.onboarding.numbers import Limits, Reach
 from app.onboarding.read.links import LinkGeometry, LinkInertia
 from app.onboarding.read.tree import Arm, Tree
-from app.onboarding.read.wheels import Steering, Wheels
+from app.onboarding.read.wheels import Wheels
 from app.onboarding.request import Request
 from app.robot.model import RobotModel
 
@@ -27,7 +25,6 @@ class Parsed:
     wheels: Wheels
     inertias: dict[str, LinkInertia]
     limits: Limits
-    steering: Steering | None = None
     changes: tuple[str, ...] = ()
     """Sentences on differences from the URDF: removed shapes, telescopes with one joint."""
 

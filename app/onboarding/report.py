@@ -1,33 +1,38 @@
-"""The report of a new robot: a page with warnings, pictures and tables."""
+"""The report of a new robot: a page with warnings, pictures and tables, and a 3D view."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy.spatial import ConvexHull
+from trimesh.viewer.notebook import scene_to_html
 
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import radial_profile
 from app.onboarding.fit.units import moved
-from app.onboarding.preview import COLOURS, Bare, bare_links, body_meshes, view_html
+from app.onboarding.record import NewRobot
+from app.onboarding.warn import outside
 from app.robot.model import RobotModel
+from app.robot.shapes import shape_mesh
+from app.strict import Array
 from app.studies.page import Grid, Part, page_html
 from app.studies.style import INK, SOFT, new_figure, png_of, styled
 
-if TYPE_CHECKING:
-    from app.onboarding.record import NewRobot
+Bare = Literal["design", "mistake"]
 
-Array = np.ndarray
+COLOURS: dict[Bare | None, str] = {None: "#9AA5B1", "design": "#E6C229", "mistake": "#D7263D"}
+"""Colours of links: None for links inside of their bodies."""
+_BARE = 0.005  # [m] distance beyond its body up to which a point of a link counts as enclosed
+_BODY = "#0072B2"  # colour of bodies
 
 
 class Pictures(NamedTuple):
@@ -79,8 +84,7 @@ def report_html(robot: NewRobot, data: BorderData, pictures: Pictures) -> str:
     return page_html(f"New robot: {robot.content['title']}", lead, parts)
 
 
-VIEW = "bodies.html"
-"""Name of the file that shows links and bodies in three dimensions."""
+VIEW = "bodies.html"  # name of the file that shows links and bodies in three dimensions
 
 
 def _bare(bare: dict[str, Bare]) -> list[str]:
@@ -89,54 +93,32 @@ def _bare(bare: dict[str, Bare]) -> list[str]:
         "design": "by design: no link of a body that is not a neighbour can reach these parts",
         "mistake": "by mistake: a link of a body that is not a neighbour can reach these parts",
     }
-    links = {why: [link for link, each in bare.items() if each == why] for why in whys}
-    return [
-        f"extending beyond their bodies {text}: {', '.join(links[why])}"
-        for why, text in whys.items()
-        if links[why]
-    ]
+    sentences = []
+    for why, text in whys.items():
+        if links := [link for link, each in bare.items() if each == why]:
+            sentences.append(f"extending beyond their bodies {text}: {', '.join(links)}")
+    return sentences
 
 
 def _bodies(robot: NewRobot) -> Grid:
-    rows = [
-        (
-            body.name,
-            body.frame,
-            ", ".join(body.links),
-            fit.shape.type,
-            f"{1e3 * fit.volume:.2f}",
-            f"{fit.over_cover:.2f}",
-            f"{fit.protrusion:.3f}",
-        )
-        for body in robot.bodies
-        for fit in body.fits
-    ]
-    return Grid(
-        ("body", "frame", "links", "shape", "volume [l]", "volume / hull", "protrusion [m]"), rows
-    )
+    rows = []
+    for body in robot.bodies:
+        for fit in body.fits:
+            sizes = f"{1e3 * fit.volume:.2f}", f"{fit.over_cover:.2f}", f"{fit.protrusion:.3f}"
+            rows.append((body.name, body.frame, ", ".join(body.links), fit.shape.type, *sizes))
+    head = ("body", "frame", "links", "shape", "volume [l]", "volume / hull", "protrusion [m]")
+    return Grid(head, rows)
 
 
 def _pairs(robot: NewRobot, data: BorderData) -> Grid:
-    pairs, near = data.pairs, robot.verdict.near
-    rows = [
-        (
-            pair.name,
-            group,
-            f"{pairs.rates[pair.name]:.3%}",
-            f"{pairs.least_distance_m[pair.name]:+.3f}",
-            f"{near.get(pair.name, 0.0):.0%}",
-        )
-        for group, each in (
-            ("L_m", pairs.mobile),
-            ("L_m^c", pairs.manipulator),
-            ("never", pairs.never),
-        )
-        for pair in each
-    ]
-    return Grid(
-        ("pair", "set", "overlap", "smallest distance [m]", f"within {robot.request.buffer:g} m"),
-        rows,
-    )
+    pairs, near, rows = data.pairs, robot.verdict.near, []
+    sets = {"L_m": pairs.mobile, "L_m^c": pairs.manipulator, "never": pairs.never}
+    for group, each in sets.items():
+        for name in (pair.name for pair in each):
+            overlap, least = f"{pairs.rates[name]:.3%}", f"{pairs.least_distance_m[name]:+.3f}"
+            rows.append((name, group, overlap, least, f"{near.get(name, 0.0):.0%}"))
+    inside = f"within {robot.request.buffer:g} m"
+    return Grid(("pair", "set", "overlap", "smallest distance [m]", inside), rows)
 
 
 def _verdict(robot: NewRobot) -> list[str]:
@@ -156,17 +138,10 @@ def _verdict(robot: NewRobot) -> list[str]:
 
 
 def _reach(robot: NewRobot) -> Grid:
-    rows = [
-        (
-            name,
-            f"{r.A:.1f}",
-            f"{r.B:.3f}",
-            f"{r.C:.1f}",
-            "" if r.fit is None else f"{r.fit.r_squared:.3f}",
-            r.source,
-        )
-        for name, r in robot.reach.items()
-    ]
+    rows = []
+    for name, r in robot.reach.items():
+        fitted = "" if r.fit is None else f"{r.fit.r_squared:.3f}"
+        rows.append((name, f"{r.A:.1f}", f"{r.B:.3f}", f"{r.C:.1f}", fitted, r.source))
     return Grid(("body", "A [1/m²]", "B [m]", "C", "R²", "source"), rows)
 
 
@@ -177,9 +152,8 @@ def _numbers(robot: NewRobot) -> Grid:
         for key, source in record["source"].items():
             rows.append((part, key, _text(record[key]), source))
     for name, place in robot.places.items():
-        rows.append(
-            (name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}", place.source)
-        )
+        line = f"{_text(place.start)}; {_text(place.move)}"
+        rows.append((name, "start_m, move_m", line, place.source))
     return Grid(("part", "number", "value", "source"), rows)
 
 
@@ -204,9 +178,8 @@ def bodies_png(robot: NewRobot, bare: dict[str, Bare]) -> bytes:
     colours = dict(zip(model.body_names, cycle(BODY_COLOURS), strict=False))
     with styled():
         figure = new_figure(4.6)
-        spans = np.ptp(
-            np.vstack([moved(p.corners, placed[u.joint]) for u in units for p in u.parts]), axis=0
-        )
+        corners = [moved(p.corners, placed[u.joint]) for u in units for p in u.parts]
+        spans = np.ptp(np.vstack(corners), axis=0)
         panels = figure.subplots(1, 3, width_ratios=[spans[x] for _, x, _ in _VIEWS])
         for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
             for unit in units:
@@ -248,14 +221,8 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
                 axes.plot(*piece.T, color=INK, linewidth=1.0, label=label)
             for k, cloud in enumerate(clouds):
                 points = construct_dbb(cloud, d_b, eps).same_height(z)
-                axes.plot(
-                    points[:, 0],
-                    points[:, 1],
-                    ".",
-                    markersize=3,
-                    label=cloud.pair,
-                    color=BODY_COLOURS[(k + 2) % len(BODY_COLOURS)],
-                )
+                x, y, colour = *points[:, :2].T, BODY_COLOURS[(k + 2) % len(BODY_COLOURS)]
+                axes.plot(x, y, ".", markersize=3, label=cloud.pair, color=colour)
             title = f"z = {z:.2f} m, d_b = {d_b:g} m"
             axes.set(aspect="equal", title=title, xlabel="x [m]", ylabel="y [m]")
             axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
@@ -311,3 +278,53 @@ def _legend(figure: Figure, colours: Mapping[str, str]) -> None:
     links = [Patch(color=COLOURS[kind], label=text) for kind, text in kinds.items()]
     handles = [*patches, *links]
     figure.legend(handles=handles, loc="outside lower center", ncols=-(-len(handles) // 2))
+
+
+def bare_links(robot: NewRobot, placed: Sequence[pin.SE3]) -> dict[str, Bare]:
+    """Names of the links that extend beyond their body, and whether by design or by mistake.
+
+    By design means that no link of a body that is not a neighbour can reach the part beyond the
+    body. `placed` are the poses of the joints in the ready pose, by pinocchio's indices.
+    """
+    found: dict[str, Bare] = {}
+    for k, body in enumerate(robot.bodies):
+        others = [u for j, far in enumerate(robot.bodies) if abs(j - k) > 1 for u in far.units]
+        joint = robot.model.body_joints[body.name]
+        for unit in (robot.meetings.units[u] for u in body.units):
+            points = moved(unit.surface, placed[joint].actInv(placed[unit.joint]))
+            out = outside(robot.model, body.name, points) > _BARE
+            met = out & robot.meetings.needed(unit.index, others)
+            links = np.array(unit.links)[unit.owners]
+            found |= dict.fromkeys(links[out].tolist(), "design")
+            found |= dict.fromkeys(links[met].tolist(), "mistake")
+    return found
+
+
+def view_html(robot: NewRobot, placed: Sequence[pin.SE3], bare: Mapping[str, Bare]) -> str:
+    """A page with a 3D view of the links, in the colours of `COLOURS`, and of the bodies."""
+    units = robot.meetings.units
+    hulls = [(moved(p.corners, placed[u.joint]), p.link) for u in units for p in u.parts]
+    links = [(trimesh.convex.convex_hull(p), COLOURS[bare.get(link)], 1.0) for p, link in hulls]
+    bodies = [(mesh, _BODY, 0.3) for _, mesh in body_meshes(robot.model, placed)]
+    scene = trimesh.Scene()
+    for mesh, colour, alpha in (*links, *bodies):
+        r, g, b = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        material = trimesh.visual.material.PBRMaterial(
+            baseColorFactor=[r, g, b, int(255 * alpha)],
+            alphaMode="BLEND" if alpha < 1 else "OPAQUE",
+            doubleSided=True,
+        )
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(mesh)
+    return scene_to_html(scene)
+
+
+def body_meshes(
+    model: RobotModel, placed: Sequence[pin.SE3]
+) -> Iterator[tuple[str, trimesh.Trimesh]]:
+    """Name of the body and mesh of each shape, with joints at the poses `placed`."""
+    for body in model.description.bodies:
+        for k, shape in zip(model.shape_ids[body.name], body.shapes, strict=True):
+            item = model.geometry.geometryObjects[k]
+            T = placed[item.parentJoint] * item.placement
+            yield body.name, shape_mesh(shape).copy().apply_transform(T.homogeneous)

@@ -1,7 +1,5 @@
 """The input of `dbb new-robot`, and its checks before any file is read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +10,7 @@ from app.config import Config, parameter
 from app.errors import ConfigError, RobotFileError, UnknownNameError
 from app.strict import MAX_SEEDS, Vector3, check_range
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-"""Pattern of a robot's name."""
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  # pattern of a robot's name
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,8 @@
 while the base moves, and whether a person can push the arm against the base.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,23 +13,21 @@ from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig, PersonConfig
 from app.control.admittance import largest_command
 from app.control.limits import force_bound
-from app.onboarding.compose import ARM_ON_BASE
 from app.onboarding.fit.collision_sampling import ALWAYS
+from app.onboarding.fit.grouping import BY_BODIES
 from app.onboarding.fit.travel import followers, with_travel
 from app.onboarding.fit.units import moved
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import FREE
 from app.onboarding.read.wheels import turns_round
+from app.onboarding.record import NewRobot, Parsed
+from app.onboarding.whole import ARM_ON_BASE
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.robot.state import RobotState, at_rest
-
-if TYPE_CHECKING:
-    from app.onboarding.record import NewRobot, Parsed
-
-Array = np.ndarray
+from app.strict import Array
 
 _IN_FLOOR = 0.005  # [m] largest depth below the floor
 _OVER = 2.0  # [-] largest ratio of a body's volume to the volume of its links
@@ -121,8 +117,8 @@ def _bodies(robot: NewRobot) -> Iterator[str]:
             "that no pair can monitor, because they are neighbours or close by design: "
             f"{robot.unseen.rule}; limit the joints between them"
         )
-    for name, by_links in verdict.unwatched.items():
-        if not by_links:
+    for name, why in verdict.unwatched.items():
+        if why == BY_BODIES:
             yield (
                 f"{name} is not monitored: its bodies are within d_b of each other in most poses, "
                 "although its links are not"
@@ -213,7 +209,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
         names = ", ".join(j.name for j in rigid)
         yield f"suspensions of wheels, with a travel of up to {travel:g} m, count as rigid: {names}"
     own = {joint.name for joint in (*arm.joints, *rigid)}
-    own.update(parsed.steering.joints if parsed.steering else ())
+    own.update(parsed.wheels.steering.joints if parsed.wheels.steering else ())
     carried = {link for links in arm.segments for link in links}
     held = [
         joint.name
@@ -227,7 +223,7 @@ def held_still(parsed: Parsed) -> Iterator[str]:
             "these joints are not between the base and --tip, so they are fixed at zero or at the "
             f"limit nearest to zero: {names}"
         )
-    if led := followers(tree, [joint.name for joint in arm.joints]):
+    if led := followers(tree, arm.names):
         names = ", ".join(joint.name for joint in led)
         yield (
             f"these joints follow a joint of the arm (<mimic>), but are fixed here: {names}; the "
@@ -242,10 +238,9 @@ def held_still(parsed: Parsed) -> Iterator[str]:
 def _moving_beside(robot: NewRobot) -> Iterator[str]:
     """Distances by which moving links outside of the arm's chain can leave their bodies."""
     tree, arm, model = robot.parsed.tree, robot.parsed.arm, robot.model
-    chain = [joint.name for joint in arm.joints]
     roots = (arm.base, *(joint.child for joint in arm.joints[:-1]))
     for carrier in roots:
-        filled = with_travel(tree, robot.parsed.geometry, carrier, chain)
+        filled = with_travel(tree, robot.parsed.geometry, carrier, arm.names)
         for body in robot.bodies:
             joint = model.body_joints[body.name]
             mine = [k for k in body.links if filled[k] is not robot.parsed.geometry[k]]
@@ -279,8 +274,7 @@ def wheels_carried(parsed: Parsed) -> list[str]:
     tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
     fixed = () if mount is None else tree.below(mount.child, moving=False)
     turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
-    own = [joint.name for joint in parsed.arm.joints]
-    return [joint.name for joint in turning if joint.name not in own]
+    return [joint.name for joint in turning if joint.name not in parsed.arm.names]
 
 
 def _base(robot: NewRobot) -> Iterator[str]:
@@ -362,7 +356,7 @@ def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
-    poses = _near_poses(model, np.random.default_rng(0))
+    poses = _near_poses(model)
     lost = np.zeros((len(poses), n_b, 2))
     for k, q_m in enumerate(poses):
         state.update_kinematics(at_rest(model, q_m))
@@ -434,7 +428,7 @@ def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
     `_near_poses`; `pairs` are the pairs of L_m. Without pairs, N is 0.
     """
     distances, state, found = PairDistances(model, pairs), RobotState(model), []
-    for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
+    for q_m in _near_poses(model) if pairs else ():
         state.update(at_rest(model, q_m))
         distances.update_from(state.data)
         d = distances.distances()
@@ -461,7 +455,7 @@ def push_warning(borne: Array) -> str:
     )
 
 
-def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
+def _near_poses(model: RobotModel) -> Array:
     """(N, n_m) up to 100 random poses without contact in which the arm is near the base.
 
     If fewer than 25 of these are found, the arm may be anywhere; if no pose is without contact, the
@@ -470,7 +464,7 @@ def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
     mobile = model.body_names[0]
     distances = PairDistances(model, candidate_pairs(model))
     clear, near = [], []
-    for q_m in sample_joints(model, _SAMPLES, rng):
+    for q_m in sample_joints(model, _SAMPLES, np.random.default_rng(0)):
         distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
         d = distances.distances()
         if min(d, default=1.0) <= 0.0:

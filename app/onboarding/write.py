@@ -1,7 +1,5 @@
 """The files of a new robot: description, new URDF and list of sources."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import zlib
@@ -9,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -22,11 +20,14 @@ from app.config import Config
 from app.errors import DescriptionError
 from app.jobs.bounded import BudgetError, within_budget
 from app.onboarding import ROOT
+from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.travel import held_at
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia, is_foreign, load_mesh
 from app.onboarding.read.package import FOLDER
 from app.onboarding.read.tree import FREE, Joint
+from app.onboarding.record import NewRobot, Parsed
+from app.onboarding.request import Request
 from app.robot.assets import followed
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
@@ -35,19 +36,12 @@ from app.robot.urdf import mesh_path
 from app.strict import file_text
 from app.system import temporary_folder, whole_folder, write_whole
 
-if TYPE_CHECKING:
-    from app.onboarding.fit.bodies import FittedBody
-    from app.onboarding.record import NewRobot, Parsed
-    from app.onboarding.request import Request
-
-MESH_FOLDER = "meshes"
-"""Folder of the converted meshes within a robot's folder."""
+MESH_FOLDER = "meshes"  # folder of the converted meshes within a robot's folder
 _ENDLESS = 1e6  # [rad] limit of a joint that turns without limits
 
 
 def write_robot(robot: NewRobot, folder: Path) -> None:
-    """Write the description, the URDF and the list of sources into a folder."""
-    write_whole(folder / "robot.urdf", robot.urdf)
+    """Write the description and the list of sources into the folder that has the URDF."""
     title = f"{robot.content['title']}, from {robot.request.shown_source}"
     text = description_text(robot.content, title)
     write_whole(folder / "robot.toml", text)
@@ -100,8 +94,7 @@ class HandMade(NamedTuple):
     """(n_m,) [rad or m] the new ready pose, or None for no change."""
 
 
-BY_HAND = "set by hand"
-"""Source of a number that a person has changed."""
+BY_HAND = "set by hand"  # source of a number that a person has changed
 
 
 def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
@@ -326,29 +319,19 @@ def description(
     the names of the pairs.
     """
     arm, limits = parsed.arm, parsed.limits
-    wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
+    wheels = wheel_fields(request.kind, parsed.wheels)
     if moving is None:
         fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
         middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
         limits = limits._replace(effort=tuple(e or 1.0 for e in limits.effort))
-        moving = (
-            dict.fromkeys(sorted(fields), (1.0, "assumed")),
-            {
-                "ready_position": (middle, "assumed"),
-                "joint_damping": ((0.0,) * len(middle), "assumed"),
-            },
-        )
+        free = (0.0,) * len(middle)
+        of_arm = {"ready_position": (middle, "assumed"), "joint_damping": (free, "assumed")}
+        moving = dict.fromkeys(sorted(fields), (1.0, "assumed")), of_arm
     given = any((*request.tip_xyz, *request.tip_rpy))
     tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
-    hand = {
-        "end_effector_xyz_m": (request.tip_xyz, tip),
-        "end_effector_rpy_rad": (request.tip_rpy, tip),
-    }
-    chain = {
-        "mount_link": arm.mount,
-        "joints": tuple(joint.name for joint in arm.joints),
-        "end_effector_link": arm.tip,
-    }
+    xyz, rpy = (request.tip_xyz, tip), (request.tip_rpy, tip)
+    hand = {"end_effector_xyz_m": xyz, "end_effector_rpy_rad": rpy}
+    chain = {"mount_link": arm.mount, "joints": arm.names, "end_effector_link": arm.tip}
     dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
     dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
     return {

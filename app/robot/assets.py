@@ -5,8 +5,6 @@ pinocchio reads a robot's URDF without its shapes (`bare_urdf`), pybullet with i
 planar root (`planar_urdf`).
 """
 
-from __future__ import annotations
-
 import codecs
 import importlib.util
 import math
@@ -15,6 +13,7 @@ import re
 import sys
 import sysconfig
 from collections.abc import Sized
+from itertools import pairwise
 from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from typing import NoReturn, Protocol
@@ -191,15 +190,10 @@ def share_folders() -> list[Path]:
 class HasUrdf(Protocol):
     """The part of a robot's description that states the place of the URDF."""
 
-    @property
-    def name(self) -> str:
-        """Name of the robot, and of its folder."""
-        ...
-
-    @property
-    def urdf(self) -> str:
-        """Path of the URDF in the robot's folder, or its `package://` address."""
-        ...
+    name: str
+    """Name of the robot, and of its folder."""
+    urdf: str
+    """Path of the URDF in the robot's folder, or its `package://` address."""
 
 
 def urdf_path(description: HasUrdf) -> Path:
@@ -218,26 +212,7 @@ def urdf_path(description: HasUrdf) -> Path:
 
 PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
 """Joints of the planar root that `planar_urdf` puts under the robot."""
-PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
-"""Links of the planar root."""
-
-_PLANAR_ROOT = """
-  <link name="planar_world">{zero}</link>
-  <link name="planar_x_link">{zero}</link>
-  <link name="planar_y_link">{zero}</link>
-  <joint name="planar_x" type="prismatic">
-    <parent link="planar_world"/><child link="planar_x_link"/><axis xyz="1 0 0"/>
-    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
-  </joint>
-  <joint name="planar_y" type="prismatic">
-    <parent link="planar_x_link"/><child link="planar_y_link"/><axis xyz="0 1 0"/>
-    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
-  </joint>
-  <joint name="planar_yaw" type="revolute">
-    <parent link="planar_y_link"/><child link="{root}"/><axis xyz="0 0 1"/>
-    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
-  </joint>
-"""
+PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")  # links of the planar root
 _ZERO_INERTIAL = (
     '<inertial><mass value="0"/>'
     '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
@@ -332,9 +307,7 @@ _DECLARED = re.compile(rb"""\s*<\?xml[^>]*?encoding\s*=\s*["']([\w.:-]+)["']""")
 def refuse_placeholder(content: bytes, where: object) -> None:
     """Refuse placeholders that a download or a repository can leave instead of a file.
 
-    Args:
-        content: The first bytes of the file, or all of them.
-        where: Name for the message.
+    `content` are the first bytes of the file, or all of them; `where` is its name for the message.
 
     Raises:
         RobotFileError: The content is such a placeholder; the message names its kind.
@@ -373,10 +346,8 @@ def xml_text(path: Path) -> str:
 def refuse_entities(content: bytes | str, path: Path) -> None:
     """Refuse XML that expands, refers to other files or is huge, before parsing a tree.
 
-    Args:
-        content: Content of an XML file: bytes in their declared encoding, or text, whose declared
-            encoding is ignored.
-        path: Name for the message.
+    `content` is the file's content: bytes in their declared encoding, or text, whose declared
+    encoding is ignored. `path` is its name for the message.
 
     Raises:
         RobotFileError: It declares an entity, as in a "billion laughs" attack, nests deeper, has
@@ -438,8 +409,16 @@ def planar_urdf(description: HasUrdf) -> str:
     pybullet has no planar joint; in pinocchio the same root is `JointModelPlanar`.
     """
     text = resolved_urdf(description)
-    planar = _PLANAR_ROOT.format(zero=_ZERO_INERTIAL, root=root_link(text))
-    return text.replace("</robot>", planar + "</robot>")
+    parts = [f'<link name="{name}">{_ZERO_INERTIAL}</link>' for name in PLANAR_LINKS]
+    ends = pairwise((*PLANAR_LINKS, root_link(text)))
+    motions = ("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("revolute", "0 0 1")
+    for name, (parent, child), (kind, axis) in zip(PLANAR_JOINTS, ends, motions, strict=True):
+        parts.append(
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<axis xyz="{axis}"/><limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>'
+            "</joint>"
+        )
+    return text.replace("</robot>", "".join(parts) + "</robot>")
 
 
 def floats(text: str, count: int) -> list[float] | None:

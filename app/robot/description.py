@@ -1,7 +1,5 @@
 """The description of a robot: one TOML file, typed and validated, each number with its source."""
 
-from __future__ import annotations
-
 from itertools import chain, combinations
 from pathlib import Path
 from typing import Annotated, Union, get_args

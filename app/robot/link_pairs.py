@@ -1,7 +1,5 @@
 """§2.1: link pairs that can meet, found once by random sampling, and their present distances."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -13,8 +11,7 @@ import pinocchio as pin
 
 from app.compiled import compiled, direct
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Pair(NamedTuple):
@@ -46,7 +43,7 @@ class ClosestPoints(NamedTuple):
     core: Array
     """(3,) [m] point of the core of `b` that belongs to p_b: from p_b, by the radius of `b` along
     n; p_b itself where `b` is not round, and in the results of `PairDistances`."""
-    parts: tuple[ClosestPoints, ...] = ()
+    parts: tuple["ClosestPoints", ...] = ()
     """The closest points of each convex part of `a`, if there are several."""
 
 
@@ -91,13 +88,10 @@ class LinkPairs:
 
 @compiled("void(f8[:], i8[::1], i8[::1], f8[:])")
 def _put_least(values: Array, order: Array, firsts: Array, into: Array) -> None:
-    """Write the smallest value of each group into an array.
+    """Write the smallest value of each group of `values` (n,) into the array `into` (k,).
 
-    Args:
-        values: (n,) the values.
-        order: (m,) indices of the values, group by group.
-        firsts: (k + 1,) index in `order` at which each group begins; the last one is m.
-        into: (k,) the smallest value of each group; changed in place.
+    `order` (m,) has the indices of the values, group by group, and `firsts` (k + 1,) the index in
+    `order` at which each group begins, then m.
     """
     for k in range(len(into)):
         into[k] = values[order[firsts[k]]]
@@ -257,15 +251,11 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     pairs = candidate_pairs(model)
     q_m = sample_joints(model, samples, np.random.default_rng(seed))
     distances = PairDistances(model, pairs).sampled(q_m)
-    rates = dict(zip(pairs, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
-    least = dict(zip(pairs, distances.min(axis=0).tolist(), strict=True))
+    names = [pair.name for pair in pairs]
+    rates = dict(zip(names, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
+    least = dict(zip(names, distances.min(axis=0).tolist(), strict=True))
     lm = model.description.mobile_body.name
-    return LinkPairs(
-        mobile=tuple(pair for pair in pairs if rates[pair] > 0 and pair.a == lm),
-        manipulator=tuple(pair for pair in pairs if rates[pair] > 0 and pair.a != lm),
-        never=tuple(pair for pair in pairs if rates[pair] == 0),
-        rates={pair.name: rate for pair, rate in rates.items()},
-        least_distance_m={pair.name: d for pair, d in least.items()},
-        samples=samples,
-        seed=seed,
-    )
+    mobile = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a == lm)
+    manipulator = tuple(pair for pair in pairs if rates[pair.name] > 0 and pair.a != lm)
+    never = tuple(pair for pair in pairs if rates[pair.name] == 0)
+    return LinkPairs(mobile, manipulator, never, rates, least, samples, seed)

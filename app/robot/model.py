@@ -5,8 +5,6 @@ reduced velocity to pinocchio's is the constant matrix S. The reduced terms are 
 without a term M Ṡ q̇.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property, wraps
@@ -18,9 +16,9 @@ import pinocchio as pin
 
 from app.errors import DescriptionError
 from app.robot.assets import bare_urdf
-from app.robot.description import RobotDescription
+from app.robot.description import BodyDescription, RobotDescription
+from app.strict import Array
 
-Array = np.ndarray
 STABLE_STEPS = 3.0  # [-] smallest stable ratio of a joint's inertia to its damping, in time steps
 Options = ParamSpec("Options")
 Result = TypeVar("Result")
@@ -86,7 +84,7 @@ class RobotModel:
         self.shape_ids: dict[str, list[int]] = {}
         self.body_joints: dict[str, int] = {}
         for body in description.bodies:
-            self._add_body(body.name)
+            self._add_body(body)
 
     @property
     def body_names(self) -> list[str]:
@@ -148,9 +146,7 @@ class RobotModel:
     def _read_limits(self) -> None:
         arm, base, model = self.description.arm, self.description.base, self.pin
         self.base_acceleration_max = np.array(base.max_acceleration)
-        self.base_inertia = np.array(
-            [base.inertia_kgm2 if axis.angular else base.mass_kg for axis in base.axes]
-        )
+        self.base_inertia = base.T.T @ (base.mass_kg, base.mass_kg, base.inertia_kgm2)
         self.joint_damping = np.array(arm.joint_damping)
         self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
         self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
@@ -160,69 +156,53 @@ class RobotModel:
         self.qd_limits = np.array([-self.qd_max, self.qd_max])
         self.tau_limits = np.array([-self.tau_max, self.tau_max])
         ready = np.array(arm.ready_position)
-        for name, lower, at, upper in zip(
-            arm.joints, self.q_lower, ready, self.q_upper, strict=True
-        ):
+        limits = zip(self.q_lower, ready, self.q_upper, self.qd_max, self.tau_max, strict=True)
+        for name, (lower, at, upper, speed, effort) in zip(arm.joints, limits, strict=True):
+            wrong = None
             if not lower < upper:
-                raise self._error(
-                    f"arm: {name} has lower limit {lower:g} not below upper {upper:g}"
-                )
-            if not lower <= at <= upper:
-                raise self._error(
-                    f"arm.ready_position: {name} at {at:g} is outside of [{lower:g}, {upper:g}]"
-                )
-        for name, speed, effort in zip(arm.joints, self.qd_max, self.tau_max, strict=True):
-            if not (speed > 0 and effort > 0):
-                raise self._error(f"arm: {name} needs a velocity and an effort limit above zero")
+                wrong = f"arm: {name} has lower limit {lower:g} not below upper {upper:g}"
+            elif not lower <= at <= upper:
+                wrong = f"arm.ready_position: {name} at {at:g} is outside of [{lower:g}, {upper:g}]"
+            elif not (speed > 0 and effort > 0):
+                wrong = f"arm: {name} needs a velocity and an effort limit above zero"
+            if wrong is not None:
+                raise _error(self.description, wrong)
 
     def _add_end_effector(self) -> None:
         arm = self.description.arm
         parent = self._frame(arm.end_effector_link, "arm.end_effector_link")
         frame = self.pin.frames[parent]
-        offset = pin.SE3(
-            pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad), np.array(arm.end_effector_xyz_m)
-        )
+        R = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
+        T = frame.placement * pin.SE3(R, np.array(arm.end_effector_xyz_m))
         name = "end_effector"
         while self.pin.existFrame(name):  # a link or joint of the robot may have the name
             name += "_"
-        self.ee_frame = self.pin.addFrame(
-            pin.Frame(
-                name,
-                frame.parentJoint,
-                parent,
-                frame.placement * offset,
-                pin.FrameType.OP_FRAME,
-            )
-        )
+        made = pin.Frame(name, frame.parentJoint, parent, T, pin.FrameType.OP_FRAME)
+        self.ee_frame = self.pin.addFrame(made)
 
-    def _add_body(self, name: str) -> None:
-        body = self.description.body(name)
+    def _add_body(self, body: BodyDescription) -> None:
+        name = body.name
         frame_id = self._frame(body.frame, f"bodies.{name}.frame")
         frame = self.pin.frames[frame_id]
         for link in body.covers:
             self._frame(link, f"bodies.{name}.covers")
-        self.body_joints[name] = frame.parentJoint
-        self.shape_ids[name] = [
-            self.geometry.addGeometryObject(
-                pin.GeometryObject(
-                    f"{name}_{i}",
-                    frame.parentJoint,
-                    frame_id,
-                    frame.placement * shape.placement(),
-                    shape.coal_geometry(),
-                )
-            )
-            for i, shape in enumerate(body.shapes)
-        ]
+        joint = self.body_joints[name] = frame.parentJoint
+        self.shape_ids[name] = []
+        for i, shape in enumerate(body.shapes):
+            T, geometry = frame.placement * shape.placement(), shape.coal_geometry()
+            made = pin.GeometryObject(f"{name}_{i}", joint, frame_id, T, geometry)
+            self.shape_ids[name].append(self.geometry.addGeometryObject(made))
 
     def _frame(self, name: str, field: str) -> int:
         if not self.pin.existFrame(name):
             links = [f.name for f in self.pin.frames if f.type == pin.FrameType.BODY]
-            raise self._error(f"{field}: the URDF has no link {name!r}; links: {', '.join(links)}")
+            text = f"{field}: the URDF has no link {name!r}; links: {', '.join(links)}"
+            raise _error(self.description, text)
         return self.pin.getFrameId(name)
 
-    def _error(self, message: str) -> DescriptionError:
-        return DescriptionError(f"{self.description.name}/robot.toml: {message}")
+
+def _error(description: RobotDescription, message: str) -> DescriptionError:
+    return DescriptionError(f"{description.name}/robot.toml: {message}")
 
 
 def kept_per_model(
@@ -279,8 +259,7 @@ def whole_model(description: RobotDescription) -> pin.Model:
     try:
         return pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
     except (ValueError, RuntimeError) as error:
-        where = f"{description.name}/robot.toml"
-        raise DescriptionError(f"{where}: urdf: pinocchio cannot read it: {error}") from None
+        raise _error(description, f"urdf: pinocchio cannot read it: {error}") from None
 
 
 def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, float]:
@@ -298,30 +277,25 @@ def _wheel_signs(description: RobotDescription, full: pin.Model) -> dict[str, fl
 
 def _planar_model(description: RobotDescription, full: pin.Model) -> pin.Model:
     """The model with all joints except the arm's locked at zero."""
-    where = f"{description.name}/robot.toml"
     names = list(full.names)[2:]  # after "universe" and the root joint
     wanted = {"arm.joints": description.arm.joints}
     wanted |= {f"base.{wheels.field}": wheels.joints for wheels in description.base.wheels}
     for field, joints in wanted.items():
         for name in joints:
             if name not in names:
-                raise DescriptionError(
-                    f"{where}: {field}: the URDF has no moving joint {name!r}; "
-                    f"joints: {', '.join(names)}"
-                )
+                text = f"{field}: the URDF has no moving joint {name!r}; joints: {', '.join(names)}"
+                raise _error(description, text)
     locked = [full.getJointId(name) for name in names if name not in description.arm.joints]
     try:
         model = pin.buildReducedModel(full, locked, pin.neutral(full))
     except ValueError as error:  # such as a joint with the name of a link
-        raise DescriptionError(f"{where}: urdf: pinocchio cannot reduce it: {error}") from None
-    if tuple(list(model.names)[2:]) != description.arm.joints:
-        raise DescriptionError(
-            f"{where}: arm.joints: must be in the order of the chain: "
-            f"{', '.join(list(model.names)[2:])}"
-        )
-    if model.nq != 4 + len(description.arm.joints):
-        raise DescriptionError(
-            f"{where}: arm.joints: each must be revolute or prismatic; "
-            "write a continuous joint as revolute with wide limits"
-        )
+        raise _error(description, f"urdf: pinocchio cannot reduce it: {error}") from None
+    chain = tuple(model.names)[2:]
+    if chain != description.arm.joints:
+        text = f"arm.joints: must be in the order of the chain: {', '.join(chain)}"
+        raise _error(description, text)
+    if model.nq != 4 + len(chain):
+        text = "arm.joints: each must be revolute or prismatic; "
+        text += "write a continuous joint as revolute with wide limits"
+        raise _error(description, text)
     return model

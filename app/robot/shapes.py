@@ -22,12 +22,11 @@ from pydantic import Field
 from app.errors import AssetError, extras_named
 from app.jobs.bounded import BudgetError, within_budget
 from app.robot.assets import resolve_package_uri
-from app.strict import Positive, Strict, Vector3
+from app.strict import Array, Positive, Strict, Vector3
 
 if TYPE_CHECKING:
     import trimesh
 
-Array = np.ndarray
 INTERVALS = 24
 """[-] intervals along each edge of the cube whose grid is projected onto a superquadric."""
 Exponent = Annotated[float, Field(ge=0.1, le=2.0)]

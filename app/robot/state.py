@@ -8,8 +8,6 @@ body on joint j moves with the columns 0 to j + 1. `B` (3, n_b) maps the reduced
 the base to its twist (v_x, v_y, ω_z).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -19,9 +17,9 @@ import pinocchio as pin
 from app.compiled import compiled
 from app.errors import MeasurementError
 from app.robot.model import RobotModel
+from app.strict import Array
 from app.structs import put, put_rows
 
-Array = np.ndarray
 _FLOAT = np.dtype(float)
 
 
@@ -362,10 +360,6 @@ def pinocchio_views(data: pin.Data) -> dict[str, Array]:
     return {"M_pin": data.M, "h_pin": data.nle, "g_pin": data.g, "J_pin": data.J, "oMi": oMi}
 
 
-_SHARED = ("base_pose", "base_velocity", "q_m", "qd_m", "qd", "M", "h", "g", "twists", "biases")
-_SHARED += ("R_ee", "p_ee", "J_ee", "v_ee", "Jdqd_ee")
-
-
 class RobotState:
     """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
@@ -417,8 +411,8 @@ class RobotState:
         """Use the arrays of a control step as this state's memory from now on: the step updates
         them.
         """
-        present = {name: getattr(self, name) for name in _SHARED}
-        for name in _SHARED:
+        present = {name: getattr(self, name) for name in RobotState.__annotations__}
+        for name in present:
             setattr(self, name, getattr(step, name))
         self._shared = True
         self._store(**present)

@@ -1,7 +1,5 @@
 """Small convex bodies around groups of links: around the points that other links can reach."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from types import MappingProxyType
@@ -16,8 +14,7 @@ from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_vo
 from app.onboarding.fit.units import Unit, hulls, moved, shape_distances
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import Hull
-
-Array = np.ndarray
+from app.strict import Array
 
 ARM_WEIGHTS = {"capsule": 1.0, "box": 1.4, "hull": 1.6}
 """[-] weights of volumes for the arm. A capsule has the smallest weight, because the closest points
@@ -40,8 +37,6 @@ class FittedBody(NamedTuple):
     """Indices of its units."""
     fits: tuple[Fit, ...]
     """Its shapes, in `frame`."""
-    points: Array
-    """(N, 3) [m] the enclosed points, in `frame`."""
     nested: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     """For a link of this body, the links of bodies nearer to the base that are nested with it."""
 
@@ -51,16 +46,9 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
 
     There are only as many shapes, and as many polytopes instead of boxes, as save contacts of l_m
     in poses in which no links touch.
-
-    Raises:
-        RobotFileError: The base has no shapes.
     """
     units, base = meetings.units, meetings.units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
-    if not corners:
-        raise RobotFileError(
-            "--base: no link of the base has a shape; add a <collision>, or choose another --base"
-        )
     tried = [
         [fit_best(points, {kind: 1.0}) for points in groups]
         for groups in _divided(corners)
@@ -72,7 +60,7 @@ def fit_base(model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0
     ]
     fits = tried[int(np.argmin(costs))]
     links = tuple(link for k in mobile for link in units[k].links)
-    return FittedBody("lm", base.frame, links, mobile, tuple(fits), np.vstack(corners))
+    return FittedBody("lm", base.frame, links, mobile, tuple(fits))
 
 
 def _divided(corners: Sequence[Array]) -> list[list[Array]]:
@@ -100,10 +88,7 @@ def _divided(corners: Sequence[Array]) -> list[list[Array]]:
 
 
 def _touched(
-    model: RobotModel,
-    meetings: Meetings,
-    mobile: tuple[int, ...],
-    tried: Sequence[Sequence[Fit]],
+    model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], tried: Sequence[Sequence[Fit]]
 ) -> Array:
     """[-] mean number of units of the arm that fits of l_m touch in free random poses, per try.
 
@@ -128,7 +113,7 @@ class ArmFitter:
         self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)
     ) -> None:
         self._model, self._meetings, self._mobile = model, meetings, mobile
-        self._known: dict[bytes, tuple[tuple[Fit, ...], int, Array] | None] = {}
+        self._known: dict[bytes, tuple[tuple[Fit, ...], int] | None] = {}
 
     def bodies(self, grouping: Sequence[Sequence[int]]) -> list[FittedBody]:
         """The bodies l_1 … l_EE for groups of units, from the base outwards.
@@ -151,66 +136,64 @@ class ArmFitter:
     def _body(self, name: str, group: tuple[int, ...], others: tuple[int, ...]) -> FittedBody:
         units = [self._meetings.units[k] for k in group]
         needed = [self._meetings.needed(k, others) for k in group]
+        whole = [np.ones(len(u.surface), dtype=bool) for u in units]
         links = tuple(link for unit in units for link in unit.links)
-        fitted = self._smallest(units, needed)
-        if fitted is None:  # no collision, or only in a tiny region: enclose the whole links
-            fitted = self._smallest(units, [np.ones(len(u.surface), dtype=bool) for u in units])
+        # Without a collision, or with one only in a tiny region, it encloses the whole links.
+        fitted = self._smallest(units, needed) or self._smallest(units, whole)
         if fitted is None:
             raise RobotFileError(
                 f"the links {', '.join(links)} have no shapes for a body; choose another number of "
                 "--bodies"
             )
-        fits, joint, points = fitted
+        fits, joint = fitted
         frame = next(u.frame for u in units if u.joint == joint)
-        return FittedBody(name, frame, links, group, fits, points)
+        return FittedBody(name, frame, links, group, fits)
 
     def _smallest(
         self, units: Sequence[Unit], masks: Sequence[Array]
-    ) -> tuple[tuple[Fit, ...], int, Array] | None:
-        """The smallest fit over the frames of the units' joints.
+    ) -> tuple[tuple[Fit, ...], int] | None:
+        """The smallest fit over the frames of the units' joints, and the number of its joint.
 
-        `masks` select the points of each unit.
-
-        Returns:
-            The fit, the number of its joint, and the points (N, 3) [m] that it encloses; None if
-            no points are selected, or their swept volume is below `_SPOT`.
+        `masks` select the points of each unit. The result is None if no points are selected, or if
+        their swept volume is below `_SPOT`.
         """
-        pieces: dict[tuple[int, int], Array] = {}  # by joint and link
-        for unit, mask in zip(units, masks, strict=True):
-            for k in np.unique(unit.owners[mask]).tolist():
-                pieces[unit.joint, len(pieces)] = unit.surface[mask & (unit.owners == k)]
-        used = [joint for joint, _ in pieces]
-        if not used:
+        pieces = [
+            (unit.joint, unit.surface[mask & (unit.owners == k)])
+            for unit, mask in zip(units, masks, strict=True)
+            for k in np.unique(unit.owners[mask])
+        ]
+        if not pieces:
             return None
+        used = [joint for joint, _ in pieces]
         joints = {u.joint: np.zeros((0, 3)) for u in units if min(used) <= u.joint <= max(used)}
-        key = b"".join(bytes([j]) + p.tobytes() for (j, _), p in pieces.items())
+        key = b"".join(bytes([joint]) + points.tobytes() for joint, points in pieces)
         if key not in self._known:
-            self._known[key] = self._fitted(joints, [(j, p) for (j, _), p in pieces.items()])
+            self._known[key] = self._fitted(joints, pieces)
         return self._known[key]
 
     def _fitted(
         self, joints: Mapping[int, Array], pieces: Sequence[tuple[int, Array]]
-    ) -> tuple[tuple[Fit, ...], int, Array] | None:
+    ) -> tuple[tuple[Fit, ...], int] | None:
         needed = dict(joints)
         for joint, points in pieces:
             needed[joint] = np.vstack([needed[joint], points])
         tried = [(v, joint, c) for joint, (c, v) in swept(self._model, needed).items()]
         tried.sort(key=lambda each: each[0])
-        if not tried or tried[0][0] < _SPOT:
+        if tried[0][0] < _SPOT:
             return None
-        fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint, c) for v, joint, c in tried[:2]]
-        one, frame, points = min(fits, key=lambda each: each[0].volume)
+        fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint) for v, joint, c in tried[:2]]
+        one, frame = min(fits, key=lambda each: each[0].volume)
         seen = [swept(self._model, {**joints, j: p})[frame][0] for j, p in pieces]
         several = min(
             _divided(seen), key=lambda each: sum(map(hull_volume, each)) / _LEFT ** (len(each) - 1)
         )
         if len(several) == 1:
-            return (one,), frame, points
-        return tuple(fit_best(corners, ARM_WEIGHTS) for corners in several), frame, points
+            return (one,), frame
+        return tuple(fit_best(corners, ARM_WEIGHTS) for corners in several), frame
 
 
 _STEP = np.radians(10.0)  # [rad] step of the sampled angles
-_PASSED = 256  # [-] number of cached results of `_passed`
+_PASSED = 256  # [-] number of cached results of `_through`
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] circle's radius, relative to the distance of its chords
 
 
@@ -225,24 +208,20 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
     outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
     for joint in range(last, first, -1):
         beyond = np.vstack([points[joint], outer[joint]])
-        outer[joint - 1] = _through(model, beyond, joint, outwards=True)
+        outer[joint - 1] = _through(model, beyond.tobytes(), joint, True)
     for joint in range(first, last):
         before = np.vstack([points[joint], inner[joint]])
-        inner[joint + 1] = _through(model, before, joint + 1, outwards=False)
+        inner[joint + 1] = _through(model, before.tobytes(), joint + 1, False)
     return {k: hull(np.vstack([own, outer[k], inner[k]])) for k, own in points.items()}
 
 
-def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) -> Array:
+@kept_per_model(_PASSED)
+def _through(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
     """Corners of the sweep of points beyond a joint over its positions, in the frame before it.
 
     If `outwards` is False, the points are before the joint, and the result is in its own frame.
+    `data` are the bytes of the points (N, 3): results are cached for other groupings.
     """
-    return _passed(model, points.tobytes(), joint, outwards) if len(points) else points
-
-
-@kept_per_model(_PASSED)
-def _passed(model: RobotModel, data: bytes, joint: int, outwards: bool) -> Array:
-    """`_through` for the bytes of points, cached for other groupings with the same points."""
     points, placement = np.frombuffer(data).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
     axis, turns = _axis(model, joint)

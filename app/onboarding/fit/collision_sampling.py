@@ -1,7 +1,5 @@
 """Collision sampling: the units of links that meet in random poses of the arm."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, compress, product
@@ -25,13 +23,11 @@ from app.onboarding.fit.units import (
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 ALWAYS = 0.6
 """[-] share of the free poses inside the buffer above which a pair counts as always near."""
-MARGIN = 0.015
-"""[m] distance below which a point of a surface counts as reached by another unit."""
+MARGIN = 0.015  # [m] distance below which a point of a surface counts as reached by another unit
 BUILT_IN = 0.5
 """[-] smallest share of the poses in which hulls of nested units touch, as in a telescope."""
 NESTED = BUILT_IN**2

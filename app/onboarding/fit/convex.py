@@ -1,7 +1,5 @@
 """Convex shapes that enclose points: capsule, box or polytope."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import NamedTuple
 
@@ -13,8 +11,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from trimesh.intersections import slice_faces_plane
 
 from app.robot.shapes import Box, Capsule, Hull, Shape
-
-Array = np.ndarray
+from app.strict import Array
 
 _UNIT = 1e-4  # [m] resolution of sizes, which are rounded up
 _SNAP, _SNAP_COST = 0.005, 1.05  # [m] largest shift of a capsule's end, [-] of its volume
@@ -98,18 +95,10 @@ def fit_capsule(points: Array) -> Capsule:
             low = high = (low + high) / 2
         starts.append(np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis]))
     start = min(starts, key=volume)
-    best = minimize(
-        volume,
-        start,
-        method="Nelder-Mead",
-        options={
-            "maxiter": 400,
-            "xatol": 2e-4,
-            "fatol": 1e-7,
-            "adaptive": True,
-            "initial_simplex": np.vstack([start, start + 0.03 * np.eye(6)]),
-        },
-    )
+    simplex = np.vstack([start, start + 0.03 * np.eye(6)])
+    options = {"maxiter": 400, "xatol": 2e-4, "fatol": 1e-7, "adaptive": True}
+    options["initial_simplex"] = simplex
+    best = minimize(volume, start, method="Nelder-Mead", options=options)
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
     # Coordinates that are small at both ends become zero if this adds little volume: distances have
     # simple formulas if the axis of the capsule meets that of a joint.
@@ -150,13 +139,10 @@ def fit_hull(points: Array) -> Hull | Box:
         corners = _polytope(D, reach)
     except QhullError:
         return fit_box(points)
-    corners = _distinct(corners)
-    return Hull(
-        type="hull",
-        vertices_m=tuple(_three(c) for c in corners),
-        xyz_m=_three(middle),
-        rpy_rad=_three(rpy),
-    )
+    corners = np.unique(np.round(corners, 4), axis=0)  # of equal corners only one remains
+    corners = corners[ConvexHull(corners).vertices]
+    vertices = tuple(map(_three, corners))
+    return Hull(type="hull", vertices_m=vertices, xyz_m=_three(middle), rpy_rad=_three(rpy))
 
 
 def support(shape: Shape, D: Array) -> Array:
@@ -235,12 +221,8 @@ def _halves(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
     if plane is None:
         return []
     normal, at = plane
-    return [
-        trimesh.Trimesh(
-            *slice_faces_plane(mesh.vertices, mesh.faces, s * normal, at)[:2], process=False
-        )
-        for s in (1.0, -1.0)
-    ]
+    sides = [slice_faces_plane(mesh.vertices, mesh.faces, s * normal, at) for s in (1.0, -1.0)]
+    return [trimesh.Trimesh(*side[:2], process=False) for side in sides]
 
 
 @cache
@@ -275,12 +257,6 @@ def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
     return Fit(shape, volume, volume / inner if inner > 0 else np.inf, protrusion)
 
 
-def _distinct(corners: Array) -> Array:
-    """Corners of the hull, rounded to 0.1 mm; of equal corners only one remains."""
-    rounded = np.unique(np.round(corners, 4), axis=0)
-    return rounded[ConvexHull(rounded).vertices]
-
-
 def _capsule(points: Array, ends: Array) -> Capsule:
     """The smallest capsule with the ends (2, 3) that encloses the points."""
     radius = round(float(np.ceil(_radius(points, *ends) / _UNIT + 1e-6) * _UNIT), 4)
@@ -302,9 +278,8 @@ def _box(points: Array, rpy: Array) -> Box:
     high = np.ceil(inside.max(axis=0) / _UNIT) * _UNIT
     size = np.maximum(high - low, _THINNEST) + 2 * _UNIT  # the centre is rounded too
     centre = np.round(R @ ((low + high) / 2), 5)
-    return Box(
-        type="box", size_m=_three(np.round(size, 4)), xyz_m=_three(centre), rpy_rad=_three(rpy)
-    )
+    size_m = _three(np.round(size, 4))
+    return Box(type="box", size_m=size_m, xyz_m=_three(centre), rpy_rad=_three(rpy))
 
 
 def _outermost(points: Array) -> Array:

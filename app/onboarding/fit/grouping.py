@@ -8,8 +8,6 @@ links are that close by design or if other pairs see its collisions. A pair sees
 bodies overlap in this pose.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import combinations, compress, pairwise, product
 from typing import NamedTuple
@@ -32,16 +30,13 @@ from app.onboarding.fit.units import hull_distances, meshes_meet, shape_distance
 from app.onboarding.read.links import LinkGeometry
 from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _PAPER = 4  # [-] number of bodies of the paper's arm; others are tried if it is not sufficient
 _MAX_BODIES = 6  # [-] largest number of bodies of the arm
 _MAX_JUDGED = 60  # [-] largest number of groupings that are fitted
-MAX_UNSEEN = 0.01
-"""[-] largest share of the links' collisions that their bodies may miss."""
-UNSEEN_POSES = 4000
-"""[-] smallest number of random poses for testing the chosen bodies."""
+MAX_UNSEEN = 0.01  # [-] largest share of the links' collisions that their bodies may miss
+UNSEEN_POSES = 4000  # [-] smallest number of random poses for testing the chosen bodies
 _MAX_LOOKED_AT = 300  # [-] largest number of excluded poses in which meshes are compared
 _MAX_NAMED = 4  # [-] largest number of named pairs of links
 _UNSEEN_SEED = 2**31  # [-] seed of these poses, which the fit does not use
@@ -52,6 +47,11 @@ _FALSE_COST = 2.0  # [-] cost of free poses in which bodies overlap, per share
 _SPURIOUS_COST = 0.25  # [-] cost of a pair whose bodies meet although its links never do
 _ALWAYS_COST = 1.0  # [-] cost of a pair in `Verdict.always`
 _UNWATCHED_COST = 0.05  # [-] cost of a pair that is not monitored
+
+
+BY_LINKS = "chosen: some of its links are nearer than d_b by design"
+BY_BODIES = "chosen: its bodies are nearer than d_b in most poses; other pairs see the collisions"
+"""Why a pair is not monitored."""
 
 
 class Verdict(NamedTuple):
@@ -65,10 +65,9 @@ class Verdict(NamedTuple):
     """Pairs of bodies that overlap although their links never do."""
     always: tuple[str, ...]
     """Monitored pairs that overlap in some pose and are inside their buffer in most free poses."""
-    unwatched: dict[str, bool]
-    """Pairs that are not monitored because they are inside their buffer in most free poses; True if
-    some of their links are close by design, False if only the bodies are and other pairs see their
-    collisions."""
+    unwatched: dict[str, str]
+    """Pairs that are not monitored because they are inside their buffer in most free poses; the
+    value is `BY_LINKS` or `BY_BODIES`."""
     near: dict[str, float]
     """[-] share of the free poses inside the buffer, by the name of the monitored pair."""
     cost: float
@@ -148,8 +147,8 @@ def _arm_grouping(
     """The best grouping if l_m encloses the units `mobile`."""
     base, fitter = fit_base(model, meetings, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
-
-    slides = _sliding(model, meetings)
+    arm = (unit for unit in meetings.units if unit.joint > 1)
+    slides = frozenset(u.index for u in arm if model.joint_units[u.joint - 2] == "m")
     judged: set[tuple[int, ...]] = set()
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
@@ -170,7 +169,9 @@ def _arm_grouping(
         return found
 
     chosen = best(None, min(_PAPER, len(units)) if count is None else count)
-    if count is None and (chosen is None or not _good(chosen.verdict)):
+    verdict = chosen and chosen.verdict
+    good = verdict and not (verdict.always or verdict.spurious or verdict.missed > _MISSED)
+    if count is None and not good:
         chosen = best(chosen, *(k for k in range(2, _MAX_BODIES + 1) if k <= len(units)))
     if chosen is None:
         parts = sum(bool(meetings.units[unit].parts) for unit in units)
@@ -178,10 +179,6 @@ def _arm_grouping(
             f"--bodies: the arm has {parts} groups of links; choose a number from 1 to {parts}"
         )
     return chosen
-
-
-def _good(verdict: Verdict) -> bool:
-    return not verdict.always and not verdict.spurious and verdict.missed <= _MISSED
 
 
 def judge(
@@ -205,7 +202,7 @@ def judge(
         without = kept & (np.arange(len(names)) != k)
         blind = (real & ~(distances[:, without] <= 0).any(axis=1)).sum() / max(1, real.sum())
         if near[k] > ALWAYS and (names[k] in built or blind <= _MISSED):
-            kept, unwatched[names[k]] = without, names[k] in built
+            kept, unwatched[names[k]] = without, BY_LINKS if names[k] in built else BY_BODIES
     names = list(compress(names, kept))
     distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
     meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
@@ -263,10 +260,7 @@ class Unseen(NamedTuple):
 
 
 def unseen_collisions(
-    model: RobotModel,
-    geometry: Mapping[str, LinkGeometry],
-    d_b: float,
-    workers: Workers = ALONE,
+    model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float, workers: Workers = ALONE
 ) -> Unseen:
     """The collisions of links in random poses, and those that the bodies of a description miss.
 
@@ -324,10 +318,7 @@ def unseen_collisions(
 
 
 def _left_out(
-    model: RobotModel,
-    met: Meetings,
-    pairs: Sequence[Pair],
-    geometry: Mapping[str, LinkGeometry],
+    model: RobotModel, met: Meetings, pairs: Sequence[Pair], geometry: Mapping[str, LinkGeometry]
 ) -> tuple[int, str]:
     """`left_out` and `rule` of `Unseen`; nested links do not count."""
     units, q_m = met.units, met.random.q_m
@@ -338,12 +329,8 @@ def _left_out(
         for a, b in combinations([unit for unit in units if unit.parts], 2)
         if (a.index, b.index) not in distant and a.joint != b.joint
     ]
-    gaps = np.hstack(
-        [
-            met.random.distances[:, [met.pairs.index(pair) for pair in near]],
-            hull_distances(model, units, beside, q_m),
-        ]
-    )
+    sampled = met.random.distances[:, [met.pairs.index(pair) for pair in near]]
+    gaps = np.hstack([sampled, hull_distances(model, units, beside, q_m)])
     touch = (gaps <= 0.0) & ((gaps <= 0.0).mean(axis=0) < BUILT_IN)
     rows = np.flatnonzero(touch.any(axis=1))
     rows = rows[(PairDistances(model, pairs).sampled(q_m[rows]) > 0.0).all(axis=1)]
@@ -386,6 +373,7 @@ def _ranked(
     """All divisions of the chain into groups with shapes, with lower bounds of their costs.
 
     The cost of ideal bodies, which overlap exactly if their links do, determines the order.
+    `slides` are the units on prismatic joints of the arm.
     """
     shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
@@ -406,10 +394,3 @@ def _ranked(
             least = _BODY_COST * (count + 1)
             ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
     return [(least, groups) for _, _, groups, least in sorted(ranked)]
-
-
-def _sliding(model: RobotModel, meetings: Meetings) -> frozenset[int]:
-    """Units on prismatic joints of the arm."""
-    units = [unit for unit in meetings.units if unit.joint > 1]
-    kinds = {unit.index: model.pin.joints[unit.joint].shortname() for unit in units}
-    return frozenset(k for k, kind in kinds.items() if kind.startswith("JointModelP"))

@@ -1,13 +1,12 @@
 """Postures of a new robot: the ready pose, and the lines for guiding."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
@@ -21,8 +20,7 @@ from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver, find_start
-
-Array = np.ndarray
+from app.strict import Array
 
 RULE = (
     "chosen: the best of random poses within the middle 80 % of each joint's range, by clearance "
@@ -37,7 +35,7 @@ _BAD = 1e3  # [-] offset that makes every quality positive, so that a pose is al
 
 
 class Ready(NamedTuple):
-    """A pose with its smallest distance and its manipulability."""
+    """A pose with its smallest distance."""
 
     q_m: Array
     """(n_m,) [rad or m]"""
@@ -45,8 +43,6 @@ class Ready(NamedTuple):
     """[m] smallest distance of a pair beyond its buffer; negative inside it, inf without a pair."""
     nearest: str
     """Name of that pair; empty without a pair."""
-    manipulability: float
-    """√det(J Jᵀ) of the end-effector, or of its position alone with fewer than six joints."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
@@ -65,7 +61,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
         return (
             _BAD
             + 1.5 * min(ready.clearance, _ENOUGH) / _ENOUGH
-            + ready.manipulability / best
+            + judge.manipulability(q_m) / best
             + judge.placed()
             - 0.5 * float(np.mean(np.abs(q_m - middle) / span))
         )
@@ -76,7 +72,7 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
-    """The smallest distance of the monitored pairs and the manipulability in a pose q_m (n_m,)."""
+    """The smallest distance of the monitored pairs in a pose q_m (n_m,)."""
     return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
@@ -87,15 +83,15 @@ class _Judge:
         self._mount = model.p_base()
 
     def look(self, q_m: Array) -> Ready:
-        """The smallest distance and the manipulability in a pose q_m (n_m,)."""
-        m = self.manipulability(q_m)
+        """The smallest distance in a pose q_m (n_m,)."""
+        self.search.place(q_m)
         distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
         clearance = distances[i] - self.search.d_b if distances else np.inf
-        return Ready(q_m, float(clearance), self._names[i] if distances else "", m)
+        return Ready(q_m, float(clearance), self._names[i] if distances else "")
 
     def manipulability(self, q_m: Array) -> float:
-        """Move to a pose; returns `Ready.manipulability`."""
+        """√det(J Jᵀ) of the end-effector in a pose; of its position with fewer than six joints."""
         self.search.place(q_m)
         return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
 
@@ -119,10 +115,8 @@ _Start = tuple[Array, Array]
 
 INNER = 0.4
 """[-] share of d_b below which the arm's distance to a base at rest has to fall on a line."""
-GIVES_WAY = 0.05
-"""[m] required displacement of the base in a run on a line."""
-CLEARANCE = 0.03
-"""[m] required distance between arm and base in a run on a line."""
+GIVES_WAY = 0.05  # [m] required displacement of the base in a run on a line
+CLEARANCE = 0.03  # [m] required distance between arm and base in a run on a line
 _LOWEST = 0.01  # [m] required distance between the arm and the floor on a line
 _MAX_RUNS = 3  # [-] largest number of tested lines
 _MAX_STARTS = 40  # [-] largest number of searched start postures; a failure takes 0.1 to 0.2 s
@@ -320,7 +314,7 @@ class _Candidate(NamedTuple):
         """[m] vector from its start to its end."""
         return _point(np.round(self.length * self.inwards, 3))
 
-    def is_as(self, other: _Candidate) -> bool:
+    def is_as(self, other: Self) -> bool:
         """Whether the two lines have nearly the same end."""
         ends = (np.add(each.start, each.move) for each in (self, other))
         return float(np.linalg.norm(np.subtract(*ends))) < _OTHER

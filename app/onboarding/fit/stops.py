@@ -4,8 +4,6 @@ These links are within d_b of the base in most poses, so their pairs are not mon
 is the upper arm of a UR: a limit of the shoulder lift joint prevents its collision with the base.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,8 +16,7 @@ from app.onboarding.numbers import Limits
 from app.onboarding.read.tree import Arm
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _VALUES = 400  # [-] sampled positions of the limited joint
 _POSES = 60  # [-] sampled poses of the other joints at each of these positions
@@ -61,8 +58,9 @@ def with_stops(
             nearest = found.reshape(_POSES, _VALUES).min(axis=0)
             # Adjacent links are always within `MARGIN`; for these, the threshold is half of their
             # largest distance.
-            for first, last in _runs(nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)):
-                low, high = values[first], values[last]
+            clear = nearest > np.clip(nearest.max() / 2, 0.0, MARGIN)
+            for first, after in np.flatnonzero(np.diff(np.pad(clear, 1))).reshape(-1, 2):
+                low, high = values[first], values[after - 1]
                 span = min((upper - lower)[joint], 2 * np.pi)
                 enough = high - low >= _LEAST * span
                 if enough and (ready is None or low <= ready[joint] <= high):
@@ -108,9 +106,3 @@ def _meet(meetings: Meetings, pair: tuple[int, int], lower: Array, upper: Array)
     """Whether two units meet in a random pose within joint limits."""
     q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index(pair)]
     return bool((gaps[((q_m >= lower) & (q_m <= upper)).all(axis=1)] <= 0.0).any())
-
-
-def _runs(clear: Array) -> list[tuple[int, int]]:
-    """First and last index of each sequence of at least two True values."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], clear, [False]]).astype(int)))
-    return [(i, j - 1) for i, j in ends.reshape(-1, 2).tolist() if j - i > 1]

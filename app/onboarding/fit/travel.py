@@ -1,7 +1,5 @@
 """The volume that links on joints outside of the arm's chain, such as fingers, can occupy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -60,11 +58,8 @@ def _leader(tree: Tree, joint: Joint) -> tuple[Joint, float, float]:
         if joint.mimic is None or joint.mimic[0] not in tree.joints:
             break
         name, factor, shift = joint.mimic
-        joint, multiplier, offset = (
-            tree.joints[name],
-            multiplier * factor,
-            offset + multiplier * shift,
-        )
+        offset += multiplier * shift
+        joint, multiplier = tree.joints[name], multiplier * factor
     return joint, multiplier, offset
 
 

@@ -1,7 +1,5 @@
 """Units: groups of links that move as one rigid body, and distances between their hulls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
@@ -14,14 +12,13 @@ import trimesh
 from app.onboarding import ROOT
 from app.onboarding.fit.convex import directions, hull_corners
 from app.onboarding.read.links import LinkGeometry
-from app.onboarding.read.tree import Arm
+from app.onboarding.read.tree import PARALLEL, Arm
 from app.robot.model import RobotModel
 from app.robot.shapes import convex_hull
+from app.strict import Array
 
-Array = np.ndarray
 Pairs = Sequence[tuple[int, int]]
 
-_ALONG = 0.999  # [-] smallest cosine between parallel lines
 _THIN_OUT = 500  # [-] largest number of points on a unit's surface, without the outermost points
 _EXACT = 0.5  # [m] distance below which distances are exact even with many shapes
 _MANY = 150  # [-] number of pairs of shapes from which bounding spheres save time
@@ -144,7 +141,7 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))
     joints = model.pin.joints[first + 1 : last + 1]
     columns = data.J[:, [joint.idx_v for joint in joints]]
-    parallel = np.abs(columns[:3].T @ columns[:3, 0]) > _ALONG
+    parallel = np.abs(columns[:3].T @ columns[:3, 0]) > PARALLEL
     return not columns[3:].any() and bool(parallel.all())
 
 
@@ -155,39 +152,22 @@ Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
 def shape_distances(
     model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
 ) -> Array:
-    """(N, pairs) [m] the result of `group_distances` for groups of shapes outside of any model."""
+    """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
+
+    `pairs` are pairs of groups, by the indices of the groups; q_m (N, n_m) are the joint positions,
+    with the base at the origin. With 150 or more pairs of shapes, only distances below 0.5 m are
+    exact; a larger result means only that the distance is at least 0.5 m.
+    """
     geometry, ids = pin.GeometryModel(), []
     for group in groups:
         first = geometry.ngeoms
         for k, (joint, T, shape) in enumerate(group, first):
             geometry.addGeometryObject(pin.GeometryObject(f"shape_{k}", joint, 0, T, shape))
         ids.append(range(first, geometry.ngeoms))
-    return group_distances(model, geometry, ids, pairs, q_m)
-
-
-def group_distances(
-    model: RobotModel,
-    geometry: pin.GeometryModel,
-    groups: Sequence[Sequence[int]],
-    pairs: Pairs,
-    q_m: Array,
-) -> Array:
-    """(N, pairs) [m] signed distances between groups of shapes: the smallest over their shapes.
-
-    With 150 or more pairs of shapes, only distances below 0.5 m are exact; a larger result means
-    only that the distance is at least 0.5 m.
-
-    Args:
-        model: The robot; its base is at the origin.
-        geometry: The shapes, without collision pairs; this function adds the required ones.
-        groups: Indices of the shapes of each group.
-        pairs: Pairs of groups, by the indices of the groups.
-        q_m: (N, n_m) joint positions.
-    """
     starts, shapes = [], []
     for a, b in pairs:
         starts.append(len(shapes))
-        shapes += [(i, j) for i in groups[a] for j in groups[b]]
+        shapes += [(i, j) for i in ids[a] for j in ids[b]]
     for i, j in shapes:
         geometry.addCollisionPair(pin.CollisionPair(i, j))
     found = np.empty((len(q_m), len(pairs)))

@@ -1,7 +1,5 @@
 """The shapes of a link with their convex hulls, and its inertia, in the frame of the link."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -20,8 +18,7 @@ from app.onboarding.read.tree import Arm, Tree
 from app.robot.assets import floats, refuse_placeholder
 from app.robot.shapes import hull_mesh
 from app.robot.urdf import numbers, origin, unit_of, urdf_mesh
-
-Array = np.ndarray
+from app.strict import Array
 
 _LARGEST = 10.0  # [m] largest size of a shape
 _DENSEST = 30_000.0  # [kg/m³] largest density of a link; gold has 19,300
@@ -141,9 +138,8 @@ def swept_shape(shape: LinkShape, motions: Sequence[pin.SE3]) -> LinkShape:
     """A shape after each of some motions, as one shape; the motions are in the link's frame."""
     corners = np.asarray(shape.hull.vertices)
     hull = hull_mesh(np.vstack([corners @ T.rotation.T + T.translation for T in motions]))
-    mesh = trimesh.util.concatenate(
-        [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
-    )
+    meshes = [shape.mesh.copy().apply_transform(T.homogeneous) for T in motions]
+    mesh = trimesh.util.concatenate(meshes)
     return shape._replace(mesh=mesh, hull=hull, surface=_surface(hull), radius=None)
 
 
@@ -363,9 +359,8 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
         return LinkInertia(stated, "")
     shape = _of_volume(geometry, 1.0)
     spread = shape.inertia * (stated.mass / shape.mass)
-    return LinkInertia(
-        pin.Inertia(stated.mass, stated.lever, spread), "its mass spread over its hull"
-    )
+    inertia = pin.Inertia(stated.mass, stated.lever, spread)
+    return LinkInertia(inertia, "its mass spread over its hull")
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:

@@ -3,8 +3,6 @@
 The expressions of a xacro are Python, so a xacro in a zip is refused.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -15,7 +13,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from encodings.aliases import aliases
-from functools import lru_cache, partial
+from functools import lru_cache
 from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -27,14 +25,10 @@ from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities, refuse_placeholder
 from app.system import temporary_folder
 
-FOLDER = "package"
-"""Name of the folder in a robot's own folder into which a zip is unpacked."""
-LARGEST_ARCHIVE = 100_000_000
-"""[bytes] largest zip."""
-LARGEST_CONTENT = 500_000_000
-"""[bytes] largest expanded size of all files."""
-MOST_FILES = 2000
-"""[-] largest number of files."""
+FOLDER = "package"  # name of the folder in a robot's own folder into which a zip is unpacked
+LARGEST_ARCHIVE = 100_000_000  # [bytes] largest zip
+LARGEST_CONTENT = 500_000_000  # [bytes] largest expanded size of all files
+MOST_FILES = 2000  # [-] largest number of files
 KEPT = (".urdf", ".xml", *FORMATS[:-1])
 """Endings of the files that are unpacked; other files, such as programs, are not."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
@@ -212,7 +206,10 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     """The mesh below `root` to which the address in a URDF in a folder refers."""
     names = spellings(reference)
     names += [_as_stored(each) for name in names for each in _encoded(name)]
-    search = partial(_package_folders, folder=folder, root=root)
+
+    def search(package: str) -> list[Path]:
+        return [*_named_folders(package, root), folder, *folder.parents]
+
     places = [
         place.resolve()
         for name in filter(str.isprintable, dict.fromkeys(names))  # like all names in a zip
@@ -243,11 +240,6 @@ def _encoded(name: str) -> Iterator[bytes]:
 def _as_stored(name: bytes) -> str:
     """The file name of an entry without a stated encoding: its bytes in code page 437."""
     return name.decode("cp437").replace("\\", "%5C").replace("\xa0", "%FF")
-
-
-def _package_folders(package: str, *, folder: Path, root: Path) -> list[Path]:
-    """Possible folders of a package in a zip: by name, by `package.xml`, or above the URDF."""
-    return [*_named_folders(package, root), folder, *folder.parents]
 
 
 @lru_cache(maxsize=1024)

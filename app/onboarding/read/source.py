@@ -1,7 +1,5 @@
 """A URDF or xacro file as XML, and the files of its meshes."""
 
-from __future__ import annotations
-
 import os
 import re
 import unicodedata
@@ -29,8 +27,7 @@ from app.robot.assets import (
 )
 from app.strict import LARGEST_TEXT
 
-MESHES = (".stl", ".dae", ".obj")
-"""Endings of mesh files that pybullet reads."""
+MESHES = (".stl", ".dae", ".obj")  # endings of mesh files that pybullet reads
 FORMATS = (*MESHES, ".glb", ".gltf", ".ply", ".off", ".3mf", "")
 """Endings of readable mesh files; a file without an ending is read as STL. `new-robot` converts
 formats that pybullet does not read to STL."""
@@ -162,7 +159,8 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     Raises:
         RobotFileError: The file does not exist, has an unreadable format, or is a placeholder.
     """
-    search, meant = _search(folder, packages or {}), spellings(reference)
+    search = partial(_package_folders, folder=folder, named=packages or {})
+    meant = spellings(reference)
     for spelling in meant:
         if (found := next(filter(isfile, mesh_places(spelling, folder, search)), None)) is not None:
             if found.suffix.lower() not in FORMATS:
@@ -260,11 +258,6 @@ def _nowhere(package: str, inner: str, folder: Path) -> str:
     )
 
 
-def _search(folder: Path, named: Mapping[str, Path]) -> Packages:
-    """The search for packages of a URDF in a folder; `named` are folders by package name."""
-    return partial(_package_folders, folder=folder, named=named)
-
-
 def _package_folders(package: str, *, folder: Path, named: Mapping[str, Path]) -> Iterator[Path]:
     """The folder of a package in `named`; otherwise folders beside and above the URDF, in ROS's
     search paths, and of installed packages, in this order.
@@ -327,7 +320,8 @@ def _urdf_of(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, s
     from xacrodoc import XacroDoc
     from xacrodoc import packages as library
 
-    search, otherwise = _search(path.parent, packages), library.get_path
+    search = partial(_package_folders, folder=path.parent, named=packages)
+    otherwise = library.get_path
     library.get_path = lambda pkg: str(next(iter(search(pkg)), None) or otherwise(pkg))
     try:
         document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)

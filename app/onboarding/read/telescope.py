@@ -1,7 +1,5 @@
 """Telescopes: prismatic joints of an arm that follow one another become one prismatic joint."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import accumulate
@@ -27,11 +25,10 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
         return tree, []  # `find_arm` reports this
     joints, said = dict(tree.joints), []
     chain = tree.chain(base, tip)
-    for parts in _telescopes(chain):
-        run = chain[chain.index(parts[0]) : chain.index(parts[-1]) + 1]
+    for run, parts in _telescopes(chain):
         leader, *others = sorted(parts, key=lambda joint: joint.mimic is not None)
-        joints |= dict(_followers(tree, parts, leader.name, abs(_sums(run, parts)[-1])))
-        joints |= {joint.name: joint for joint in _joined(run, parts, leader, others)}
+        led = _followers(tree, parts, leader.name, abs(_sums(run, parts)[-1]))
+        joints |= {joint.name: joint for joint in (*led, *_joined(run, parts, leader, others))}
         said.append(
             f"{', '.join(joint.name for joint in parts)} follow one another (<mimic>) and become "
             f"one joint: the position of {leader.name} is now the sum of their positions"
@@ -39,8 +36,11 @@ def as_one_slide(tree: Tree, base: str, tip: str) -> tuple[Tree, list[str]]:
     return replace(tree, joints=joints), said
 
 
-def _telescopes(chain: Sequence[Joint]) -> Iterator[list[Joint]]:
-    """The joints of each telescope: consecutive prismatic joints that one of them leads."""
+def _telescopes(chain: list[Joint]) -> Iterator[tuple[list[Joint], list[Joint]]]:
+    """All joints from the first to the last of each telescope, and the telescope's own joints.
+
+    These are consecutive prismatic joints that one of them leads.
+    """
     moving = [joint for joint in chain if joint.kind in MOVING]
     for leader in [joint for joint in moving if joint.mimic is None]:
         own = [j for j in moving if j == leader or (j.mimic and j.mimic[0] == leader.name)]
@@ -50,7 +50,7 @@ def _telescopes(chain: Sequence[Joint]) -> Iterator[list[Joint]]:
             run = chain[chain.index(own[0]) : chain.index(own[-1]) + 1]
             parallel = all(abs(share) > PARALLEL for share in _directions(run, own))
             if parallel and _sums(run, own)[-1] != 0.0:
-                yield own
+                yield run, own
 
 
 def _directions(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
@@ -70,10 +70,8 @@ def _sums(run: Sequence[Joint], parts: Sequence[Joint]) -> list[float]:
     return [*accumulate(k * f for k, f in zip(directions, factors, strict=True))]
 
 
-def _followers(
-    tree: Tree, parts: Sequence[Joint], leader: str, total: float
-) -> Iterator[tuple[str, Joint]]:
-    """Joints outside a telescope that follow one of its parts, by name.
+def _followers(tree: Tree, parts: Sequence[Joint], leader: str, total: float) -> Iterator[Joint]:
+    """Joints outside a telescope that follow one of its parts.
 
     They follow the leader afterwards, whose new position is `total` times the former one.
     """
@@ -83,7 +81,7 @@ def _followers(
             name, factor, offset = joint.mimic
             _, part_factor, part_offset = own[name]
             mimic = leader, factor * part_factor / total, offset + factor * part_offset
-            yield joint.name, joint._replace(mimic=mimic)
+            yield joint._replace(mimic=mimic)
 
 
 def _joined(

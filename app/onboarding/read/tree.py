@@ -1,7 +1,5 @@
 """The links and joints of a URDF as a checked tree, and the arm in it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,12 +13,10 @@ import pinocchio as pin
 from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import floats
 from app.robot.urdf import colour, numbers, origin, unit_of, without_commas
-
-Array = np.ndarray
+from app.strict import Array
 
 MOVING = ("revolute", "continuous", "prismatic")
-FREE = ("planar", "floating")
-"""Kinds of joints that move a whole base."""
+FREE = ("planar", "floating")  # kinds of joints that move a whole base
 _MAX_NAMES = 40  # [-] most names in a message
 _LONGEST = 6.0  # [m] largest sum of an arm's joint offsets
 _X = np.array([1.0, 0.0, 0.0])
@@ -237,10 +233,8 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
         raise RobotFileError(f"{where}: its axis is zero")
     mimic = None
     if (found := element.find("mimic")) is not None:
-        factor, offset = (
-            float(numbers(found, key, (default,), where)[0])
-            for key, default in (("multiplier", 1.0), ("offset", 0.0))
-        )
+        factor = float(numbers(found, "multiplier", (1.0,), where)[0])
+        offset = float(numbers(found, "offset", (0.0,), where)[0])
         mimic = str(found.get("joint")), factor, offset
     keys = ("lower", "upper") if kind in ("revolute", "prismatic") else ()
     limits = {key: _limit(element, key, where) for key in (*keys, "effort", "velocity")}
@@ -284,6 +278,11 @@ class Arm(NamedTuple):
     beside: tuple[tuple[str, ...], ...]
     """Links of each segment that a joint outside of the arm moves, such as a head. The last entry
     is empty: fingers do not count. The parts of a telescope do not count either."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(n_m,) names of `joints`."""
+        return tuple(joint.name for joint in self.joints)
 
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:

@@ -1,8 +1,7 @@
 """The drive of a base: driven wheels, which are found by their shape, and steered wheels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +12,7 @@ from app.errors import RobotFileError
 from app.onboarding.read.links import LinkGeometry, LinkShape, link_geometry
 from app.onboarding.read.tree import Arm, Joint, Tree
 from app.onboarding.request import Request
-
-Array = np.ndarray
+from app.strict import Array
 
 _LEVEL = np.cos(np.radians(2.0))  # an axle may be tilted by 2 degrees
 _ROUND = 0.08  # [-] largest difference of the two widths of a wheel
@@ -25,25 +23,6 @@ _STEERING_RATE = 1.5  # [rad/s]
 _IN_LINE = 0.02  # [m] largest offset of the steered wheels along x
 _ON_FLOOR = 0.02  # [m] largest height above the base's lowest point
 _TRAVEL = 0.5  # [-] travel of a rigid suspension relative to the wheel's radius
-
-
-class Wheels(NamedTuple):
-    """The driven wheels of a base."""
-
-    left: tuple[str, ...]
-    """Joints of the left wheels."""
-    right: tuple[str, ...]
-    """Joints of the right wheels."""
-    r: float
-    """[m] radius."""
-    b: float
-    """[m] half track: half of the distance between left and right wheels."""
-    T_base_floor: pin.SE3
-    """Frame on the floor below the middle between the wheels, x forward, in the base's link."""
-    joint_velocity: float | None
-    """[rad/s] speed limit of the wheels, or None if the URDF states none."""
-    how: str
-    """The source of the radius."""
 
 
 class Steering(NamedTuple):
@@ -63,6 +42,27 @@ class Steering(NamedTuple):
     """The sources of the first three fields."""
 
 
+class Wheels(NamedTuple):
+    """The driven wheels of a base."""
+
+    left: tuple[str, ...]
+    """Joints of the left wheels."""
+    right: tuple[str, ...]
+    """Joints of the right wheels."""
+    r: float
+    """[m] radius."""
+    b: float
+    """[m] half track: half of the distance between left and right wheels."""
+    T_base_floor: pin.SE3
+    """Frame on the floor below the middle between the wheels, x forward, in the base's link."""
+    joint_velocity: float | None
+    """[rad/s] speed limit of the wheels, or None if the URDF states none."""
+    how: str
+    """The source of the radius."""
+    steering: Steering | None = None
+    """The steered wheels of a car-like base."""
+
+
 class _Wheel(NamedTuple):
     joint: Joint
     centre: Array  # (3,) [m] in the base's link
@@ -76,11 +76,10 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeom
 
     A suspension is a slide with a travel below `_TRAVEL` of the radius of each wheel on it.
     """
-    taken = {joint.name for joint in arm.joints}
     rigid = list(arm.rigid_links)
     for link in rigid:
         for joint in tree.children(link):
-            if joint.kind != "prismatic" or joint.name in taken:
+            if joint.kind != "prismatic" or joint.name in arm.names:
                 continue
             below = [tree.joint_of[name] for name in tree.below(joint.child)]
             try:
@@ -95,7 +94,7 @@ def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeom
 
 def find_drive(
     request: Request, tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]
-) -> tuple[Wheels, Steering | None]:
+) -> Wheels:
     """Find the driven wheels of a base, and the steering of a car-like one.
 
     A base without wheels in its URDF stands on the lowest point of its shapes and faces the x axis
@@ -113,10 +112,11 @@ def find_drive(
             )
         floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, low]))
         r, b = request.wheel_radius or 0.0, request.half_track or 0.0
-        return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else ""), None
+        return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else "")
     wheels = _find_wheels(tree, arm, geometry, request.wheels)
-    steered = request.kind == "car-like"
-    return wheels, _find_steering(request, tree, arm, wheels.T_base_floor) if steered else None
+    if request.kind != "car-like":
+        return wheels
+    return wheels._replace(steering=_find_steering(request, tree, arm, wheels.T_base_floor))
 
 
 def _lowest(
@@ -153,9 +153,8 @@ def _find_wheels(
     """
     found: dict[str, _Wheel] = {}
     reasons: dict[str, str] = {}
-    taken = {joint.name for joint in arm.joints}
     for joint in tree.joints.values():
-        if joint.parent in arm.rigid_links and joint.name not in taken and turns_round(joint):
+        if joint.parent in arm.rigid_links and joint.name not in arm.names and turns_round(joint):
             try:
                 found[joint.name] = _wheel(tree, arm, geometry, joint)
             except RobotFileError as error:
@@ -212,16 +211,10 @@ def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
     sides = [[n for n in like if abs(y[n] - own) < _SAME_PLACE] for own in (y_left, y_right)]
     middle = np.mean([np.mean([like[n].centre for n in side], axis=0) for side in sides], axis=0)
     rotation = np.column_stack([forward, sideways, [0.0, 0.0, 1.0]])
-    speeds = [w.joint.velocity for w in (left, right) if w.joint.velocity]
-    return Wheels(
-        left=tuple(sides[0]),
-        right=tuple(sides[1]),
-        r=left.r,
-        b=abs(y_left - y_right) / 2,
-        T_base_floor=pin.SE3(rotation, np.array([middle[0], middle[1], floor])),
-        joint_velocity=min(speeds) if speeds else None,
-        how=left.how,
-    )
+    T = pin.SE3(rotation, np.array([middle[0], middle[1], floor]))
+    speed = min((w.joint.velocity for w in (left, right) if w.joint.velocity), default=None)
+    lefts, rights = map(tuple, sides)
+    return Wheels(lefts, rights, left.r, abs(y_left - y_right) / 2, T, speed, left.how)
 
 
 def _named(
@@ -296,26 +289,24 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
     The left wheel has the larger y in the base's link or, on an axle along x, the smaller x.
     """
     pairs = []
-    for i, a in enumerate(wheels):
-        for b in wheels[i + 1 :]:
-            apart = a.centre - b.centre
-            across = abs(apart @ a.axis)
-            off = np.linalg.norm(apart - (apart @ a.axis) * a.axis)
-            if across > 0.05 and off < _SAME_PLACE and abs(a.r - b.r) <= _ALIKE * a.r:
-                along_y = abs(a.axis[1]) >= abs(a.axis[0])
-                swap = apart[1] < 0 if along_y else apart[0] > 0
-                pairs.append((b, a) if swap else (a, b))
+    for a, b in combinations(wheels, 2):
+        apart = a.centre - b.centre
+        across = abs(apart @ a.axis)
+        off = np.linalg.norm(apart - (apart @ a.axis) * a.axis)
+        if across > 0.05 and off < _SAME_PLACE and abs(a.r - b.r) <= _ALIKE * a.r:
+            along_y = abs(a.axis[1]) >= abs(a.axis[0])
+            swap = apart[1] < 0 if along_y else apart[0] > 0
+            pairs.append((b, a) if swap else (a, b))
     return pairs
 
 
 def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3) -> Steering:
     """The upright joints on the base that carry wheels; options override the results."""
-    taken = {joint.name for joint in arm.joints}
     found: list[Joint] = []
     rolling: list[str] = []
     places: list[float] = []
     for joint in tree.joints.values():
-        if joint.parent not in arm.rigid_links or joint.name in taken or not joint.moves:
+        if joint.parent not in arm.rigid_links or joint.name in arm.names or not joint.moves:
             continue
         T = T_base_floor.inverse() * tree.pose(joint.child, arm.base)
         on_it = [j for j in tree.children(joint.child) if j.kind in ("continuous", "revolute")]

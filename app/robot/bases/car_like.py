@@ -12,8 +12,6 @@ the speed (m v + I κ ω) / (m + I κ²): the base moves along its tightest arc 
 under a force F_x + κ τ. It moves ahead if κ has the sign of ω, and backwards on the other edge.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
@@ -21,13 +19,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from app.robot.bases.differential import free_acceleration
 from app.robot.bases.kind import (
     FORWARD,
     PAPERS_MEASURE,
     TURN,
     Axis,
-    BaseForce,
     BaseKind,
     Channel,
     Follower,
@@ -35,12 +31,9 @@ from app.robot.bases.kind import (
     Wheels,
     clamp,
 )
-from app.strict import Positive
+from app.strict import Array, Positive
 
-Array = np.ndarray
-
-_STEADY = 1.5
-"""[-] energy ratio from which the base reverses its direction."""
+_STEADY = 1.5  # [-] energy ratio from which the base reverses its direction
 _HELD = 0.005  # [m/s] speed of the front axle below which the steering does not change
 
 
@@ -145,10 +138,6 @@ class CarLikeBase(BaseKind):
     def measure(self) -> Measure:
         """Sign(x) (2 κ_max x)² [-]."""
         return Measure(0.0, 4.0 * self.curvature_max**2)
-
-    def acceleration(self, force: BaseForce) -> Array:
-        """The acceleration by the force, before the cone; see `admissible`."""
-        return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Straight, or along either of the tightest arcs once the wheels are steered."""

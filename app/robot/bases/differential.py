@@ -1,15 +1,11 @@
 """The paper's base: two sides of wheels with separate speeds, no motion sideways."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, Measure, TurningBase, Wheels
-from app.strict import Positive
-
-Array = np.ndarray
+from app.robot.bases.kind import FORWARD, TURN, Axis, Measure, TurningBase, Wheels
+from app.strict import Array, Positive
 
 
 def mobile_jacobian(r: float, b: float) -> Array:
@@ -65,22 +61,6 @@ def singularity_measure(p: Array, r: float, b: float) -> Array:
     return 4 * b**2 * c**4 * np.asarray(p)[..., 0] ** 2
 
 
-def free_acceleration(force: BaseForce, m: float, I: float) -> Array:
-    """ẍ_m = (v̇_d, ω̇_d) of a base that cannot slip sideways: m v̇_d = f_x, I ω̇_d = τ.
-
-    Paper: Eq. (17), (18).
-
-    Args:
-        force: Force and torque on the base, in its frame.
-        m: [kg] mass of the base.
-        I: [kg m²] moment of inertia of the base.
-
-    Returns:
-        (2,) v̇_d [m/s²] and ω̇_d [rad/s²].
-    """
-    return np.array([force.x / m, force.torque / I])
-
-
 class DifferentialBase(TurningBase):
     """The differentially driven base: r, b, m, I of the paper, its limits and its drive.
 
@@ -123,9 +103,6 @@ class DifferentialBase(TurningBase):
         """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴] of (7)."""
         r, b = self.wheel_radius_m, self.half_track_m
         return Measure(0.0, 4 * b**2 * (r / (2 * b)) ** 4)
-
-    def acceleration(self, force: BaseForce) -> Array:
-        return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
         del drive

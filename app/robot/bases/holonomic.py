@@ -1,15 +1,12 @@
 """A base that moves in every direction, on mecanum, omni or steered wheels."""
 
-from __future__ import annotations
-
 import math
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.robot.bases.kind import TURN, Axis, BaseForce, Measure, TurningBase
-
-Array = np.ndarray
+from app.robot.bases.kind import TURN, Axis, Measure, TurningBase
+from app.strict import Array
 
 AHEAD = Axis("v_x", False)
 SIDEWAYS = Axis("v_y", False, way="left")
@@ -40,7 +37,3 @@ class HolonomicBase(TurningBase):
     def measure(self) -> Measure:
         """1 [-] everywhere."""
         return Measure(1.0, 0.0)
-
-    def acceleration(self, force: BaseForce) -> Array:
-        m = self.mass_kg
-        return np.array([force.x / m, force.y / m, force.torque / self.inertia_kgm2])

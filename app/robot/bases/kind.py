@@ -6,8 +6,6 @@ wheels' speeds, to ν. The method does not distinguish kinds. Only onboarding, w
 the plant with wheels in contact, and the dashboard's words do.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -15,9 +13,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from app.strict import Positive, Sourced
-
-Array = np.ndarray
+from app.strict import Array, Positive, Sourced
 
 
 class Axis(NamedTuple):
@@ -58,17 +54,6 @@ def twist_map(axes: Sequence[Axis]) -> Array:
     rows = ("forward", "left", "turn")
     columns = [rows.index("turn" if axis.angular else axis.way) for axis in axes]
     return np.eye(3)[:, columns]
-
-
-class BaseForce(NamedTuple):
-    """Planar force and torque on a base, in its own frame."""
-
-    x: float
-    """[N] force along x."""
-    y: float
-    """[N] force along y."""
-    torque: float
-    """[N m] torque about the vertical through the frame's origin."""
 
 
 class Measure(NamedTuple):
@@ -205,18 +190,17 @@ class BaseKind(Sourced, ABC):
         gradient[..., 0] = 2 * quadratic * np.abs(x)
         return constant + quadratic * x * np.abs(x), gradient
 
-    @abstractmethod
-    def acceleration(self, force: BaseForce) -> Array:
-        """ẍ_m (n_b,) [m/s² or rad/s²]: the acceleration that a force causes along the base's axes.
-
-        It replaces (17) and (18), and is linear in the force. The limits of `admissible` are not
-        applied.
-        """
-
     @property
     def A_b(self) -> Array:
-        """(n_b, 3) the matrix of `acceleration`."""
-        return np.column_stack([self.acceleration(BaseForce(*e)) for e in np.eye(3).tolist()])
+        """(n_b, 3) from a force [N] and torque [N m] on the base, in its frame, to ẍ_m.
+
+        Each of the accelerations [m/s² or rad/s²] along the axes has its own equation, m v̇ = f or
+        I ω̇ = τ; no force accelerates a base along a direction without an axis. The limits of
+        `admissible` are not applied.
+
+        Paper: Eq. (17), (18).
+        """
+        return self.T.T / (self.mass_kg, self.mass_kg, self.inertia_kgm2)
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Alternative motions away from the arm; each consists of independent channels."""
