@@ -75,7 +75,7 @@ class Estimate:
             largest = PLAUSIBLE * np.maximum(self.variances, SMALL)
             outlying = samples > largest
             samples[outlying] = largest[outlying]
-            weights[outlying] = min(share, self._dt / window)
+            weights[outlying] = -np.expm1(-self._dt / window)
         changes = weights * (samples - self.variances)
         self.variances[1] += changes[1]
         self.variances[0, counted] += changes[0, counted]

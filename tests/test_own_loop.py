@@ -27,6 +27,7 @@ from app.simulation.plants.kinematic import Kinematic
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
+from app.simulation.session import VelocityTracking
 
 Array = np.ndarray
 Bend = Callable[[int, Measurement], Measurement]
@@ -128,11 +129,12 @@ def late_and_held(n: int) -> Bend:
     return lambda k, m: repeat(k, delay(k, m))
 
 
-def lossy(share: float) -> Bend:
+def lossy(share: float, every: int = 1) -> Bend:
+    """New readings each `every` steps, of which a share is lost."""
     rng, last = np.random.default_rng(0), []
 
     def bend(k: int, m: Measurement) -> Measurement:
-        if not last or rng.random() > share:
+        if not last or (k % every == 0 and rng.random() > share):
             last[:] = [m]
         return last[0]
 
@@ -149,6 +151,33 @@ def noisy(noise: float, bend: Bend) -> Bend:
         return m._replace(q_m=m.q_m + q, qd_m=m.qd_m + 60.0 * v)
 
     return bend_and_blur
+
+
+def begun(bend: Bend, begin: int) -> Bend:
+    """The readings change from the step `begin` on."""
+
+    def later(k: int, m: Measurement) -> Measurement:
+        bent = bend(k, m)
+        return m if k < begin else bent
+
+    return later
+
+
+def filtered(noise: float = 0.0) -> Bend:
+    """Noise [rad] of the encoders, and velocities of a driver's filter, which are 8 ms late."""
+    rng, tracking = np.random.default_rng(0), list[VelocityTracking]()
+
+    def bend(k: int, m: Measurement) -> Measurement:
+        if not tracking:
+            tracking.append(VelocityTracking(m.q_m, m.qd_m, 0.001))
+        q = m.q_m + noise * rng.standard_normal(7)
+        return m._replace(q_m=q, qd_m=tracking[0].update(q))
+
+    return bend
+
+
+def both(first: Bend, second: Bend) -> Bend:
+    return lambda k, m: second(k, first(k, m))
 
 
 def without(n: int) -> Bend:
@@ -173,6 +202,17 @@ READINGS = {
     "20 ms late at 50 Hz": (lambda: late_and_held(20), {"lag", "repeated"}),
     "12 ms late with noise": (lambda: noisy(2e-5, late(12)), {"lag"}),
     "20 ms late with noise": (lambda: noisy(5e-5, late(20)), {"lag"}),
+    "late from the middle of a motion": (lambda: begun(late(1), 390), {"lag", "repeated"}),
+    "12 ms late from the middle of a motion": (
+        lambda: both(filtered(8e-5), begun(late(12), 390)),
+        {"lag", "repeated"},
+    ),
+    "velocities that a filter delays": (lambda: filtered(), set()),
+    "noise, and velocities that a filter delays": (lambda: filtered(7e-5), set()),
+    "noise, each 9 ms, 40 % lost": (
+        lambda: both(filtered(2e-5), lossy(0.4, 9)),
+        {"repeated"},
+    ),
     "with noise": (lambda: noisy(1e-4, lambda _, m: m), set()),
     "one impossible velocity": (
         lambda: lambda k, m: m._replace(qd_m=m.qd_m + 1e200 * (k == 500)),
@@ -205,13 +245,7 @@ def test_a_delay_that_begins_while_noise_hides_it_is_reported_within_a_tenth_of_
     run,
 ) -> None:
     """Each half period of the oscillation that the delay causes, 25 ms, doubles the speeds."""
-    delayed = late(12)
-
-    def bend(k: int, m: Measurement) -> Measurement:
-        old = delayed(k, m)
-        return m if k < 300 else old
-
-    found = run(noisy(8e-5, bend), time=0.5)
+    found = run(noisy(8e-5, begun(late(12), 300)), time=0.5)
     assert set(found.faults) == {"lag"}
     assert 0.3 <= found.faults["lag"] < 0.4
     assert found.share < 1.05

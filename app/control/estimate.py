@@ -123,11 +123,7 @@ def estimate_arm(
     continued = steps > 0 and not jumped
     if continued:
         samples[()] += 0.0 if math.isnan(last[2, 0]) else 1.0
-        share = max(
-            1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / gains.noise_window)
-        )
-        robust = samples[()] >= FEWEST
-        _learn(variances, last, known, q, qd, share, dt / gains.noise_window, robust, dt)
+        _learn(variances, last, samples, known, q, qd, gains.noise_window, dt)
     else:
         for i in range(len(q)):
             last[0, i], last[1, i] = 0.0 if math.isnan(qd[i]) else qd[i], q[i]
@@ -153,12 +149,11 @@ def advance(x: Array, known: Array, dt: float) -> None:
 def _learn(
     variances: Array,
     last: Array,
+    samples: Array,
     known: Array,
     q: Array,
     qd: Array,
-    share: float,
-    least_share: float,
-    robust: bool,
+    window: float,
     dt: float,
 ) -> None:
     """Include one more reading in the noise estimate.
@@ -166,19 +161,22 @@ def _learn(
     The mean velocity since the last reading and the known accelerations imply the velocities at
     both readings. For the reading between two intervals, each interval implies a velocity; the
     difference of the two, times the duration, is the unexplained second difference of the
-    positions.
+    positions. An outlier counts only as the largest plausible sample of one period: it is a delay,
+    a stop, or the external force during a gap, not noise.
 
     Args:
         variances: (2, n_m) noise of positions and velocities; updated.
         last: (3, n_m) velocity at the last reading by the positions, the last position,
             and the last unexplained second difference, or NaN; updated.
+        samples: () number of samples, including this one.
         known: (k, n_m) accelerations in the periods since the last reading.
         q: (n_m,) positions.
         qd: (n_m,) velocities, or NaN.
-        share: [-] weight of the new samples of the variances.
+        window: [s] time window of the variances.
         dt: [s]
     """
     steps = len(known)
+    share = max(1.0 / max(float(samples[()]), 1.0), -math.expm1(-steps * dt / window))
     for i in range(len(q)):
         gained = way = 0.0
         for k in range(steps):
@@ -194,8 +192,8 @@ def _learn(
             if math.isnan(sample):
                 continue
             weight, largest = share, _PLAUSIBLE * max(variances[k, i], SMALL[k])
-            if robust and sample > largest:
-                sample, weight = largest, min(share, least_share)
+            if samples[()] >= FEWEST and sample > largest:
+                weight, sample = -math.expm1(-dt / window), largest
             variances[k, i] += weight * (sample - variances[k, i])
 
 

@@ -94,7 +94,8 @@ faults | | 10 | 1 | | readings |
     1 for each fault of this step's readings, in the order of `readings.FAULTS`
 age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
-ratio | | | 1 | | readings | memory: ratio of a joint's motion to the integral of its velocity
+ratio | | | 1 | | readings |
+    memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
 agreed | | | 1 | | readings | memory: successive intervals with the same ratio other than 1
 stride | | | 1 | | readings | memory: periods between the two newest readings
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions

@@ -6,8 +6,9 @@ of the reading, with the known torques and the motion of the base. Thus repeated
 readings, impossible readings, and readings with a known delay are the same case. Three properties
 are estimated from the readings themselves:
 
-- **The lag** is the number of periods until accelerations by the torques and by the base appear in
-  the measured positions.
+- **The lag**: a delay that begins during a motion is the age at which the predicted state equals
+  the reading. Any delay is the number of periods until accelerations by the torques and by the base
+  appear in the measured positions.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
   period, is 1. If the readings arrive at regular intervals, and three successive measurements of
   this ratio agree on a different value, the loop does not run at the stated period.
@@ -59,6 +60,7 @@ _RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
 _AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
+_ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
 _PRECISE = 5e-7  # [rad] noise of positions above which the lag is estimated at longer intervals
 _INTERVALS = 3.0, 16.0  # [periods] shortest and longest of these intervals
 _CONVINCING = 1.2, 10.5  # evidence for a change of the lag: readings, and periods
@@ -463,25 +465,30 @@ def _advance_blind(robot: Any, gains: Any, w: Any) -> None:
 def _match_lag(w: Any, q: Array, qd: Array, gains: Any) -> None:
     """Change the lag if a different one explains a new reading q, qd (n_m,) far better.
 
-    The reading is compared with the predicted states of the last periods. Thus a delay that begins
+    The positions are compared with those predicted for the last periods. Thus a delay that begins
     or ends during a motion is known at once; `_find_lag` finds the other delays. A stop is no
-    delay, because it changes the velocities. `w.age` becomes negative if the reading is older than
-    the last one.
+    delay: its velocities differ from those of the past. Readings without velocities are not
+    compared. `w.age` becomes negative if the reading is older than the last one.
     """
     count, lag = int(min(w.known[()], _MOST_LAG + 1.0)), int(w.lag[()])
-    if w.samples[()] < FEWEST or lag >= count or not 0.8 < w.ratio[()] < 1.25:
+    if w.samples[()] < FEWEST or lag >= count or w.ratio[()] != 1.0:
         return
-    x, errors = w.x_est.copy(), np.zeros(count)
+    time = w.age[()] * gains.dt
+    x, errors, alike = w.x_est.copy(), np.zeros(count), np.zeros(count, np.bool_)
     for k in range(count):
+        difference = speed = 0.0
         for i in range(len(q)):
-            errors[k] += (q[i] - x[0, i]) ** 2 / max(w.noise_var[0, i], SMALL[0])
-            errors[k] += (qd[i] - x[1, i]) ** 2 / max(w.noise_var[1, i], SMALL[1])
+            variance = max(w.noise_var[0, i], SMALL[0]) + (time * w.v_error[i]) ** 2
+            errors[k] += (q[i] - x[0, i]) ** 2 / variance
+            difference += (qd[i] - x[1, i]) ** 2
+            speed += x[1, i] ** 2
             x[0, i] -= gains.dt * x[1, i]
             x[1, i] -= gains.dt * (w.history[(int(w.periods[()]) - k) % HISTORY, i] + x[2, i])
+        alike[k] = difference < _ALIKE * speed
         if k == lag and errors[k] < _CLEARLY**2 * len(q):
             return
     best = int(np.argmin(errors))
-    if errors[lag] > _CLEARLY**2 * (errors[best] + len(q)):
+    if alike[best] and errors[lag] > _CLEARLY**2 * (errors[best] + len(q)):
         w.lag[()] = best
         w.age[()] += lag - best
         fill(w.evidence, 0.0)
