@@ -96,8 +96,7 @@ age | | | 1 | | readings | memory: periods since the newest reading
 lag | | | 1 | | readings | memory: delay of the readings in periods
 ratio | | | 1 | | readings |
     memory: ratio of a joint's motion to the integral of its velocity; 0 before a measurement
-agreed | | | 1 | | readings | memory: successive intervals with the same ratio other than 1
-stride | | | 1 | | readings | memory: periods between the two newest readings
+agreed | | | s | | readings | memory: time of successive intervals with one ratio other than 1
 no_velocity | | | 1 | | readings | memory: 1 while velocities do not match the positions
 rested | | | 1 | | readings | memory: number of equal readings while the robot rests
 reading | | 2 n_m | rad, rad/s | joints | readings | memory: newest positions and velocities
@@ -115,6 +114,7 @@ travel | | 3 n_m | rad, rad/s | joints | readings |
     memory: start positions for the measurement of the period, the integral of the velocities, and
     the velocities at the start
 since | | | 1 | | readings | memory: number of readings in the integral of `travel`
+travel_time | | | s | | readings | memory: duration of this integral
 load | m | | kg | | readings |
     memory: mass at the end-effector whose weight best explains the external torques
 load_first | | | kg | | readings |

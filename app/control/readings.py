@@ -10,8 +10,8 @@ are estimated from the readings themselves:
   the reading. Any delay is the number of periods until accelerations by the torques and by the base
   appear in the measured positions.
 - **The period**: the motion of a joint, divided by the integral of its velocity over the stated
-  period, is 1. If the readings arrive at regular intervals, and three successive measurements of
-  this ratio agree on a different value, the loop does not run at the stated period.
+  period, is 1. If successive measurements of this ratio agree on a different value for 0.05 s, the
+  loop does not run at the stated period.
 - **The velocities** are not used if no plausible period explains their ratio to the positions, or
   if no joint or base can have them. Positions replace those of joints, and the model of the drive
   replaces those of the base.
@@ -57,7 +57,7 @@ _LEAST_WAY = 0.002  # [rad] smallest motion of a joint for a measurement of the 
 _NOISES = 50.0  # [-] the same, as a multiple of the standard deviation of the positions
 _FILTER = 0.01  # [s] largest delay of a driver's filter of velocities
 _RIGHT = 1.1  # [-] largest ratio, or its inverse, that counts as 1
-_AGREED = 2  # intervals that must agree with the first one on a ratio other than 1
+_AGREED = 0.05  # [s] shortest time in which successive measurements agree on a ratio other than 1
 _MOST_LAG = 24  # [periods] largest lag
 _CLEARLY = 4.0  # [-] factor by which a lag's squared error must be smaller than the others
 _ALIKE = 0.25  # [-] largest squared difference of two velocities, relative to their square
@@ -312,7 +312,7 @@ def _measure_from(w: Any, q: Array, qd: Array) -> None:
     put(w.travel[0], q)
     fill(w.travel[1], 0.0)
     put(w.travel[2], qd)
-    w.since[()] = 0.0
+    w.since[()] = w.travel_time[()] = 0.0
 
 
 @compiled()
@@ -328,26 +328,25 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
     The joint is the one with the largest displacement. A driver's filter can make velocities late,
     by 0.01 s at most; each delay within this range implies a ratio. `w.ratio` becomes the ratio
     nearest to 1. If it is outside of 0.1 to 10, no plausible period explains it: then
-    `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Three successive ratios that agree and
-    differ from 1 set the fault `period`.
+    `w.no_velocity` becomes 1, and `w.ratio` becomes 1. Successive ratios that differ from 1, and
+    agree for 0.05 s, set the fault `period`.
     """
-    irregular, w.stride[()] = steps != w.stride[()], 1.0 * steps
-    if irregular:  # lost readings
-        w.agreed[()] = 0.0
+    if steps > HISTORY:
         _measure_from(w, q, qd)
         return
     far, most = -1, 1.0
     w.since[()] += 1.0
+    w.travel_time[()] += steps * gains.dt
     for i in range(len(q)):
-        w.travel[1, i] += steps * gains.dt * qd[i]
+        w.travel[1, i] += steps * gains.dt * 0.5 * (w.reading[1, i] + qd[i])
         way = max(_LEAST_WAY, _NOISES * math.sqrt(w.noise_var[0, i]))
         share = abs(q[i] - w.travel[0, i]) / way
         if share > most:
             far, most = i, share
     if far < 0 or w.since[()] < 4.0:
         return
-    way, change = q[far] - w.travel[0, far], qd[far] - w.travel[2, far]
-    integral = w.travel[1, far] - 0.5 * steps * gains.dt * change  # the trapezoidal rule
+    way, integral = q[far] - w.travel[0, far], w.travel[1, far]
+    change = qd[far] - w.travel[2, far]
     ratio, late = _divided(way, integral), _divided(way, integral + _FILTER * change)
     low, high = min(ratio, late), max(ratio, late)
     if low < 0.0 < high or (low < _RIGHT and high > 1.0 / _RIGHT):
@@ -359,7 +358,7 @@ def _find_period(w: Any, q: Array, qd: Array, steps: int, gains: Any) -> None:
         found = 1.0
     elif found != 1.0:
         agrees = abs(found - w.ratio[()]) < 0.15 * found
-        w.agreed[()] = w.agreed[()] + 1.0 if agrees else 0.0
+        w.agreed[()] = w.agreed[()] + found * w.travel_time[()] if agrees else 0.0
         w.faults[PERIOD] = 1.0 if w.agreed[()] >= _AGREED else 0.0
         w.samples[()] = 0.0  # the estimate restarts until the period is known
     w.ratio[()] = found
@@ -561,9 +560,9 @@ def take_readings(
         w.age[()] += 1.0
     else:
         w.age[()] += _rested(w, q, qd, gains.dt, first)
+        _take_new(robot, gains, w, q, qd.copy(), first)
         put(w.reading[0], q)
         put(w.reading[1], qd)
-        _take_new(robot, gains, w, q, qd, first)
         _take_base(robot, gains, w, base_pose.copy(), velocity, first)
         put(w.v_read, base_velocity)
         _learn_v_error(gains, w, predicted)
