@@ -62,6 +62,7 @@ RELEASED = {
     "base_speed_final_mps",
     "hand_force_max_n",
     "joint_speed_share_max",
+    "joint_speed_share_unsaturated_max",
     "solver_given_up",
     "stuck",
     "left_way",

@@ -43,6 +43,8 @@ class TraceMeta(Strict):
     """Unit of the position of each joint."""
     joint_speeds: tuple[Positive, ...] = ()
     """(n_m,) [rad/s or m/s] speed limits of the joints; empty if unknown."""
+    joint_torques: tuple[Positive, ...] = ()
+    """(n_m,) [N m or N] torque limits of the joints; empty if unknown."""
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
     """Names of the base's velocities in the columns, in the order of the base's axes."""
     accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
@@ -75,8 +77,9 @@ class TraceMeta(Strict):
     def _check_names(self) -> Self:
         if len(self.joint_units) != len(self.joints):
             raise ValueError("joint_units: there must be one for each joint")
-        if self.joint_speeds and len(self.joint_speeds) != len(self.joints):
-            raise ValueError("joint_speeds: there must be one for each joint")
+        for name in ("joint_speeds", "joint_torques"):
+            if len(getattr(self, name)) not in (0, len(self.joints)):
+                raise ValueError(f"{name}: there must be one for each joint")
         if not set(self.mobile_pairs) <= set(self.pairs):
             raise ValueError("mobile_pairs: each must be one of the pairs")
         return self
@@ -98,6 +101,7 @@ class TraceMeta(Strict):
             joints=tuple(arm.joints),
             joint_units=model.joint_units,
             joint_speeds=tuple(model.qd_max.tolist()),
+            joint_torques=tuple(model.tau_max.tolist()),
             velocities=velocities,
             accelerations=accelerations,
             wheels=tuple(wheels.name for wheels in base.wheels),

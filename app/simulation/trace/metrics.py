@@ -20,6 +20,8 @@ _TORQUE_BAND = 0.003  # [N m] or [N] dead band of the sign of a torque's change 
 OPENED = math.radians(80)  # [rad] smallest angle of an open door
 _ESTIMATE_AT = 5.0  # [s] time at which the estimated radial direction is evaluated
 _BACKED_OFF = 0.01  # [m] smallest motion of the base that counts
+_SATURATED = 0.999  # [-] smallest ratio of a torque to its limit that is a saturation
+_AFTER_SATURATION = 0.1  # [s] time after a saturation in which its effect can last
 _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
 
 
@@ -167,6 +169,16 @@ def _joint_speed_share(run: Trace) -> float | None:
     return largest(np.abs(run.of("qd_m")) / limits) if limits else None
 
 
+def _unsaturated_speed_share(run: Trace) -> float | None:
+    limits, torques = run.meta.joint_speeds, run.meta.joint_torques
+    if not (limits and torques):
+        return None
+    saturated = (np.abs(run.of("u_a")) > _SATURATED * np.array(torques)).any(axis=1)
+    last = np.maximum.accumulate(np.where(saturated, run.t, -np.inf))
+    free = run.t - last > _AFTER_SATURATION
+    return largest((np.abs(run.of("qd_m")) / limits)[free])
+
+
 def _percentile(run: Trace, q: float) -> float | None:
     durations = run.of("duration_us")
     return None if np.isnan(durations).any() else float(np.percentile(durations, q))
@@ -278,6 +290,11 @@ FIGURES: dict[str, Figure] = {
     ),
     "joint_speed_share_max": Figure(
         "Largest ratio of a joint's speed to its limit.", _joint_speed_share
+    ),
+    "joint_speed_share_unsaturated_max": Figure(
+        "The same without the time at a torque limit and the 0.1 s after it, in which the arm "
+        "cannot resist.",
+        _unsaturated_speed_share,
     ),
     "clear_since_s": Figure(
         "Time after which no pair is fully activated; null if a pair is fully activated at the "

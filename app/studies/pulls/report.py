@@ -34,6 +34,7 @@ _DISTRIBUTED = (
     "hand_force_clear_max_n",
     "hand_speed_max_mps",
     "joint_speed_share_max",
+    "joint_speed_share_unsaturated_max",
     "base_path_after_release_m",
     "min_clearance_m",
     "arm_min_clearance_m",
