@@ -1,4 +1,4 @@
-"""The base's admittance law, running by itself, for tests that need no controller."""
+"""The base's admittance law without a controller."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Array = np.ndarray
 
 
 class RunningAdmittance:
-    """Commanded accelerations in, velocity commands out, renewed once a period."""
+    """It integrates commanded accelerations to a velocity command, once per period."""
 
     def __init__(self, base: BaseKind, config: AdmittanceConfig) -> None:
-        """The law of a base at rest."""
+        """Start with the velocity command zero."""
         self._base, self._period = base, config.period
         self._M, self._D = virtual_mass(base, config), virtual_damping(base, config)
         self._v_max, self._a_max = largest_command(base, config), np.array(base.max_acceleration)

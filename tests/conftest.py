@@ -30,7 +30,7 @@ if hasattr(signal, "SIGHUP"):
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-# A law does not fail because the machine is busy.
+# A busy machine must not fail a property test.
 settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
 
@@ -50,13 +50,13 @@ _LONGEST = (
     "test_end_to_end",
     "test_accessibility",
 )
-"""Files of more than half a minute, the longest first: at the end one of them would run alone."""
+"""Files that take over 30 s, the longest first: started last, one of them would run alone."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, then those with anything slow; short ones fill up the workers.
+    """Run the longest files first, then files with a slow test, then short ones.
 
-    A page that was late is looked at again.
+    A browser test that fails runs again, because a busy machine can delay its page.
     """
 
     def is_slow(item: pytest.Item) -> bool:
@@ -67,13 +67,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     last = len(rank)
     items.sort(key=lambda item: rank.get(item.path.stem, last + (item.path not in slow)))
     for item in items:
-        if item.get_closest_marker("browser"):  # it draws in software, beside all other tests
+        if item.get_closest_marker("browser"):  # it renders in software while other tests run
             item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 @contextmanager
-def _what_needs_pybullet() -> Generator[None]:
-    """Skip a test without wheels if it ends with the line that requires them."""
+def _skip_without_pybullet() -> Generator[None]:
+    """Skip a test that fails only because pybullet is not installed."""
     try:
         yield
     except DbbError as error:
@@ -84,8 +84,8 @@ def _what_needs_pybullet() -> Generator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
-    """Fixtures that need pybullet, or an event loop of their own."""
-    with _what_needs_pybullet(), _without_event_loop(item):
+    """Apply both context managers to the fixtures of a test."""
+    with _skip_without_pybullet(), _without_event_loop(item):
         return (yield)
 
 
@@ -108,8 +108,8 @@ def _without_event_loop(item: pytest.Item) -> Generator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
-    """Tests that need pybullet, or an event loop of their own."""
-    with _what_needs_pybullet(), _without_event_loop(item):
+    """Apply both context managers to the test itself."""
+    with _skip_without_pybullet(), _without_event_loop(item):
         return (yield)
 
 
@@ -121,15 +121,17 @@ def robot() -> RobotModel:
 
 @pytest.fixture(scope="session")
 def border_data(robot: RobotModel) -> BorderData:
-    """Pairs and clouds of the paper's robot, as they ship."""
+    """The shipped pairs and clouds of the paper's robot."""
     return load_border_data(robot, progress=False)
 
 
 @pytest.fixture(autouse=True)
-def _logs_are_read_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A log is read in this process, but by tests of the budget for that.
+def _read_logs_in_this_process(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read logs in this process, except in tests of the budget for reading.
 
-    The child process that reads a larger one takes most of the time for its imports.
+    A child process would spend most of its time on imports.
     """
     if not request.node.get_closest_marker("budget"):
         monkeypatch.setattr(arrow, "within_budget", lambda read, *args, **_: read(*args))
@@ -137,7 +139,7 @@ def _logs_are_read_here(request: pytest.FixtureRequest, monkeypatch: pytest.Monk
 
 @pytest.fixture
 def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands in this process share a robot and its border as long as its description is equal."""
+    """Let commands in this process share the model and the border of equal descriptions."""
     load_model, load_border = common.load_model, cache.load_border_data
 
     def model_of(robot: str) -> RobotModel:
@@ -168,15 +170,15 @@ def only_browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def browser(only_browser: Any) -> Iterator[Any]:
-    """The browser; files of its pages are made at the tests' own priority, without delay."""
+    """The browser; files of its pages are made at normal process priority."""
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
         yield only_browser
 
 
 @pytest.fixture(autouse=True)
-def _tabs_end_with_their_test(request: pytest.FixtureRequest):
-    """Close the objects of a test, also if it failed, because its server lives longer."""
+def _close_tabs(request: pytest.FixtureRequest):
+    """Close the browser contexts of a test, also after a failure; its server continues."""
     if "browser" not in request.fixturenames:
         yield
         return

@@ -1,4 +1,4 @@
-"""The one helper that checks derivatives: central differences."""
+"""Derivatives by central differences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Snapshots for tests of products of logs."""
+"""Random snapshots and traces for tests of logs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ DOORS = (
 
 
 def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
-    """Any snapshot of the paper's robot, of numbers of any size, in any state."""
+    """A random snapshot of the paper's robot with numbers of any size."""
 
     def number() -> float:
         size = rng.choice([0.0, 1e-300, 1e-7, 1.0, 1e9])
@@ -134,7 +134,7 @@ def trace_of(snapshots: Sequence[Snapshot]) -> Trace:
 
 
 def difference(a: Any, b: Any, where: str = "") -> str:
-    """Where two records differ, or an empty text; not-a-number equals itself."""
+    """The first difference of two records, or an empty text; NaN equals NaN."""
     if type(a) is not type(b):
         return f"{where}: {type(a).__name__} is not {type(b).__name__}"
     if isinstance(a, np.ndarray):

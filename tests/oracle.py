@@ -1,7 +1,7 @@
-"""The control step once more: plain numpy and pinocchio, from the paper and docs/method.md alone.
+"""A second implementation of the control step, from the paper and docs/method.md alone.
 
-It shares no formula with `app.control`: it fills the same table of quantities, and the tests
-compare them one by one. Numbers in brackets are the paper's equations.
+It uses numpy and pinocchio and shares no formula with `app.control`. It fills the same table of
+quantities, and tests compare each of them. Numbers in brackets are equations of the paper.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ class Oracle:
         return self.pin_data.oMi[body.joint]
 
     def _distance(self, row: Row) -> float:
-        """[m] signed, the least of all shapes, by coal."""
+        """[m] signed distance, the least of all shapes, by coal."""
         return min(
             coal.distance(
                 one,
@@ -233,7 +233,7 @@ class Oracle:
         return closest_points(a, row.a.core(T_a)[0], b, row.b.core(T_b), blend)
 
     def _motion(self, row: Row, p: Array, n: Array) -> tuple[Array, float, float]:
-        """(21): how the distance changes along a normal that is fixed to the first body."""
+        """(21): row, bias and rate of the distance along a normal fixed to the first body."""
         a, b = row.a.joint, row.b.joint
         J = self._jacobian(b, p) - self._jacobian(a, p)
         v = J @ self.measured_qd
@@ -264,7 +264,7 @@ class Oracle:
         w.xdd_m = self.base.acceleration(*w.f.sum(axis=0)[:2], torque)  # (15) to (18)
 
     def _score(self, i: int, p: Array) -> tuple[float, Array]:
-        """(10), and the direction in which it grows."""
+        """(10), and the unit vector of its gradient."""
         reach = self.model.description.reachability[self.rows[i].b.name]
         A, B, C = reach.A_per_m2, reach.B_m, reach.C
         out = p - self.model.p_base()
@@ -297,7 +297,7 @@ class Oracle:
         w.activation = w.B.max()
 
     def _pushed(self, i: int) -> tuple[Array, Array]:
-        """T_rep of the compared method: the arm's closest point away from the base."""
+        """T_rep of the compared method, which moves the arm's closest point away from the base."""
         w, joint, rep = self.w, self.rows[i].b.joint, self.config.repulsion
         J = self._jacobian(joint, w.p_b[i])
         J[:, : self.n_b] = 0.0
@@ -422,7 +422,7 @@ class Oracle:
         )
 
     def _reachable(self, lower: Array, upper: Array, pushed: Array) -> Array:
-        """No more than a joint's own torque gives now, nor than it can take back in time."""
+        """Limit the bounds by each joint's torque now and by its torque rate up to the top speed."""
         w, n_b, qd_max = self.w, self.n_b, self.model.qd_max
         inverse = np.linalg.inv(w.M[n_b:, n_b:])
         moved = np.diag(inverse)
@@ -468,7 +468,7 @@ class Oracle:
             w.a_base_cmd = np.clip(w.a_base_cmd, -self.base.a_max, self.base.a_max)
 
     def _free_motion(self) -> Array | None:
-        """Base and arm together, at slow gains and without the base's rows."""
+        """The QP of base and arm together, with slow gains and without the base's rows."""
         w, n_b, task, rep = self.w, self.n_b, self.config.task, self.config.repulsion
         slow = task.base_time_scale
         if w.tracking:
@@ -489,7 +489,7 @@ class Oracle:
         )
 
     def _undragged(self) -> Array:
-        """Nearest to a_des, in the metric of the inertia, with a mass hung on a hand that drags."""
+        """Nearest to a_des in the metric of the inertia plus a mass on a dragged end-effector."""
         w, base, hold = self.w, self.base, self.config.ee_hold
         reach = w.J_ee[:3, self.n_b :] * self.model.qd_max / hold.min_speed
         follows = reach @ reach.T
@@ -501,7 +501,7 @@ class Oracle:
         return np.linalg.solve(I + mass * drag.T @ drag, I @ wanted + mass * drag.T @ drag @ a_hold)
 
     def _make_room(self) -> None:
-        """The least change with which the arm holds T_ee within its limits, seen ahead."""
+        """Make the least change with which the predicted arm tracks T_ee within its limits."""
         w, n_b, task = self.w, self.n_b, self.config.task
         slow = task.base_time_scale
         _, give = self._end_effector(slow)

@@ -15,7 +15,7 @@ from app.robot.shapes import Box, Capsule, Shape, Sphere
 
 Array = np.ndarray
 Placed = tuple[Shape, pin.SE3]
-"""A shape and where it is."""
+"""A shape and its placement."""
 
 
 def signed_distance(placed: Placed, p: Array) -> tuple[Array, Array]:
@@ -182,7 +182,7 @@ def trace_shape(placed: Placed, d_b: float) -> tuple[Array, Array]:
 
 
 def levels(bottom: float, top: float, d_b: float) -> Array:
-    """Heights from the floor to the highest point: even beside the shape, then along the arc."""
+    """Heights from the floor to the highest point: equally spaced beside the shape, then on the arc."""
     arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / STEP)) + 1)[1:]
     arc[-1] -= 1e-3  # short of the flat top
     low = bottom if bottom > 0.8 * d_b else min(0.0, top)
@@ -204,7 +204,7 @@ def slice_at(ring: Ring, z: float) -> tuple[Array, Array, Array]:
 
 
 def feet(p: complex, corners: Array, tangents: Array, outside: Array, found: list, ends: list):
-    """Add the feet of p on each edge, square to the tangent blended along it, and cut ends."""
+    """Add the feet of p on each edge, normal to its interpolated tangent, and the cut ends."""
     ahead, turns = ((p - corners) * tangents.conj()).real, np.diff(tangents)
     foot_there, cut = (ahead[:-1] >= 0.0) & (ahead[1:] < 0.0), outside < 0.0
     shown = ~(cut[:-1] & cut[1:])
@@ -250,7 +250,7 @@ def corner_feet(p: complex, found: list, ends: list) -> None:
 
 
 def square(way: complex, along: complex) -> complex:
-    """The direction at right angles to the way, on the side of `along`."""
+    """The direction perpendicular to `way`, on the side of `along`."""
     if abs(way) < 1e-9:
         return along
     return 1j * way if dot(1j * way, along) >= 0.0 else -1j * way

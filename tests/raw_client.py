@@ -1,4 +1,4 @@
-"""A program that speaks to the dashboard's server as a browser would, and may send anything."""
+"""A client of the dashboard's server that speaks viser's protocol and can send any data."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class RawClient:
     """One connection; it counts and discards the server's messages.
 
     Attributes:
-        received: [bytes] taken in so far.
+        received: [bytes] received so far.
     """
 
     def __init__(self, address: str, origin: str | None = None) -> None:
-        """Connect, and tell where the camera is: then the server has a client."""
+        """Connect and send a camera pose, which registers the client at the server."""
         self._connection = connect(
             address.replace("http://", "ws://"),
             origin=origin,
@@ -56,17 +56,17 @@ class RawClient:
         self._connection.send(data)
 
     def set_widget(self, handle: Any, value: object) -> None:
-        """Claim that the person has set a widget to a value."""
+        """Send the message of a user who sets a widget to a value."""
         self.send(_messages.GuiUpdateMessage(handle._impl.uuid, {"value": value}))
 
     @contextlib.contextmanager
     def asleep(self) -> Iterator[None]:
-        """Neither read nor answer, as a browser whose machine sleeps; the connection stays."""
+        """Neither read nor answer, like a browser on a sleeping machine; the connection stays open."""
         with self._connection.protocol_mutex:
             yield
 
     def close(self) -> None:
-        """Leave."""
+        """Close the connection."""
         self._connection.close()
         self._thread.join(timeout=5.0)
 

@@ -1,4 +1,4 @@
-"""Laws of Algorithm 3, (12) and (13)."""
+"""Properties of the acting point: Algorithm 3, (12) and (13)."""
 
 from itertools import pairwise
 
@@ -48,7 +48,7 @@ def finder(
 
 
 def alpha(d: float, score: float, force: ForceConfig) -> float:
-    """[m] (13) with the parameters of a force."""
+    """[m] the step size (13) with the parameters of a force."""
     return step_size(d, score, force.alpha_gain, force.alpha_min, force.alpha_max)
 
 
@@ -60,7 +60,7 @@ def on_side(x: float, side: float, d: float, z: float = 0.2) -> np.ndarray:
 @pytest.mark.parametrize("x", [-0.3, -0.05, 0.0, 0.05, 0.2])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("d", [0.02, 0.08, 0.12])
-def test_acting_point_lies_on_the_border_at_the_hands_height_towards_a_better_score(
+def test_acting_point_is_on_the_border_at_equal_height_and_higher_score(
     finder: ActingPointFinder, x: float, side: float, d: float
 ) -> None:
     p_b = on_side(x, side, d)
@@ -75,7 +75,7 @@ def test_acting_point_lies_on_the_border_at_the_hands_height_towards_a_better_sc
 
 
 @pytest.mark.parametrize("x", [-1e-3, -1e-9, 0.0, 1e-9, 1e-3])
-def test_on_the_wheel_axis_the_step_goes_forward_by_twice_the_distance(
+def test_step_on_the_wheel_axis_is_twice_the_distance_forward(
     finder: ActingPointFinder, x: float
 ) -> None:
     acting = finder.find_acting_point(on_side(x, 1.0, 0.05), 0.05, FORCE)
@@ -83,7 +83,7 @@ def test_on_the_wheel_axis_the_step_goes_forward_by_twice_the_distance(
     assert acting.p_act[0] - acting.p_n[0] == pytest.approx(0.10, abs=0.01)
 
 
-def test_left_and_right_are_mirror_images(finder: ActingPointFinder) -> None:
+def test_acting_points_left_and_right_are_mirror_images(finder: ActingPointFinder) -> None:
     left = finder.find_acting_point(on_side(0.2, 1.0, 0.07), 0.07, FORCE)
     right = finder.find_acting_point(on_side(0.2, -1.0, 0.07), 0.07, FORCE)
     assert left is not None
@@ -102,10 +102,10 @@ def test_a_height_without_points_falls_back_to_the_exact_offset(
 
 
 @pytest.mark.parametrize("z", [-0.02, -1e-9, 0.0, 0.38, 0.531])
-def test_no_height_inside_the_buffer_is_without_an_acting_point(
+def test_every_height_inside_the_buffer_has_an_acting_point(
     finder: ActingPointFinder, z: float
 ) -> None:
-    """An empty slice would mean no force while β rises: the base would brake and be hit."""
+    """Without an acting point, β would rise without a force, and the base would only brake."""
     acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05, z), 0.05, FORCE)
     assert acting is not None
     assert acting.p_act[2] == z
@@ -113,7 +113,7 @@ def test_no_height_inside_the_buffer_is_without_an_acting_point(
 
 
 @pytest.mark.parametrize("beyond", [0.0, 0.003, -0.003])
-def test_on_the_border_itself_the_tangent_is_that_of_the_slice(
+def test_tangent_at_a_point_on_the_border_is_along_the_contour(
     finder: ActingPointFinder, beyond: float
 ) -> None:
     d = D_B + beyond
@@ -122,7 +122,7 @@ def test_on_the_border_itself_the_tangent_is_that_of_the_slice(
     assert abs(acting.t[0]) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_the_tangent_is_a_horizontal_unit_vector_square_to_the_line_to_the_hand(
+def test_tangent_is_a_horizontal_unit_vector_normal_to_p_n_minus_p_b(
     finder: ActingPointFinder,
 ) -> None:
     p_b = np.array([0.54, 0.38, 0.2])  # beside the front left corner
@@ -145,8 +145,8 @@ def test_step_size_is_proportional_to_d_over_score_within_its_bounds() -> None:
         assert alpha(d, score, FORCE) == FORCE.alpha_min
 
 
-def test_step_size_never_changes_faster_than_twice_the_distance() -> None:
-    """On the wheel axis d / |S| is 0/0: it would race from bound to bound."""
+def test_step_size_changes_at_most_twice_as_fast_as_the_distance() -> None:
+    """On the wheel axis d / |S| is 0/0, and the quotient alone would jump between its bounds."""
     d = np.linspace(-0.01, D_B, 161)
     for score in (0.0, 1e-6, 1e-4, 1e-3, 1e-2):
         steps = [alpha(each, score, FORCE) for each in d]

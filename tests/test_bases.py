@@ -1,4 +1,4 @@
-"""Laws that every kind of base keeps, and those of each."""
+"""Properties of every kind of base, and of each kind alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def car() -> CarLikeBase:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_twists_of_the_axes_are_orthonormal_and_the_jacobian_is_invertible(kind: str) -> None:
+def test_axis_twists_are_orthonormal_and_the_jacobian_is_invertible(kind: str) -> None:
     base = base_of(kind)
     np.testing.assert_allclose(base.T.T @ base.T, np.eye(base.n_b), atol=1e-15)
     assert np.linalg.matrix_rank(base.J_m) == base.n_b == len(base.max_velocity)
@@ -40,7 +40,7 @@ def test_the_twists_of_the_axes_are_orthonormal_and_the_jacobian_is_invertible(k
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_gradient_of_the_score_is_that_of_finite_differences(kind: str) -> None:
+def test_score_gradient_agrees_with_finite_differences(kind: str) -> None:
     field = ScoreField.of(robot_on(kind), "lEE")
     p = np.random.default_rng(0).uniform([-1, -0.8, 0], [1, 0.8, 1.2], (200, 3))
     numeric = jacobian(lambda step: field.score(p + step), 3)
@@ -58,7 +58,7 @@ def test_the_score_on_a_holonomic_base_is_the_reachability() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_force_does_positive_work_by_the_acceleration_that_it_asks_for(kind: str) -> None:
+def test_force_does_no_negative_work_along_its_acceleration(kind: str) -> None:
     base, rng = base_of(kind), np.random.default_rng(0)
     for _ in range(50):
         p, f = rng.uniform(-1, 1, 3), np.append(rng.normal(size=2), 0.0)
@@ -88,7 +88,7 @@ def test_reduced_dynamics_are_those_of_the_engines(kind: str, engine: str) -> No
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("plant", ["kinematic", "planar", "mujoco"])
-def test_a_plant_moves_as_its_drive_says_and_measures_it(kind: str, plant: str) -> None:
+def test_plant_follows_its_drive_and_measures_the_motion(kind: str, plant: str) -> None:
     model, command = robot_on(kind), np.array([0.2, 0.15, -0.3])[-robot_on(kind).n_b :]
     physics, u_a = make_physics(plant, model), RobotState(model).g[model.n_b :]
     drive = Drive(model.description.base, 0.001)
@@ -110,7 +110,7 @@ def test_a_plant_moves_as_its_drive_says_and_measures_it(kind: str, plant: str) 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_expected_acceleration_is_what_the_drive_then_does(kind: str) -> None:
+def test_drive_acceleration_predicts_the_next_step_of_the_drive(kind: str) -> None:
     base, dt, rng = base_of(kind), 1e-5, np.random.default_rng(1)
     drive = Drive(base, dt)
     for _ in range(30):
@@ -124,7 +124,7 @@ def test_the_expected_acceleration_is_what_the_drive_then_does(kind: str) -> Non
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_whatever_is_asked_commands_and_drive_keep_the_limits_and_are_finite(kind: str) -> None:
+def test_command_and_drive_are_finite_and_limited_for_any_acceleration(kind: str) -> None:
     base, rng = base_of(kind), np.random.default_rng(2)
     config = AdmittanceConfig()
     law, drive = RunningAdmittance(base, config), Drive(base, 0.01)
@@ -132,8 +132,8 @@ def test_whatever_is_asked_commands_and_drive_keep_the_limits_and_are_finite(kin
     for k in range(3000):
         size = rng.choice([0.0, 1e-300, 1e-12, 1e-3, 1.0, 1e3])
         if k % 7 == 0:
-            asked = size * rng.normal(size=base.n_b) * rng.integers(0, 2, base.n_b)
-        command = law.update(asked, 0.01)
+            demanded = size * rng.normal(size=base.n_b) * rng.integers(0, 2, base.n_b)
+        command = law.update(demanded, 0.01)
         before = drive.velocity
         after = drive.step(command)
         assert np.isfinite(command).all()
@@ -144,14 +144,14 @@ def test_whatever_is_asked_commands_and_drive_keep_the_limits_and_are_finite(kin
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_asked_is_rest(kind: str) -> None:
+def test_zero_acceleration_gives_the_command_zero(kind: str) -> None:
     base = base_of(kind)
     law = RunningAdmittance(base, AdmittanceConfig())
     for _ in range(300):
         np.testing.assert_array_equal(law.update(np.zeros(base.n_b), 0.001), np.zeros(base.n_b))
 
 
-def test_a_cars_measure_is_the_square_of_the_area_between_its_tightest_arcs() -> None:
+def test_car_measure_is_the_squared_area_between_its_tightest_arcs() -> None:
     base, rng = car(), np.random.default_rng(0)
     for x, y, z in rng.uniform(-1, 1, (50, 3)):
         w = math.tan(base.steering_limit_rad) / base.wheelbase_m  # [rad/s] at 1 m/s
@@ -161,7 +161,7 @@ def test_a_cars_measure_is_the_square_of_the_area_between_its_tightest_arcs() ->
         assert measure == pytest.approx(np.sign(x) * area**2, rel=1e-9, abs=1e-15)
 
 
-def test_the_nearest_velocity_in_the_cone_is_the_nearest_of_many() -> None:
+def test_nearest_velocity_in_the_cone_agrees_with_a_dense_search() -> None:
     rng = np.random.default_rng(0)
     speeds = np.linspace(-3, 3, 6001)
     for v, w in rng.normal(size=(200, 2)):
@@ -173,7 +173,7 @@ def test_the_nearest_velocity_in_the_cone_is_the_nearest_of_many() -> None:
         assert cost <= (0.0 if inside else np.min(edges)) + 1e-6
 
 
-def test_what_is_in_the_cone_stays_and_the_map_is_mirrored() -> None:
+def test_projection_to_the_cone_is_idempotent_and_mirror_symmetric() -> None:
     rng = np.random.default_rng(1)
     for v, w, before in rng.normal(size=(300, 3)):
         found = nearest_in_cone(v, w, KAPPA, RADIUS, before)
@@ -190,15 +190,15 @@ def test_a_moving_car_does_not_turn_back_for_a_small_advantage(before: float) ->
 
 
 @pytest.mark.parametrize("w_dot", [1.0, -1.0])
-def test_a_wish_to_turn_on_the_spot_moves_a_car_along_its_tightest_arc(w_dot: float) -> None:
-    """A pure torque does not deadlock, and does not chatter."""
+def test_demanded_turn_on_the_spot_moves_a_car_along_its_tightest_arc(w_dot: float) -> None:
+    """A pure torque causes neither a deadlock nor chattering."""
     base = car()
     law, drive = RunningAdmittance(base, AdmittanceConfig()), Drive(base, 0.001)
     noise, commands = np.random.default_rng(0), []
     turned = 0.0
     for _ in range(3000):
-        asked = np.array([1e-3 * noise.normal(), w_dot])
-        commands.append(law.update(asked, 0.001))
+        demanded = np.array([1e-3 * noise.normal(), w_dot])
+        commands.append(law.update(demanded, 0.001))
         turned += 0.001 * drive.step(commands[-1])[1]
     v, w = np.array(commands).T
     assert turned * np.sign(w_dot) > 0.05
@@ -207,8 +207,8 @@ def test_a_wish_to_turn_on_the_spot_moves_a_car_along_its_tightest_arc(w_dot: fl
     assert abs(w[-1]) == pytest.approx(base.curvature_max * abs(v[-1]))
 
 
-def test_a_car_steers_before_it_moves_the_other_way() -> None:
-    """From ahead and left to backwards and left: it must not turn right on its way."""
+def test_car_steers_before_it_reverses() -> None:
+    """From forward-left to backward-left motion, it must not turn right in between."""
     base = car()
     drive = Drive(base, 0.001)
     arc = np.array([0.3, 0.3 * base.curvature_max])

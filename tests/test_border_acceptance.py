@@ -1,7 +1,7 @@
-"""The shipped border of the paper's robot, measured by means that share nothing with its making.
+"""The shipped border of the paper's robot, checked by code that shares nothing with its generator.
 
-The distance to l_m is that of its box, written down here; reachability is found by plain random
-sampling and by scipy's least squares from those samples.
+The distance to l_m is that of a box defined here; reachability is found by random sampling and by
+scipy's least squares from those samples.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ def test_a_border_has_fifty_thousand_points_each_within_eps(clouds, pair, d_b):
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_every_kept_distance_is_that_of_its_point(clouds, pair):
+def test_every_stored_distance_is_that_of_its_point(clouds, pair):
     np.testing.assert_allclose(clouds[pair].d_m, box_distance(clouds[pair].points_m), atol=5.1e-6)
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_the_cloud_covers_left_and_right_alike(clouds, pair):
+def test_cloud_is_symmetric_left_and_right(clouds, pair):
     """Each point has one near its mirror image; the robot is symmetric in y."""
     p = clouds[pair].points_m
     distance, _ = cKDTree(p).query(p[::20] * [1, -1, 1])
@@ -56,7 +56,7 @@ def test_the_cloud_covers_left_and_right_alike(clouds, pair):
 
 
 class Arm:
-    """The closest point of a body to l_m, by the libraries alone."""
+    """The closest point of a body to l_m, by pinocchio alone."""
 
     def __init__(self, body: str) -> None:
         self.model = husky_panda()
@@ -86,7 +86,7 @@ class Arm:
         return np.array(points), np.array(poses)
 
     def reach(self, target: np.ndarray, starts: np.ndarray) -> float:
-        """[m] how near to a target the closest point can be brought."""
+        """[m] the least distance of the closest point to a target that least squares finds."""
         lower, upper, best = self.model.q_lower, self.model.q_upper, np.inf
         for start in starts:
             found = least_squares(
@@ -110,7 +110,7 @@ def sampled(request, clouds):
     return request.param, clouds[request.param], arm, *arm.beside(500_000, seed=12345)
 
 
-def test_whatever_random_sampling_reaches_beside_the_base_lies_by_a_point_of_the_cloud(sampled):
+def test_every_randomly_reached_point_is_near_a_point_of_the_cloud(sampled):
     _, cloud, _, points, _ = sampled
     assert len(points) > 300
     distance, _ = cKDTree(cloud.points_m).query(points)
@@ -118,7 +118,7 @@ def test_whatever_random_sampling_reaches_beside_the_base_lies_by_a_point_of_the
 
 
 def contour(d_b: float, step: float = 0.005) -> np.ndarray:
-    """Points every `step` of the outline of l_m's box, `d_b` off it."""
+    """(N, 2) [m] points every `step` [m] of the contour at `d_b` [m] around l_m's box."""
     angle = np.linspace(0, 2 * np.pi, 20_001)[:-1]
     # The outline of a rounded box: its corner in that direction, plus d_b along the normal.
     normal = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -130,12 +130,12 @@ def contour(d_b: float, step: float = 0.005) -> np.ndarray:
 
 
 @pytest.mark.parametrize("d_b", [0.06, 0.15, 0.25])
-def test_no_gap_over_20_mm_lies_in_the_reachable_part_of_a_contour(sampled, d_b):
-    """Where a slice of the border has no point within 10 mm, an optimiser does not get there."""
+def test_border_has_no_gap_over_20_mm_where_a_contour_is_reachable(sampled, d_b):
+    """An optimiser reaches no point of the contour without a point of the border within 10 mm."""
     pair, cloud, arm, points, poses = sampled
     border, ring = construct_dbb(cloud, d_b, 0.01), contour(d_b)
     rng, tree = np.random.default_rng(1), cKDTree(points)
-    covered, bare = [], []  # points of the border, and of the outline where it has none
+    covered, bare = [], []  # points of the border, and of the contour in its gaps
     for z in np.arange(0.01, TOP, 0.02):
         points_there = border.same_height(z)
         far = np.full(len(ring), np.inf)
@@ -148,7 +148,7 @@ def test_no_gap_over_20_mm_lies_in_the_reachable_part_of_a_contour(sampled, d_b)
         covered += list(points_there)
         bare += list(targets[(far > 0.0101) & near_edge])
     if not covered:
-        assert (pair, d_b) == ("lm-l3", 0.25)  # the forearm does not get down there
+        assert (pair, d_b) == ("lm-l3", 0.25)  # the forearm does not reach so low
         return
     reached = [_reach(arm, target, tree, poses) for target in rng.permutation(bare)[:20]]
     assert min(reached) > 0.003, "reachable, but without a point of the border"
@@ -161,7 +161,7 @@ def _reach(arm: Arm, target: np.ndarray, tree: cKDTree, poses: np.ndarray) -> fl
 
 
 def test_the_wheels_axis_is_covered_on_both_sides(clouds):
-    """From 0.21 m up the hand reaches the axis x = 0 beside the base."""
+    """Above 0.21 m the end-effector reaches the axis x = 0 beside the base."""
     border = construct_dbb(clouds["lm-lEE"], 0.15, 0.01)
     for z in np.arange(0.21, TOP, 0.01):
         for y in (-0.495, 0.495):

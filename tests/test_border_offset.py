@@ -1,4 +1,4 @@
-"""The exact offset of the mobile robot, against a distance to its box written down here."""
+"""The exact offset of the mobile robot, compared with the distance to a box defined here."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_every_vertex_is_at_the_buffer_distance(offset):
         np.testing.assert_allclose(box_distance(lifted(ring, z)), offset.d_b, atol=2e-6)
 
 
-def test_edges_and_blended_heights_stay_within_a_millimetre(offset):
+def test_edges_at_interpolated_heights_deviate_by_at_most_a_millimetre(offset):
     rng = np.random.default_rng(0)
     for z in rng.uniform(0.0, TOP + offset.d_b - 1e-3, 200):
         (ring,) = offset.contours(z)
@@ -53,7 +53,7 @@ def test_contours_are_closed_counter_clockwise_and_symmetric(offset):
         np.testing.assert_allclose(ring, (ring * [1, -1])[::-1], atol=5e-6)
 
 
-def test_above_the_top_it_shrinks_to_the_top_itself_and_then_ends(offset):
+def test_contours_above_the_top_shrink_and_end_at_the_buffer_distance(offset):
     d_b = offset.d_b
     for h in np.linspace(0.0, 0.95 * d_b, 10):
         across = np.abs(offset.contours(TOP + h)[0][:, 1]).max()
@@ -62,7 +62,7 @@ def test_above_the_top_it_shrinks_to_the_top_itself_and_then_ends(offset):
     assert offset.contours(-1e-3) == []
 
 
-def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
+def test_nearest_point_is_no_farther_than_the_points_of_the_polygon(offset):
     rng = np.random.default_rng(1)
     share = np.linspace(0, 1, 200)[:, None, None]
     for _ in range(100):
@@ -71,14 +71,14 @@ def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
         dense = (ring[:-1] + share * (ring[1:] - ring[:-1])).reshape(-1, 2)
         least = np.linalg.norm(dense - p, axis=1).min()
         xy, tangent = nearest(offset, p, z)
-        # It is the foot on a smooth curve; the polygon is its chord.
+        # The foot is on a smooth curve, and the polygon consists of its chords.
         assert least - 1e-5 < np.linalg.norm(xy - p) < least + 1.5e-3
         assert (p - xy) @ tangent == pytest.approx(0.0, abs=1e-9)
         assert np.linalg.norm(tangent) == pytest.approx(1.0)
         assert np.cross([*xy, 0.0], [*tangent, 0.0])[2] > 0  # counter-clockwise
 
 
-def test_the_nearest_point_is_that_of_a_search_edge_by_edge(offset):
+def test_nearest_point_agrees_with_a_search_over_all_edges(offset):
     rng = np.random.default_rng(3)
     for _ in range(60):
         p, z = rng.uniform(-1.2, 1.2, 2), float(rng.uniform(0, TOP + offset.d_b - 2e-3))
@@ -96,7 +96,7 @@ def nearest(offset: OffsetContours, p: np.ndarray, z: float) -> tuple[np.ndarray
 
 
 def nearest_by_edges(offset: OffsetContours, p: np.ndarray, z: float) -> np.ndarray:
-    """Where on an edge p lies square to the blended tangent, by bisection on every edge."""
+    """(2,) [m] the nearest foot of p, by bisection on each edge with its interpolated tangent."""
     k = min(
         int(np.searchsorted(offset.rings[0].heights, z, "right")) - 1,
         len(offset.rings[0].heights) - 2,
@@ -127,13 +127,13 @@ def vertex_tangents(ring: np.ndarray) -> np.ndarray:
     return np.concatenate([tangents, tangents[:1]])
 
 
-def test_the_tangent_is_square_to_the_way_to_the_contour_beside_a_flat_side(offset):
+def test_tangent_beside_a_flat_side_is_parallel_to_the_side(offset):
     xy, tangent = nearest(offset, np.array([0.1, 1.0]), 0.2)
     np.testing.assert_allclose(xy, [0.1, 0.345 + offset.d_b], atol=1e-5)
     np.testing.assert_allclose(tangent, [-1.0, 0.0], atol=1e-5)
 
 
-def test_with_a_second_shape_hidden_in_the_first_nothing_changes():
+def test_shape_inside_another_changes_nothing():
     whole, inner = Box(type="box", size_m=(0.9, 0.6, 0.4)), Box(type="box", size_m=(0.5, 0.4, 0.4))
     one = OffsetContours(with_mobile_shapes((whole,)), 0.15)
     two = OffsetContours(with_mobile_shapes((inner, whole)), 0.15)
@@ -153,8 +153,8 @@ def test_the_distance_to_l_m_is_that_of_its_box():
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("points", [4, 12, 200])
-def test_the_distance_to_a_hull_is_the_librarys(seed: int, points: int):
-    """Outside and inside, with its gradient, on a hull that lies askew."""
+def test_distance_to_a_hull_agrees_with_the_library(seed: int, points: int):
+    """Distance and normal at points outside and inside of a rotated hull."""
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(points, 3)) * [0.3, 0.2, 0.05]
     geometry, placement = convex_hull(corners), pin.exp6(rng.normal(size=6))
@@ -171,7 +171,7 @@ def test_the_distance_to_a_hull_is_the_librarys(seed: int, points: int):
     assert signs == {False, True}
 
 
-def test_a_flat_hull_and_a_point_of_its_surface_have_a_distance():
+def test_flat_hull_has_a_distance_also_at_its_surface():
     geometry = convex_hull(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0.5, 0]]))
     part = ConvexPart(geometry, pin.SE3.Identity())
     d, n = part.distance_and_normal(np.array([0.5, 0.5, 5e-5]))
@@ -181,8 +181,8 @@ def test_a_flat_hull_and_a_point_of_its_surface_have_a_distance():
 
 
 @pytest.mark.parametrize("size", [0.001, 0.3, 10.0])
-def test_a_point_of_a_hulls_surface_has_the_face_as_its_nearest_plane(size: float):
-    """Rounding parts the planes of a face's triangles: over one of them, p may be under its own."""
+def test_normal_on_the_surface_of_a_hull_is_that_of_the_face(size: float):
+    """Rounding gives the triangles of a face slightly different planes."""
     rng = np.random.default_rng(0)
     turned = pin.exp3(rng.normal(size=3))
     corners = size * np.array([*np.ndindex(2, 2, 2)]) @ turned.T
@@ -197,8 +197,8 @@ def test_a_point_of_a_hulls_surface_has_the_face_as_its_nearest_plane(size: floa
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_corners_that_rounding_parts_do_not_change_a_hull(seed: int):
-    """Between them lie triangles without a height, whose planes may be any."""
+def test_corners_that_differ_by_rounding_do_not_change_a_hull(seed: int):
+    """Such corners form degenerate triangles, whose planes are arbitrary."""
     rng = np.random.default_rng(seed)
     corners = rng.uniform(-0.5, 0.5, (30, 3))
     several = np.concatenate([corners + rng.normal(size=corners.shape) * 1e-14 for _ in range(3)])

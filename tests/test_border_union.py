@@ -1,4 +1,4 @@
-"""The border around an l_m of several shapes, against distances written down here."""
+"""The border around an l_m of several shapes, compared with distances computed here."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FLOOR = 0.1323  # [m] height of the shapes' link origin above the floor
 DECK = np.array([0.0, 0.0, 0.19]), np.array([0.495, 0.345, 0.19])
 TOWER = np.array([-0.37, 0.02, 0.6]), np.array([0.10, 0.20, 0.5])
 POST_AT, POST_RADIUS, POST_TOP = np.array([0.15, 0.28]), 0.05, 1.0
-FLATS = [0.38 + D_B, 1.1 + D_B, POST_TOP + D_B]  # [m] where a shape's offset ends at once
+FLATS = [0.38 + D_B, 1.1 + D_B, POST_TOP + D_B]  # [m] heights at which the offset of a shape ends
 
 
 def distance(p: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ def offset(towered: RobotModel) -> OffsetContours:
 
 
 def dense_border(z: float) -> np.ndarray:
-    """(N, 2) [m] where the distance crosses D_B on the lines of a 4 mm grid at a height."""
+    """(N, 2) [m] crossings of the distance D_B on the lines of a 4 mm grid at a height."""
     x, y = np.arange(-0.9, 0.9, 0.004), np.arange(-0.7, 0.7, 0.004)
     X, Y = np.meshgrid(x, y, indexing="ij")
     D = distance(np.stack([X, Y, np.full_like(X, z)], axis=-1)) - D_B
@@ -73,8 +73,8 @@ def dense_border(z: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("z", [0.05, 0.2, 0.41, 0.5, 0.525, 0.56, 0.9, 1.06, 1.13, 1.2])
-def test_the_nearest_point_is_as_near_as_a_dense_search_finds(offset: OffsetContours, z: float):
-    """At heights of one contour, of two islands, and of the tower alone."""
+def test_nearest_point_agrees_with_a_dense_search(offset: OffsetContours, z: float):
+    """At heights with one contour, with several islands, and with the tower alone."""
     surface = BorderSearch(offset)
     border = dense_border(z)
     for p in np.random.default_rng(0).uniform([-0.8, -0.6], [0.8, 0.6], (150, 2)):
@@ -83,7 +83,7 @@ def test_the_nearest_point_is_as_near_as_a_dense_search_finds(offset: OffsetCont
         assert away == pytest.approx(np.linalg.norm(border - p, axis=1).min(), abs=0.002)
 
 
-def test_all_points_lie_on_the_exact_offset(offset: OffsetContours):
+def test_nearest_points_are_on_the_exact_offset(offset: OffsetContours):
     surface = BorderSearch(offset)
     rng = np.random.default_rng(1)
     points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
@@ -92,7 +92,7 @@ def test_all_points_lie_on_the_exact_offset(offset: OffsetContours):
     assert np.abs(distance(feet) - D_B).max() < 0.001
 
 
-def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(offset: OffsetContours):
+def test_tangent_is_perpendicular_and_has_the_base_on_its_left(offset: OffsetContours):
     surface = BorderSearch(offset)
     for p in np.random.default_rng(2).uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.2], (500, 3)):
         foot = surface.nearest(p)
@@ -103,10 +103,10 @@ def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(offset: Offs
             assert distance(left) < D_B + 2e-4
 
 
-def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(offset: OffsetContours):
-    """The law of a nearest point: its place may jump on the medial axis, its distance may not.
+def test_distance_to_the_border_changes_no_faster_than_the_point_moves(offset: OffsetContours):
+    """The nearest point may jump on the medial axis, but its distance may not.
 
-    But where a lower shape's offset ends: it has a horizontal piece there.
+    The heights avoid the horizontal pieces of the offset, where the distance may jump too.
     """
     surface = BorderSearch(offset)
     rng = np.random.default_rng(3)
@@ -121,8 +121,8 @@ def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(offset: 
 
 
 @pytest.mark.parametrize("z", [0.2, 0.45, 0.8])
-def test_foot_and_tangent_walk_through_a_corner_without_a_jump(offset: OffsetContours, z: float):
-    """Past the place where two shapes' offsets meet, inside of the border."""
+def test_foot_and_tangent_are_continuous_through_a_corner(offset: OffsetContours, z: float):
+    """The path passes the corner between the offsets of two shapes, inside the border."""
     surface = BorderSearch(offset)
     depth = 0.05
     outline = {0.2: None, 0.45: (0.495, 0.0), 0.8: (-0.37, 0.02)}[z]
@@ -143,7 +143,7 @@ def test_foot_and_tangent_walk_through_a_corner_without_a_jump(offset: OffsetCon
     assert turned[calm].max() < 40 * (turn[1] - turn[0])
 
 
-def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
+def test_two_towers_give_two_contours_and_a_frame_has_an_inner_one():
     half = np.array([0.1, 0.1, 0.3])
     towers = (box(np.array([0.6, 0.0, 0.3]), half), box(np.array([-0.6, 0.0, 0.3]), half))
     offset = OffsetContours(with_mobile_shapes(towers), D_B)
@@ -163,8 +163,8 @@ def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
     assert within.t[:2] == pytest.approx([0.0, -1.0], abs=1e-3)
 
 
-def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
-    """A leaning capsule, a plate high above the floor, a polytope: no vertex is off d_b."""
+def test_offset_of_shapes_of_any_kind_is_at_the_buffer_distance():
+    """The shapes are a box, a slanted capsule, a plate high above the floor and a polytope."""
     shapes = (
         Box(type="box", size_m=(0.8, 0.5, 0.3), xyz_m=(0.0, 0.0, 0.05)),
         Capsule(type="capsule", start_m=(0.3, 0.2, 0.1), end_m=(-0.4, 0.3, 1.0), radius_m=0.05),
@@ -189,7 +189,7 @@ def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
     assert np.abs(body.distance(lifted) - D_B).max() < 0.002
 
 
-def test_pieces_are_what_of_the_rings_lies_on_the_offset(offset: OffsetContours):
+def test_contours_are_the_pieces_of_the_rings_on_the_offset(offset: OffsetContours):
     for z, islands in ((0.2, 1), (0.45, 3), (0.8, 2), (1.2, 1)):
         pieces = offset.contours(z)
         ends = {tuple(np.round(piece[0], 2)) for piece in pieces}
@@ -203,7 +203,7 @@ def test_pieces_are_what_of_the_rings_lies_on_the_offset(offset: OffsetContours)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["none", "dbb"])
-def test_a_hand_pulled_at_the_tower_meets_it_only_without_avoidance(controller: str):
+def test_pulled_end_effector_hits_the_tower_only_without_avoidance(controller: str):
     """The arm bends backwards over the deck, towards a tower that stands behind it."""
     tower = box(np.array([-0.42, 0.0, 0.7]), np.array([0.07, 0.15, 0.5]))
     model = with_mobile_shapes((box(*DECK), tower))

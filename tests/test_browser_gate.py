@@ -1,4 +1,4 @@
-"""A real browser at the gate: the page works under its policy, and foreign pages get nothing."""
+"""Access control in a real browser: the page works, and foreign pages are refused."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def page(browser):
     tab.close()
 
 
-def test_the_own_page_works_under_its_policy(page):
+def test_page_works_under_its_content_security_policy(page):
     with viser_page() as (server, address):
         server.gui.add_markdown("**markdown** is compiled in the page")
         server.scene.add_box("/box")
@@ -65,14 +65,14 @@ def test_the_own_page_works_under_its_policy(page):
         assert page.problems == []
 
 
-def test_a_link_that_names_another_server_opens_nothing(page):
+def test_link_that_names_another_server_is_refused(page):
     with viser_page() as (server, address):
         answer = page.goto(f"{address}/?websocket=ws://127.0.0.1:1")
         assert answer.status == 400
         assert server.get_clients() == {}
 
 
-def test_a_page_that_a_proxy_does_not_connect_says_what_is_missing(page, monkeypatch):
+def test_page_behind_a_proxy_names_the_missing_option(page, monkeypatch):
     with viser_page() as (server, address), monkeypatch.context() as proxy:
         proxy.setattr("app.dashboard.gate.is_allowed", lambda origin, *_: origin is None)
         page.goto(address)
@@ -82,7 +82,7 @@ def test_a_page_that_a_proxy_does_not_connect_says_what_is_missing(page, monkeyp
         page.get_by_role("alert").wait_for(state="detached")
 
 
-def test_a_foreign_page_can_neither_frame_the_page_nor_speak_to_its_server(page):
+def test_foreign_page_can_neither_embed_the_page_nor_connect_to_its_server(page):
     with viser_page() as (server, address):
         script = f"""<iframe src="{address}"></iframe><script>
             const socket = new WebSocket("{address.replace("http", "ws")}", "viser-v1.1.1");
@@ -97,8 +97,8 @@ def test_a_foreign_page_can_neither_frame_the_page_nor_speak_to_its_server(page)
             assert server.get_clients() == {}
 
 
-def test_the_own_page_cannot_be_made_to_connect_elsewhere(page):
-    """Should the page be led astray by viser's own code, its policy holds it."""
+def test_policy_prevents_the_page_from_connecting_elsewhere(page):
+    """viser's own code could otherwise connect the page to another server."""
     with viser_page() as (server, address), foreign_page("") as foreign:
         page.goto(address)
         wait_for(server.get_clients, what="a client")

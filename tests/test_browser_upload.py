@@ -1,6 +1,6 @@
-"""One's own robot, by the mouse: a zip is uploaded, becomes a robot, is shown, and pulled.
+"""A user's own robot in the page: a zip is uploaded, converted, shown and pulled.
 
-All is real but how much is sampled.
+Only the numbers of samples are smaller than in normal use.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ FOREIGN = (
     '<img src="data:," onerror="top.foreign = 1">'
 )
 BLOCKED = "Blocked script execution in 'about:srcdoc'"
-"""The page's browser, of the report's script."""
+"""The browser's error for the script in the report."""
 LATE = "Tried to update non-existent component"
-"""viser's page, of a widget whose removal came in the same picture as its last change.
+"""The error of viser's page for a widget that is changed and removed in the same frame.
 
-It applies changes after removals; objects of the old robot's page are removed in both cases.
+viser applies changes after removals; the widgets of the old robot are removed all the same.
 """
 SAMPLING = SamplingConfig(
     pair_samples=2000,
@@ -56,10 +56,10 @@ SAMPLING = SamplingConfig(
 )
 
 
-def make_of_few(report: Report, request: Request) -> None:
-    """Main function of the process that makes the robot, with one line of guiding.
+def make_robot_with_few_samples(report: Report, request: Request) -> None:
+    """Main function of the process that makes the robot, with one guiding line.
 
-    Its border is kept beside the robots.
+    The border is stored beside the robots.
     """
     with few_samples(request.out.parent), pytest.MonkeyPatch.context() as patch:
         patch.setattr(new_robot, "SIDES", ("guiding-front",))
@@ -72,7 +72,7 @@ def make_of_few(report: Report, request: Request) -> None:
         )
 
 
-def kept_of_few(model: RobotModel) -> BorderData | None:
+def stored_border(model: RobotModel) -> BorderData | None:
     return kept_border_data(model, SAMPLING)
 
 
@@ -86,12 +86,12 @@ def begin(model: RobotModel, data: BorderData, config: Config, controller: str) 
 
 @pytest.fixture
 def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[DashboardServer]:
-    """With the paper's robot, and a folder of one's own robots that is empty."""
+    """A server with the paper's robot and an empty folder for the user's robots."""
     folder = tmp_path / "robots"
     monkeypatch.setenv("DBB_ROBOTS", str(folder))
     monkeypatch.setattr("app.robot.assets.cache_folder", lambda: folder)
-    monkeypatch.setattr(robots, "build_robot", make_of_few)
-    monkeypatch.setattr(robots, "kept_border_data", kept_of_few)
+    monkeypatch.setattr(robots, "build_robot", make_robot_with_few_samples)
+    monkeypatch.setattr(robots, "kept_border_data", stored_border)
     with served_dashboard(start_loop=begin) as (server, _):
         yield server
 
@@ -102,12 +102,12 @@ def choose_file(tab: DashboardTab, path: Path) -> None:
     chooser.value.set_files(path)
 
 
-def see(tab: DashboardTab, text: str) -> None:
+def wait_for_text(tab: DashboardTab, text: str) -> None:
     found = tab.page.get_by_text(text).filter(visible=True).first
     found.wait_for(timeout=240_000)  # [ms] the work has low priority
 
 
-def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
+def test_zip_becomes_a_robot_whose_base_avoids_the_end_effector(
     browser: Any, server: DashboardServer, tmp_path: Path
 ) -> None:
     good = {"toy/toy.urdf": TOY, "toy/meshes/m.stl": cube()}
@@ -115,15 +115,15 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     tab.open_tab("Robot")
     tab.page.get_by_text("Your own robot").click()
     choose_file(tab, zipped(tmp_path, {"../toy.urdf": TOY}))
-    see(tab, "leads out of the zip by '..'")
+    wait_for_text(tab, "leads out of the zip by '..'")
     choose_file(tab, zipped(tmp_path, good))
-    see(tab, "Choose the base link and the tip link.")
+    wait_for_text(tab, "Choose the base link and the tip link.")
     tab.click("Create robot")
-    see(tab, "is ready: choose it")
+    wait_for_text(tab, "is ready: choose it")
     report = tmp_path / "robots" / "toy" / "report.html"
     report.write_text(FOREIGN + report.read_text(encoding="utf-8"), encoding="utf-8")
     tab.click("Report")
-    see(tab, "Report on the creation of toy")
+    wait_for_text(tab, "Report on the creation of toy")
     tab.page.frame_locator("iframe").get_by_text("not the robot's").wait_for()
     assert tab.page.evaluate("window.foreign") is None
     tab.click("Close")
@@ -131,14 +131,14 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     tab.click("Use this robot")
     wait_for(lambda: server.shared is not shared, what="the new robot")
     tab.wait_for_scene()
-    assert [text for text in tab.errors if text.startswith(BLOCKED)], "the browser says so"
+    assert [text for text in tab.errors if text.startswith(BLOCKED)], "the script is blocked"
     tab.errors = [text for text in tab.errors if not text.startswith((LATE, BLOCKED))]
     pull_towards_the_base(tab, server)
     assert tab.errors == []
 
 
 def pull_towards_the_base(tab: DashboardTab, server: DashboardServer) -> None:
-    """Drag the hand backwards, again and again, until the base has made room."""
+    """Drag the end-effector backwards, at most six times, until the base has moved."""
     loop = server.shared.loop
     begin = loop.latest().base_pose.copy()
     for _ in range(6):

@@ -1,4 +1,4 @@
-"""A case repeats its run bit by bit, and reports differences."""
+"""A case repeats its run bit for bit and reports differences of version and parameters."""
 
 import json
 
@@ -48,14 +48,12 @@ def played(robot, border_data):
 
 
 def state_of(session: Session) -> bytes:
-    """All that moves, to the bit."""
+    """Positions and velocities of base and arm as bytes."""
     truth = session.physics.measure()
     return b"".join(np.ascontiguousarray(a).tobytes() for a in (*truth[:2], truth.q_m, truth.qd_m))
 
 
-def test_a_scenario_of_the_live_loop_is_repeated_to_the_bit_from_its_file(
-    played, robot, border_data
-):
+def test_case_file_repeats_a_scenario_of_the_live_loop_bit_for_bit(played, robot, border_data):
     state, case = played
     read = RunCase.read(case.text(), "case.json")
     assert read.differences() == []
@@ -63,15 +61,15 @@ def test_a_scenario_of_the_live_loop_is_repeated_to_the_bit_from_its_file(
     assert last == state
 
 
-def test_the_pull_moved_the_robot(played, robot, border_data):
-    """Otherwise the test above would state nothing."""
+def test_robot_ends_elsewhere_without_the_pull(played, robot, border_data):
+    """Otherwise the test above could not fail."""
     state, case = played
     still = case.spec()._replace(scenario=case.scenario().changed(release_at=0.001))
     *_, last = (state_of(s) for s, _ in steps_of(still, robot, border_data))
     assert last != state
 
 
-def test_a_new_start_without_a_scenario_has_no_case(robot, border_data):
+def test_reset_removes_the_case_of_the_scenario(robot, border_data):
     ensemble = Ensemble(Session(robot, border_data, Config(), physics="kinematic"), Q_START)
     ensemble.play(SCENARIOS["way-out"])
     assert ensemble.case is not None
@@ -82,7 +80,7 @@ def test_a_new_start_without_a_scenario_has_no_case(robot, border_data):
 
 
 @pytest.mark.parametrize("scenario", [*SCENARIOS.values(), PULL])
-def test_every_scenario_comes_back_from_its_file(scenario):
+def test_case_file_stores_every_scenario_completely(scenario):
     case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "planar"))
     read = RunCase.read(case.text(), "case.json")
     assert read.text() == case.text()
@@ -90,7 +88,7 @@ def test_every_scenario_comes_back_from_its_file(scenario):
     assert read.config() == Config()
 
 
-def test_a_case_of_another_version_says_what_differs():
+def test_case_of_another_version_lists_the_differences():
     case = RunCase.of(RunSpec("husky_panda", PULL, Config(), "dbb", "planar"))
     content = json.loads(case.text()) | {"version": "0.1"}
     del content["parameters"]["ee_hold.weight"]
@@ -103,7 +101,7 @@ def test_a_case_of_another_version_says_what_differs():
     assert "3000" in new
 
 
-def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
+def test_case_with_former_names_of_parameters_is_read():
     config = Config().replace("task.slack_weight", 0.01)
     case = RunCase.of(RunSpec("husky_panda", PULL, config, "dbb", "planar"))
     content = json.loads(case.text()) | {"figures": {}}
@@ -137,7 +135,7 @@ def test_a_case_with_former_names_of_parameters_is_played_as_it_was():
         ({"parameters": {f"a.b{k}": 1.0 for k in range(1001)}}, "at most 1000"),
     ],
 )
-def test_a_wrong_case_is_refused_in_one_line(change, named):
+def test_invalid_case_is_refused_by_name(change, named):
     case = RunCase.of(RunSpec("husky_panda", PULL, Config(), "dbb", "planar"))
     with pytest.raises(DbbError) as refused:
         RunCase.read(json.dumps(json.loads(case.text()) | change), "mine.json")
@@ -145,15 +143,13 @@ def test_a_wrong_case_is_refused_in_one_line(change, named):
     assert "mine.json" in str(refused.value)
 
 
-def test_a_posture_of_another_robot_is_refused(robot, border_data):
+def test_posture_of_another_robot_is_refused(robot, border_data):
     other = RunSpec("husky_panda", PULL.changed(q_m=(0.0,)), Config(), physics="kinematic")
     with pytest.raises(TargetError, match="the posture has 1 joints"):
         next(steps_of(other, robot, border_data))
 
 
-def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
-    tmp_path, capsys, loaded_once
-):
+def test_command_line_replays_a_case_and_reports_another_version(tmp_path, capsys, loaded_once):
     scenario = PULL.changed(duration=0.7)
     case = RunCase.of(RunSpec("husky_panda", scenario, Config(), "dbb", "kinematic"))
     file = tmp_path / "mine.json"
@@ -178,7 +174,7 @@ def test_the_command_line_plays_a_case_again_and_says_what_is_not_as_it_was(
     [["--robot", "husky_panda"], ["--seed", "1"], ["--start", "0.9", "0.1", "0.3"]],
     ids=lambda option: option[0],
 )
-def test_the_dashboard_refuses_options_that_its_case_sets(option, tmp_path, capsys):
+def test_dashboard_refuses_options_that_its_case_sets(option, tmp_path, capsys):
     case = RunCase.of(RunSpec("husky_panda", PULL, Config(), "dbb", "kinematic"))
     file = tmp_path / "mine.json"
     file.write_text(case.text())

@@ -25,8 +25,8 @@ class SeenError(Exception):
 
 
 @pytest.fixture
-def handed_on(monkeypatch):
-    """The configuration that `dbb run` or `dbb sweep` would work with."""
+def config_of(monkeypatch):
+    """The configuration with which `dbb run` or `dbb sweep` would start."""
 
     def stop(run, *_, **__):
         raise SeenError(run.config)
@@ -63,28 +63,28 @@ CONFIG = (
 def refused(capsys, *args: str) -> str:
     with pytest.raises(SystemExit) as end:
         main(list(args))
-    told = capsys.readouterr()
-    assert (end.value.code, told.out) == (2, "")
-    assert len(told.err.splitlines()) == 1
-    return told.err
+    output = capsys.readouterr()
+    assert (end.value.code, output.out) == (2, "")
+    assert len(output.err.splitlines()) == 1
+    return output.err
 
 
 @pytest.mark.slow
-def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed_on, mine):
+def test_run_uses_the_parameters_of_its_file_and_options_override_them(config_of, mine):
     assert configured("husky_panda", None) == Config()
     assert configured("husky_panda", mine) == CONFIG
     file = ["--config", str(mine)]
-    assert handed_on(*QUICK, *file) == CONFIG
-    changed = handed_on(
+    assert config_of(*QUICK, *file) == CONFIG
+    changed = config_of(
         *QUICK, *file, "--slip", "0.3", "--border", "surface", "--buffer-distance", "0.1"
     )
     assert changed == CONFIG.replace("disturbance.slip", 0.3).replace(
         "border.kind", "surface"
     ).replace("border.d_b", 0.1)
-    assert handed_on(*QUICK) == Config()
+    assert config_of(*QUICK) == Config()
 
 
-def test_a_robots_own_parameters_come_before_the_defaults(handed_on, mine, monkeypatch, capsys):
+def test_parameters_of_a_robot_override_the_defaults(config_of, mine, monkeypatch, capsys):
     own = Config().changed({"border.d_b": 0.1, "border.eps": 0.005})
     robot = load_robot("husky_panda").model_copy(update={"config": own})
     monkeypatch.setattr("app.robot.description.load_robot", lambda _: robot)
@@ -93,19 +93,19 @@ def test_a_robots_own_parameters_come_before_the_defaults(handed_on, mine, monke
     assert configured("husky_panda", None, {"buffer_distance": 0.2}) == own.replace(
         "border.d_b", 0.2
     )
-    assert handed_on(*QUICK) == handed_on("sweep", "--out", str(mine.parent / "out")) == own
+    assert config_of(*QUICK) == config_of("sweep", "--out", str(mine.parent / "out")) == own
     main(["config"])
     assert decode_config(capsys.readouterr().out.encode()).config == own
 
 
-def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path):
+def test_sweep_uses_the_parameters_of_its_file(config_of, mine, tmp_path):
     args = ["sweep", "--out", str(tmp_path / "out"), "--config", str(mine)]
-    assert handed_on(*args) == CONFIG
-    assert handed_on(*args, "--base-weight", "7") == CONFIG.replace("task.base_weight", 7.0)
+    assert config_of(*args) == CONFIG
+    assert config_of(*args, "--base-weight", "7") == CONFIG.replace("task.base_weight", 7.0)
 
 
 @pytest.mark.slow
-def test_the_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch):
+def test_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch):
     def stop(loop, *_, **__):
         raise SeenError(loop.latest().config)
 
@@ -117,25 +117,25 @@ def test_the_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch)
 
 
 @pytest.mark.parametrize("command", [QUICK, ["serve"], ["sweep"], ["config"]])
-def test_a_mistake_in_the_file_is_one_line_that_names_it(capsys, tmp_path, command):
+def test_unknown_parameter_in_the_file_gives_one_line_that_names_it(capsys, tmp_path, command):
     path = tmp_path / "bad.toml"
     path.write_text("[border]\nd_bb = 0.2\n")
-    told = refused(capsys, *command, "--config", str(path))
+    output = refused(capsys, *command, "--config", str(path))
     for word in ("--config", "bad.toml", "border.d_bb", "did you mean 'd_b'"):
-        assert word in told
+        assert word in output
 
 
-def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
+def test_replayed_case_excludes_a_parameter_file(capsys, mine, tmp_path):
     played = SCENARIOS["guiding-front"]
     case = RunCase.of(RunSpec("husky_panda", played, Config(), "dbb", "planar"))
     path = tmp_path / "case.json"
     path.write_text(case.text())
     for command in ("run", "serve"):
-        told = refused(capsys, command, "--replay-case", str(path), "--config", str(mine))
-        assert "--config" in told
+        output = refused(capsys, command, "--replay-case", str(path), "--config", str(mine))
+        assert "--config" in output
 
 
-def test_config_prints_the_defaults_and_writes_no_file_over(capsys, tmp_path):
+def test_config_prints_the_defaults_and_overwrites_no_file(capsys, tmp_path):
     main(["config"])
     assert decode_config(capsys.readouterr().out.encode()).config == Config()
     out = tmp_path / "all.toml"
@@ -149,12 +149,12 @@ def test_config_prints_the_defaults_and_writes_no_file_over(capsys, tmp_path):
     assert nowhere in refused(capsys, "config", "--out", nowhere)
 
 
-def test_config_fills_up_a_file(capsys, mine):
+def test_config_completes_the_parameters_of_a_file(capsys, mine):
     main(["config", "--config", str(mine)])
     assert capsys.readouterr().out == save_config(CONFIG)
 
 
-def test_config_as_json_tells_everything_of_every_parameter(capsys, mine):
+def test_config_as_json_describes_every_parameter(capsys, mine):
     main(["config", "--config", str(mine), "--json"])
     rows = json.loads(capsys.readouterr().out)["parameters"]
     assert [row["path"] for row in rows] == [t.path for s in sections() for t in s.tunables]
@@ -164,7 +164,7 @@ def test_config_as_json_tells_everything_of_every_parameter(capsys, mine):
     assert {"low", "high", "default", "unit", "help"} <= set(rows[0])
 
 
-def test_a_host_may_be_allowed_several_times_and_by_the_file(tmp_path, monkeypatch):
+def test_hosts_are_allowed_by_repeated_options_and_by_the_file(tmp_path, monkeypatch):
     served = []
     monkeypatch.setattr("app.cli.serve._serve", lambda first: served.append(first.asked))
     monkeypatch.setattr("app.simulation.loop.process_loop.loop_child", nullcontext)

@@ -1,4 +1,4 @@
-"""Errors that can be known early are refused at the entry, as the sender's error."""
+"""Invalid commands are refused when they are sent, with an error for the sender."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NAN = float("nan")
         ("way-out", {"begin": "asleep"}),
     ],
 )
-def test_options_that_are_none_or_out_of_range_are_refused(name, options):
+def test_unknown_options_and_values_out_of_range_are_refused(name, options):
     with pytest.raises(ConfigError):
         Play(SCENARIOS[name].changed(**options))
 
@@ -69,7 +69,7 @@ def test_options_that_are_none_or_out_of_range_are_refused(name, options):
         (lambda: StepOnce(60.0), ConfigError),
     ],
 )
-def test_what_can_never_be_obeyed_is_refused_with_an_error_of_the_project(make, error):
+def test_invalid_command_is_refused_with_an_error_of_the_project(make, error):
     with pytest.raises(error) as caught:
         Mailbox().put(make(), ("panda_link4",))
     assert isinstance(caught.value, DbbError)
@@ -79,5 +79,5 @@ def test_what_can_never_be_obeyed_is_refused_with_an_error_of_the_project(make, 
     "command",
     [Pull((0.5, 0.0, 0.4), "panda_link4"), Choose("none"), Speed(4), StepOnce()],
 )
-def test_what_can_be_obeyed_passes(command):
+def test_valid_command_is_accepted(command):
     Mailbox().put(command, ("panda_link4",))

@@ -1,4 +1,4 @@
-"""Laws of a mobile robot of several convex parts: the arm keeps its distance from each of them."""
+"""Avoidance with a mobile robot of several convex parts: the arm avoids each of them."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ WALL = Box(type="box", size_m=(0.99, 0.10, 0.50), xyz_m=(0.0, 0.30, 0.50))
 FRONT, REAR = (
     Box(type="box", size_m=(0.495, 0.69, 0.3803), xyz_m=(x, 0.0, 0.0579)) for x in (0.2475, -0.2475)
 )
-"""The deck again, of two boxes that abut."""
+"""The deck as two adjacent boxes."""
 UP, BESIDE = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
 
 
 def near_both(a: Box, b: Box, normals: Normals, seed: int) -> Measurement:
-    """A random slow state with the hand near two boxes that see it along these normals."""
+    """A random slow state with the end-effector near two boxes, in the directions `normals`."""
     rng, robot = np.random.default_rng(seed), husky_panda()
     models = [with_mobile_shapes((shape,)) for shape in (a, b)]
     readers = [PairDistances(model, candidate_pairs(model)) for model in models]
@@ -64,8 +64,8 @@ def controller_of(data: BorderData, name: str, *shapes: Box) -> Controller:
     return Controller(with_mobile_shapes(shapes), data, AT_ONCE, name=name)
 
 
-def asked(controller: Controller, m: Measurement, acceleration: Array) -> ControlStep:
-    """The answer to a demanded acceleration (3,) [m/s²] of the end-effector."""
+def controlled(controller: Controller, m: Measurement, acceleration: Array) -> ControlStep:
+    """The control step for a demanded acceleration (3,) [m/s²] of the end-effector."""
     controller.reset()
     controller.step(m)
     pose = pin.SE3(controller.state.T_world_ee)
@@ -73,26 +73,26 @@ def asked(controller: Controller, m: Measurement, acceleration: Array) -> Contro
     return controller.step(m, Reference(pose, np.zeros(6), np.append(acceleration, np.zeros(3))))
 
 
-def missed(output: ControlStep) -> Array:
-    """(k,) [m/s²] demand of each barrier."""
+def violation(output: ControlStep) -> Array:
+    """(k,) [m/s²] violation of each barrier; negative if it is satisfied."""
     C, l, _, _ = barriers(output)
     return l - C @ output.qdd
 
 
 def barriers(output: ControlStep) -> Limits:
-    """Those of the arm's QP, which stand behind torques and joints."""
+    """The barriers of the arm's QP, whose rows follow those of torques and joints."""
     return Limits(*(each[2 * len(output.q_m) :] for each in Limits.of(output)))
 
 
 @pytest.mark.parametrize("name", ["dbb", "barrier"])
-def test_a_base_of_two_parts_is_kept_from_as_two_bases_of_one_part_each(
+def test_base_of_two_parts_has_the_barriers_of_both_parts(
     border_data: BorderData, name: str
 ) -> None:
-    def kept(*shapes: Box) -> Limits:
+    def rows_of(*shapes: Box) -> Limits:
         return barriers(controller_of(border_data, name, *shapes).step(in_the_corner(0)))
 
     n = len(border_data.pairs.mobile)
-    for both, deck, wall in zip(kept(DECK, WALL), kept(DECK), kept(WALL), strict=True):
+    for both, deck, wall in zip(rows_of(DECK, WALL), rows_of(DECK), rows_of(WALL), strict=True):
         parts = np.stack([deck[:n], wall[:n]], axis=1)
         np.testing.assert_allclose(both[: 2 * n], parts.reshape(both[: 2 * n].shape), atol=1e-9)
         np.testing.assert_allclose(both[2 * n :], deck[n:], atol=1e-9)  # between links
@@ -100,25 +100,29 @@ def test_a_base_of_two_parts_is_kept_from_as_two_bases_of_one_part_each(
 
 @pytest.mark.parametrize("name", ["dbb", "barrier"])
 @pytest.mark.parametrize("seed", range(2))
-def test_in_a_corner_the_arm_is_held_back_by_both_faces(
+def test_both_faces_of_a_corner_limit_the_arm(
     border_data: BorderData, name: str, seed: int
 ) -> None:
-    """The end-effector has to move into deck and wall at once; the active pair appears once."""
+    """The demanded motion enters deck and wall; the explanation lists their pair once."""
     controller = controller_of(border_data, name, DECK, WALL)
-    output = asked(controller, in_the_corner(seed), -20.0 * (np.array(UP) + BESIDE))
-    np.testing.assert_allclose(missed(output)[:2], 0.0, atol=0.1)  # soft, and both met
-    assert missed(output).max() < 0.1
+    output = controlled(controller, in_the_corner(seed), -20.0 * (np.array(UP) + BESIDE))
+    np.testing.assert_allclose(
+        violation(output)[:2], 0.0, atol=0.1
+    )  # soft, and both at their bound
+    assert violation(output).max() < 0.1
     bounds = explain(controller, output, AT_ONCE, np.zeros(2)).bounds
     assert [bound.where for bound in bounds if bound.kind == "barrier"] == ["lm-lEE"]
 
 
 def reaction(output: ControlStep) -> Array:
-    """(n_m,) [N m] the arm's share of the force: in a guided arm's objective besides u_0."""
+    """(n_m,) [N m] the reaction of the force in the objective of a guided arm."""
     return output.h[2:] - output.c_low[2:] - output.u_free
 
 
-def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData) -> None:
-    """And so do the pair's own normal and points: steps a tenth as long move them less far."""
+def test_normals_and_points_are_continuous_where_the_nearest_face_changes(
+    border_data: BorderData,
+) -> None:
+    """Steps that are ten times smaller change them less than a fifth as much."""
     controller, m = controller_of(border_data, "dbb", DECK, WALL), in_the_corner(0)
     monitor = DistanceMonitor(controller.state, border_data.pairs.mobile)
 
@@ -136,7 +140,7 @@ def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData
     assert nearest == {0, 1}
 
 
-def test_the_kernel_has_the_librarys_points_of_each_part() -> None:
+def test_kernel_agrees_with_the_library_on_the_points_of_each_part() -> None:
     state, blend = RobotState(with_mobile_shapes((DECK, WALL))), 0.005  # [m]
     state.update(in_the_corner(0))
     pairs = [Pair("lm", "lEE"), Pair("lm", "l3")]
@@ -149,8 +153,8 @@ def test_the_kernel_has_the_librarys_points_of_each_part() -> None:
             np.testing.assert_allclose(found[row], expected, atol=2e-5)
 
 
-def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:
-    """A guided arm is pushed away once, and their rows in one plane are no trouble to the QP."""
+def test_two_halves_of_a_base_act_as_the_whole(border_data: BorderData) -> None:
+    """The reaction on a guided arm counts once, and the QP solves the two coplanar rows."""
     whole = controller_of(border_data, "dbb", DECK)
     halves = controller_of(border_data, "dbb", FRONT, REAR)
     for seed in range(2):
@@ -158,7 +162,9 @@ def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:
         guided = [reaction(controller.step(m)) for controller in (whole, halves)]
         assert np.abs(guided[0]).max() > 0.1
         np.testing.assert_allclose(guided[1], guided[0], atol=0.05 * np.abs(guided[0]).max())
-        one, two = (asked(each, m, -20.0 * np.array(UP)) for each in (whole, halves))
-        assert -1.0 < missed(two)[:2].min() <= missed(two).max() < 0.1  # both nearly met
+        one, two = (controlled(each, m, -20.0 * np.array(UP)) for each in (whole, halves))
+        assert (
+            -1.0 < violation(two)[:2].min() <= violation(two).max() < 0.1
+        )  # both nearly at their bound
         np.testing.assert_allclose(two.u_cmd, one.u_cmd, atol=0.02 * np.abs(one.u_cmd).max())
         assert two.failures == two.given_up == 0

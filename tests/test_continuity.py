@@ -19,7 +19,7 @@ from tests.reproduction import short_run, sources_of
 
 @pytest.fixture(scope="module")
 def sources(robot: RobotModel, border_data: BorderData) -> Sources:
-    """Two seconds of the lateral guiding, at the end of them in the buffer."""
+    """The first 3 s of the lateral guiding, which ends in the buffer."""
     run = short_run(robot, border_data, LATERAL, 3.0)
     return sources_of(robot, border_data, {LATERAL: run})
 
@@ -31,14 +31,14 @@ def drawn(sources: Sources) -> Drawing:
 
 
 @pytest.mark.slow
-def test_on_a_path_ten_times_finer_the_surfaces_steps_are_ten_times_smaller(drawn) -> None:
+def test_finer_path_shrinks_the_steps_on_the_surface_but_not_on_the_points(drawn) -> None:
     measured: dict[str, Any] = drawn.measured
     assert measured["surface"]["finer_ratio"] > 8.0
     assert measured["points"]["finer_ratio"] < 4.0
     assert min(measured["points_over_surface"].values()) > 20.0
 
 
-def test_the_csv_holds_what_is_drawn_and_its_own_steps(drawn) -> None:
+def test_csv_contains_the_drawn_points_and_their_steps(drawn) -> None:
     table = drawn.tables[""]
     for kind in ("points", "surface"):
         mine = table["border"] == kind
@@ -59,8 +59,8 @@ def test_the_path_is_the_logged_one_inside_the_buffer(sources: Sources) -> None:
     np.testing.assert_allclose([np.linalg.norm(c.n) for c in path], 1.0)
 
 
-def test_the_longest_stretch_is_taken(sources: Sources) -> None:
-    """Of a hand that is in its buffer three times, the second time longest."""
+def test_longest_stretch_in_the_buffer_is_drawn(sources: Sources) -> None:
+    """The end-effector is in its buffer three times, and the second time is the longest."""
     run = sources.runs[LATERAL]
     d = run.trace["d_lm-lEE_m"]
     inside = np.zeros(len(d), bool)

@@ -1,4 +1,4 @@
-"""The page in a real browser, in front of a loop without physics: first picture, hand, widgets."""
+"""The page in a real browser with a loop without physics: first view, pulls and widgets."""
 
 from __future__ import annotations
 
@@ -88,20 +88,20 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     tab.open_tab("Why")
 
 
-def test_a_plot_is_sent_only_while_somebody_sees_it(tab, served):
+def test_plot_data_are_sent_only_while_the_plots_are_visible(tab, served):
     channel = served.page().channel
-    wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
+    wait_for(lambda: SIGHT not in channel.seen, what="the plots are hidden")
     tab.open_tab("Plots")
-    wait_for(lambda: SIGHT in channel.seen, what="somebody sees it")
+    wait_for(lambda: SIGHT in channel.seen, what="the plots are visible")
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
     line = tab.page.locator(".u-legend .u-series", has_text="hand – base").first
     line.hover()
     wait_for(lambda: (line.get_attribute("title") or "").startswith("lm-lEE: signed distance"))
     tab.open_tab("Why")
-    wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
+    wait_for(lambda: SIGHT not in channel.seen, what="the plots are hidden")
 
 
-def test_the_robot_is_framed_by_the_scene(tab, served):
+def test_initial_camera_shows_the_whole_robot(tab, served):
     left, top, right, bottom = tab.canvas_box()
     base = [(x, y, z) for x in (-0.48, 0.48) for y in (-0.33, 0.33) for z in (0.0, 0.38)]
     snapshot, kinematics = served.loop.latest(), served.server.shared.parts.kinematics
@@ -112,7 +112,7 @@ def test_the_robot_is_framed_by_the_scene(tab, served):
     assert np.ptp(pixels[:, 1]) > 0.4 * (bottom - top)
 
 
-def test_d_b_slider_shows_the_new_border_at_once(tab, served):
+def test_slider_of_d_b_shows_the_new_border(tab, served):
     before = tab.picture()
     tab.open_tab("Tune")
     tab.set_slider("Buffer distance d_b [m]", 0.25)
@@ -125,7 +125,7 @@ def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     tab.open_tab("Run")
 
 
-def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, served):
+def test_dragging_the_gizmo_pulls_the_end_effector_and_a_drop_releases_it(tab, served):
     loop = served.loop
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
     start = loop.latest().p_ee.copy()
@@ -141,7 +141,7 @@ def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, serve
 
 
 @needs_pybullet
-def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(tab, served):
+def test_link_dragged_by_the_mouse_is_pulled_and_shows_the_force(tab, served):
     loop = served.loop
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
     before = tab.picture_at_rest()
@@ -158,15 +158,17 @@ def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(
     along = [tab.pixel("", tuple(pull.point + u * (pull.target - pull.point))) for u in (0.3, 0.6)]
     tab.wait_for_change(before, 40, np.array(along), radius=12)
 
-    tab.page.wait_for_timeout(2000)  # [ms] longer than a browser that sleeps holds
-    assert not any(isinstance(command, Release) for command in loop.commands), "he holds still"
+    tab.page.wait_for_timeout(2000)  # [ms] longer than a sleeping browser may hold a pull
+    assert not any(isinstance(command, Release) for command in loop.commands), (
+        "the mouse button is still pressed"
+    )
     tab.page.mouse.up()
-    wait_for(lambda: isinstance(loop.commands[-1], Release), what="letting go")
+    wait_for(lambda: isinstance(loop.commands[-1], Release), what="the release")
     wait_for(lambda: not tab.is_shown("/pull/0") and not tab.is_shown("/pull/label_0"))
     tab.wait_for_picture(before, most=200)
 
 
-def test_buttons_pause_go_on_and_restart(tab, served):
+def test_buttons_pause_continue_and_restart(tab, served):
     tab.click("Pause")
     tab.page.get_by_role("button", name="Continue", exact=True).first.wait_for(timeout=40_000)
     tab.click("Continue")
@@ -176,7 +178,7 @@ def test_buttons_pause_go_on_and_restart(tab, served):
     assert served.loop.commands == [Pause(True), Pause(False), Restart()]
 
 
-def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(tab, served):
+def test_choices_of_scenario_speed_and_controller_reach_the_loop_once(tab, served):
     tab.choose("Scenario", TITLES["guiding-front"])
     wait_for(lambda: served.loop.latest().scenario == "guiding-front")
     tab.open_tab("Lab")
@@ -186,12 +188,12 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
     tab.choose("Controller", "none: without avoidance")
     wait_for(lambda: served.loop.latest().controller == "none")
     wanted = [Play(SCENARIOS["guiding-front"]), Speed(2.5), Choose("none")]
-    assert served.loop.commands == wanted, "each once"
+    assert served.loop.commands == wanted, "each command once"
     tab.choose("Controller", "dbb: with avoidance")
     wait_for(lambda: served.loop.latest().controller == "dbb")
 
 
-def test_keys_do_what_the_help_says(tab, served):
+def test_keyboard_shortcuts_work_and_are_listed_in_the_help(tab, served):
     tab.page.mouse.click(640, 120)  # the scene, so that no widget takes the key
     for key, command, paused in (
         ("Space", Pause(True), True),
@@ -212,7 +214,7 @@ def test_keys_do_what_the_help_says(tab, served):
     tab.open_tab("Run")
 
 
-def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, served):
+def test_folders_and_buttons_work_by_keyboard_alone(tab, served):
     keys = tab.page.keyboard
 
     def reach(text):
@@ -233,21 +235,21 @@ def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, se
     keys.press("Space")
     wait_for(lambda: served.loop.commands, what="a command")
     reach("Pause")
-    for paused in (True, False):  # the key stays where it is
+    for paused in (True, False):  # the focus stays on the button
         keys.press("Space")
         wait_for(lambda paused=paused: served.loop.commands[-1] == Pause(paused))
-        told = tab.page.locator("#dbb-row").get_by_text("now, paused")
-        told.wait_for(state="visible" if paused else "hidden")
+        status = tab.page.locator("#dbb-row").get_by_text("now, paused")
+        status.wait_for(state="visible" if paused else "hidden")
     assert served.loop.commands == [Restart(), Pause(True), Pause(False)]
 
 
-def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served):
+def test_second_robot_appears_in_the_scene_and_in_the_table(tab, served):
     tab.open_tab("Compare")
     assert tab.page.get_by_text("No comparison is running.").is_visible()
     tab.choose("Second robot", "repulsive: arm repulsion only")
     wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
     hand = served.loop.latest().p_ee
-    assert not tab.is_shown("/ghost_0"), "where it coincides it would only tint the robot"
+    assert not tab.is_shown("/ghost_0"), "a ghost that coincides with the robot is hidden"
     served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: tab.is_shown("/ghost_0"))
     wait_for(
@@ -260,7 +262,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]
     wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
-    wait_for(lambda: in_scene(tab, hand), what="the ghost's hand beside the panels")
+    wait_for(lambda: in_scene(tab, hand), what="the ghost's end-effector beside the panels")
     with_ghost = tab.picture_at_rest()
     tab.choose("Third robot", "none: without avoidance")
     wait_for(lambda: len(served.loop.latest().ghosts) == 2)
@@ -269,7 +271,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     tab.render(3)
     assert (
         tab.row("Third robot").locator("input").first.input_value() == "none: without avoidance"
-    ), "it stays"
+    ), "the third robot stays"
     served.loop.send(Compare())
     tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
     assert tab.page.get_by_text("No comparison is running.").is_visible()
@@ -277,13 +279,13 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
 
 
 def in_scene(tab, place):
-    """Whether nothing lies over 50 px around a place (3,) [m], which is in the picture."""
+    """Whether the 50 px around a place (3,) [m] are in the picture and not covered by a panel."""
     mask = tab.scene_mask()
     near = around(tab.pixel("", tuple(place))[None], 50, mask)
     return near.sum() == 100**2 and mask[near].all()
 
 
-def test_a_first_visit_is_welcomed_by_one_card_that_changes_on_a_click_only(browser, served):
+def test_first_visit_shows_one_card_that_changes_only_on_a_click(browser, served):
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address, (1000, 640), first_visit=True)
     card = tab.page.locator("#dbb-card")
@@ -295,7 +297,10 @@ def test_a_first_visit_is_welcomed_by_one_card_that_changes_on_a_click_only(brow
     assert "dbb" in tab.page.title()
     place = card.bounding_box()
     tab.click("Watch it (8 s)")
-    wait_for(lambda: any(isinstance(c, Play) for c in served.loop.commands), what="it is played")
+    wait_for(
+        lambda: any(isinstance(c, Play) for c in served.loop.commands),
+        what="the scenario is played",
+    )
     assert Compare(("none",)) in served.loop.commands
     wait_for_card("watch")
     served.loop.send(Pull((0.5, 0.0, 0.5), who=7))  # another viewer
@@ -330,7 +335,7 @@ def test_a_first_visit_is_welcomed_by_one_card_that_changes_on_a_click_only(brow
     assert tab.errors == []
 
 
-def test_after_a_scenario_the_free_start_can_be_chosen_in_the_list_and_by_a_button(tab, served):
+def test_free_start_is_in_the_list_and_on_a_button_after_a_scenario(tab, served):
     tab.open_tab("Run")
     served.loop.send(Play(SCENARIOS["guiding-front"]))
     title = TITLES["guiding-front"]
@@ -339,7 +344,7 @@ def test_after_a_scenario_the_free_start_can_be_chosen_in_the_list_and_by_a_butt
     served.loop.send(Pull((0.5, 0.0, 0.5), who=7))
     wait_for(lambda: not served.loop.latest().scenario, what="its end")
     tab.render(3)
-    assert listed.input_value() == title, "it stays, so that the free start is another choice"
+    assert listed.input_value() == title, "the list still shows the scenario"
     for way in (lambda: tab.choose("Scenario", FREE), lambda: tab.click("Back to the free start")):
         del served.loop.commands[:]
         way()

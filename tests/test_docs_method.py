@@ -1,4 +1,4 @@
-"""The page on the method is correct: its index of equations; and the one on descriptions."""
+"""The page on the method indexes every equation; the page on descriptions, every field."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def marked(thing: object) -> frozenset[int]:
 
 
 def public_functions() -> Iterator[tuple[str, object]]:
-    """All public functions, classes, methods and properties of `app` below the screen, by path."""
+    """All public functions, classes, methods and properties except those of dashboard and CLI."""
     for info in pkgutil.walk_packages(app.__path__, "app."):
         if info.name.split(".")[1] in {"dashboard", "cli", "__main__"}:
             continue
@@ -93,14 +93,14 @@ def test_the_index_has_every_equation() -> None:
 
 
 @pytest.mark.parametrize("line", index(), ids=lambda line: line.function)
-def test_a_function_of_the_index_says_which_equation_it_is(line: Line) -> None:
+def test_function_in_the_index_names_its_equations(line: Line) -> None:
     function = named(line.function)
     assert callable(function) or isinstance(function, property)
     assert line.equations <= marked(function)
 
 
 @pytest.mark.parametrize("line", index(), ids=lambda line: line.test)
-def test_a_test_of_the_index_exists(line: Line) -> None:
+def test_test_in_the_index_exists_and_asserts(line: Line) -> None:
     file, _, name = line.test.partition("::")
     tree = ast.parse((PROJECT / "tests" / file).read_text(encoding="utf-8"))
     (test,) = [n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == name]
@@ -109,7 +109,7 @@ def test_a_test_of_the_index_exists(line: Line) -> None:
     assert asserts or any(".assert_" in call for call in calls)
 
 
-def test_every_public_function_that_is_an_equation_stands_in_the_index() -> None:
+def test_index_lists_every_public_function_with_an_equation() -> None:
     listed = {(line.function, n) for line in index() for n in line.equations}
     found = {(path, n) for path, thing in public_functions() for n in marked(thing)}
     assert found == listed

@@ -1,4 +1,4 @@
-"""Laws of the base's drive."""
+"""Properties of the base's drive."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_small_command_is_followed_exponentially_with_the_time_constant():
 
 
 @pytest.mark.parametrize("dt", [0.0001, 0.001, 0.01, 0.1, 1.0])
-def test_no_period_makes_the_drive_overshoot(dt):
+def test_drive_overshoots_at_no_period(dt):
     v = follow(Drive(BASE, dt), (1.0, -2.0), max(20, int(3 / dt)))
     assert np.all(np.diff(v[:, 0]) >= 0)
     assert np.all(np.diff(v[:, 1]) <= 0)
@@ -43,7 +43,7 @@ def test_velocity_and_acceleration_stay_within_the_limits():
     assert fastest[0] > 0.9 * BASE.max_linear_velocity_mps
 
 
-def test_the_expected_acceleration_is_what_the_drive_then_does():
+def test_drive_acceleration_predicts_the_next_step():
     drive, dt, rng = Drive(BASE, 1e-5), 1e-5, np.random.default_rng(1)
     for _ in range(50):
         command, before = rng.normal(0, 1, 2), drive.velocity
@@ -54,7 +54,7 @@ def test_the_expected_acceleration_is_what_the_drive_then_does():
         follow(drive, command, 500)
 
 
-def test_reset_stands_still():
+def test_reset_sets_the_velocity_to_zero():
     drive = Drive(BASE, 0.001)
     follow(drive, GENTLE, 10)
     drive.reset()

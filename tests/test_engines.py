@@ -1,4 +1,4 @@
-"""pybullet, MuJoCo and pinocchio have the same robot: each that is delivered and installed."""
+"""pybullet, MuJoCo and pinocchio agree on every robot whose meshes are installed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NOBODY = np.zeros(3)
 
 
 def installed(name: str) -> RobotModel:
-    """A robot whose meshes are there; else the test is skipped."""
+    """The model of a robot; skip the test if the robot's meshes are not installed."""
     description = load_robot(name)
     try:
         resolved_urdf(description)
@@ -34,7 +34,7 @@ def installed(name: str) -> RobotModel:
 
 
 @pytest.mark.parametrize("name", robot_names())
-def test_both_engines_see_the_same_robot_and_the_same_contacts(name: str):
+def test_engines_agree_on_pictures_and_contacts(name: str):
     found = compare_engines(installed(name), poses=100, pictures=2)
     assert found.picture < SAME_PICTURE
     assert found.depth < SAME_DEPTH  # [m] depth of contacts in one engine alone
@@ -43,7 +43,7 @@ def test_both_engines_see_the_same_robot_and_the_same_contacts(name: str):
 
 @pytest.mark.parametrize("name", robot_names())
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-def test_mass_matrix_and_bias_forces_are_pinocchios(name: str, engine: str):
+def test_mass_matrix_and_bias_forces_agree_with_pinocchio(name: str, engine: str):
     model, rng = installed(name), np.random.default_rng(1)
     state, n_b = RobotState(model), model.n_b
     other = planar_plant(engine, model)
@@ -57,8 +57,8 @@ def test_mass_matrix_and_bias_forces_are_pinocchios(name: str, engine: str):
 
 
 @pytest.mark.parametrize("name", robot_names())
-def test_one_step_from_rest_is_the_equation_of_motion_with_the_base_held(name: str):
-    """Torques of a tenth of a joint's gravity scale; one step of dt gives q̈_a dt."""
+def test_step_from_rest_obeys_the_equation_of_motion_with_a_fixed_base(name: str):
+    """One step of dt from rest gives the velocity q̈_a dt."""
     model, rng = installed(name), np.random.default_rng(2)
     plant, state, n_b = planar_plant("mujoco", model), RobotState(model), model.n_b
     free = 0
@@ -77,7 +77,7 @@ def test_one_step_from_rest_is_the_equation_of_motion_with_the_base_held(name: s
         np.testing.assert_allclose(m.q_m - q_m, m.qd_m * plant.dt, atol=1e-12)
 
 
-def test_pybullet_is_the_default_where_it_is_installed_else_mujoco(monkeypatch):
+def test_default_engine_is_pybullet_if_installed_else_mujoco(monkeypatch):
     monkeypatch.setattr(plants, "find_spec", lambda name: name == "pybullet")
     assert default_plant() == chosen_plant(None) == "planar"
     monkeypatch.setattr(plants, "find_spec", lambda name: None)
@@ -86,12 +86,12 @@ def test_pybullet_is_the_default_where_it_is_installed_else_mujoco(monkeypatch):
         make_physics("planar", husky_panda())
 
 
-def test_the_former_name_of_the_base_in_contact_still_works():
+def test_former_name_of_the_contact_plant_still_works():
     assert chosen_plant("contact") == "mujoco-contact" in PLANTS
 
 
-def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch, caplog):
-    """As on a machine without the packages that hold the meshes; dynamics do not change."""
+def test_contacts_without_meshes_use_the_convex_bodies_and_log_a_warning(monkeypatch, caplog):
+    """The case of a machine without the packages that contain the meshes."""
 
     def missing(reference: str, folder: Path) -> Path:
         raise AssetError(f"{reference}: not installed")
@@ -111,11 +111,11 @@ def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch
             pull *= min(1.0, 40.0 / np.linalg.norm(pull))
             plant.step(state.g[2:] - 2.0 * state.qd[2:], (0.0, 0.0), pull)
             deepest = max(deepest, plant.world.depths().get("arm_base", 0.0))
-        assert 0.0 < deepest < 0.005  # [m] they touch, and do not enter each other
+        assert 0.0 < deepest < 0.005  # [m] contact with little penetration
         plant.close()
 
 
-def test_what_mujoco_warns_of_is_logged_and_leaves_no_file(tmp_path, monkeypatch, caplog):
+def test_warnings_of_mujoco_are_logged_and_leave_no_file(tmp_path, monkeypatch, caplog):
     monkeypatch.chdir(tmp_path)
     plant = make_physics("mujoco", husky_panda())
     with caplog.at_level(logging.WARNING):

@@ -1,4 +1,4 @@
-"""Laws of the estimate of the arm and of pushes, and of the distance that is kept against one."""
+"""Properties of the estimate of arm and external push, and the arm's distance under a push."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class Gains(NamedTuple):
 
 
 class RunningEstimate:
-    """The estimate by itself, as a control step runs it."""
+    """The estimate without a controller, updated as in a control step."""
 
     def __init__(self, n_m: int) -> None:
-        """Nobody touches the arm, and nothing is known of its readings."""
+        """Start with zero external acceleration and unknown noise."""
         self._x, self._P, self._last = np.zeros((3, n_m)), np.zeros((n_m, 3, 3)), np.zeros((3, n_m))
         self._variances, self._samples = np.zeros((2, n_m)), np.zeros(())
         self._v_last: Array | None = None
@@ -54,7 +54,7 @@ class RunningEstimate:
     def update(
         self, read: Measurement, state: RobotState, u_a: Array | None, c: EstimateConfig, dt: float
     ) -> Measurement:
-        """The readings with the estimate in their place; `state` is that before them."""
+        """The readings, replaced by the estimate; `state` is the state before them."""
         known, robot = np.empty((0, len(read.q_m))), state.model
         if self._v_last is not None and u_a is not None:
             qdd_b = robot.J_m_inv @ (read.base_velocity - self._v_last) / dt
@@ -68,7 +68,7 @@ class RunningEstimate:
 
 
 class Pushed:
-    """An arm that torques and a push move, its base at rest, by its own equation of motion."""
+    """An arm that moves by its equation of motion under torques and a push; its base rests."""
 
     def __init__(self, robot: RobotModel, q_m: Array) -> None:
         self.state = RobotState(robot)
@@ -76,7 +76,7 @@ class Pushed:
         self.state.update(self.measurement)
 
     def move(self, u_a: Array, push: Array) -> None:
-        """One period under torques and the push's (7,) [N m]."""
+        """Simulate one period with the torques `u_a` and `push`, both (7,) [N m]."""
         state, m = self.state, self.measurement
         qdd = np.linalg.solve(state.M[2:, 2:], u_a + push - state.h[2:])
         qd = m.qd_m + DT * qdd
@@ -84,7 +84,7 @@ class Pushed:
         state.update(self.measurement)
 
     def torques_of(self, force: Array) -> Array:
-        """(7,) [N m] that a force [N] on the hand makes."""
+        """(7,) [N m] joint torques of a force (3,) [N] on the end-effector."""
         return self.state.J_ee[:3, 2:].T @ force
 
 
@@ -97,9 +97,9 @@ def ready(robot: RobotModel) -> Pushed:
 def followed(
     arm: Pushed, push: Array, steps: int, noise: float = 0.0, of_velocity: float = 1.0
 ) -> tuple[RunningEstimate, Array, Array]:
-    """The estimate after a motion; (steps, 2, 7) positions and velocities along it, and true ones.
+    """The estimate after a motion; estimated and true positions and velocities (steps, 2, 7).
 
-    Torques sway about those that hold the arm; of the velocities a share [-] is read.
+    The torques oscillate about the bias torques; `of_velocity` [-] scales the measured velocities.
     """
     rng, n_m = np.random.default_rng(1), arm.state.model.n_m
     estimate, seen = RunningEstimate(n_m), RobotState(arm.state.model)
@@ -112,22 +112,25 @@ def followed(
             q_m = read.q_m + noise * rng.standard_normal(n_m)
             read = read._replace(q_m=q_m, qd_m=tracking.update(q_m))
         read = read._replace(qd_m=of_velocity * read.qd_m)
-        told = estimate.update(read, seen, u_a, Config().estimate, DT)
-        seen.update(told)
-        found[k], truth[k] = (told.q_m, told.qd_m), (arm.measurement.q_m, arm.measurement.qd_m)
+        estimated = estimate.update(read, seen, u_a, Config().estimate, DT)
+        seen.update(estimated)
+        found[k], truth[k] = (
+            (estimated.q_m, estimated.qd_m),
+            (arm.measurement.q_m, arm.measurement.qd_m),
+        )
         u_a = arm.state.h[2:] + arm.state.M[2:, 2:] @ np.sin(0.02 * k + np.arange(n_m))
         arm.move(u_a, push)
     return estimate, found, truth
 
 
-def test_where_nobody_pushes_it_learns_nothing_however_the_arm_moves(ready: Pushed) -> None:
+def test_estimated_push_stays_small_during_a_motion_without_a_push(ready: Pushed) -> None:
     estimate, found, truth = followed(ready, np.zeros(7), 300)
     assert np.abs(truth[:, 1]).max() > 0.05
     assert np.abs(estimate.pushed).max() < 0.1
     np.testing.assert_allclose(found, truth, atol=1e-9)
 
 
-def test_without_noise_a_push_is_known_within_milliseconds(ready: Pushed) -> None:
+def test_push_is_estimated_within_10_ms_without_noise(ready: Pushed) -> None:
     qdd = np.array([1.0, -2.0, 1.0, 2.0, -1.0, 1.5, -1.0])
     estimate, found, truth = followed(ready, ready.state.M[2:, 2:] @ qdd, 10)
     np.testing.assert_allclose(estimate.pushed, qdd, atol=0.1)
@@ -135,9 +138,7 @@ def test_without_noise_a_push_is_known_within_milliseconds(ready: Pushed) -> Non
 
 
 @pytest.mark.parametrize("of_velocity", [0.0, -1.0, 0.9])
-def test_velocities_that_are_wrong_are_left_to_the_positions(
-    ready: Pushed, of_velocity: float
-) -> None:
+def test_wrong_velocities_are_corrected_by_the_positions(ready: Pushed, of_velocity: float) -> None:
     estimate, found, truth = followed(ready, np.zeros(7), 300, 0.0, of_velocity)
     assert np.abs(truth[:, 1]).max() > 0.05
     np.testing.assert_allclose(found[20:], truth[20:], atol=1e-4)
@@ -145,8 +146,8 @@ def test_velocities_that_are_wrong_are_left_to_the_positions(
 
 
 @pytest.mark.parametrize("noise", [3e-4, 1e-3, 3e-3])
-def test_noise_is_learnt_and_taken_out(ready: Pushed, noise: float) -> None:
-    """The remainder is steady: a tenth of it in a step."""
+def test_noise_is_estimated_and_filtered(ready: Pushed, noise: float) -> None:
+    """The remaining error changes slowly from step to step."""
     estimate, found, truth = followed(ready, np.zeros(7), 1000, noise)
     np.testing.assert_allclose(estimate.noise[0], noise, rtol=0.4)
     off = (found - truth)[300:]
@@ -156,10 +157,10 @@ def test_noise_is_learnt_and_taken_out(ready: Pushed, noise: float) -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
-def test_velocities_made_of_the_same_noisy_positions_are_no_better(
+def test_velocities_differentiated_from_noisy_positions_are_filtered(
     ready: Pushed, noise: float
 ) -> None:
-    """They agree with the travel by construction; at most a tenth of their noise remains."""
+    """They agree with the positions by construction; less than 10 % of their noise remains."""
     rng, still = np.random.default_rng(2), ready.measurement
     estimate, last = RunningEstimate(7), still.q_m
     found = np.empty((600, 7))
@@ -167,20 +168,20 @@ def test_velocities_made_of_the_same_noisy_positions_are_no_better(
         q_m = still.q_m + noise * rng.standard_normal(7)
         read = still._replace(q_m=q_m, qd_m=(q_m - last) / DT)
         last = q_m
-        told = estimate.update(read, ready.state, ready.state.h[2:], Config().estimate, DT)
-        found[k] = told.qd_m
+        estimated = estimate.update(read, ready.state, ready.state.h[2:], Config().estimate, DT)
+        found[k] = estimated.qd_m
     assert found[300:].std() < 0.1 * np.sqrt(2.0) * noise / DT
 
 
-def test_a_push_is_learnt_from_noisy_readings_too(ready: Pushed) -> None:
+def test_push_is_estimated_from_noisy_readings(ready: Pushed) -> None:
     qdd = np.array([5.0, -10.0, 5.0, 10.0, -5.0, 7.0, -5.0])
     estimate, _, _ = followed(ready, ready.state.M[2:, 2:] @ qdd, 200, 1e-3)
     assert np.abs(estimate.pushed - qdd).max() < 0.9 * np.abs(qdd).max()
     assert (estimate.pushed * qdd).sum() > 0.7 * (qdd**2).sum()
 
 
-def test_an_arm_that_was_moved_meanwhile_is_where_it_is_read(ready: Pushed) -> None:
-    """Positions that no motion leads to begin the estimate anew; small leaps are noise."""
+def test_large_jump_of_the_positions_restarts_the_estimate(ready: Pushed) -> None:
+    """Only jumps that no motion explains restart the estimate; smaller ones are noise."""
     robot, there = ready.state.model, ready.measurement
     estimate, config = RunningEstimate(robot.n_m), Config().estimate
     for _ in range(20):
@@ -199,8 +200,8 @@ def test_an_arm_that_was_moved_meanwhile_is_where_it_is_read(ready: Pushed) -> N
 
 
 @pytest.mark.parametrize("dt", [0.001, 0.01, 0.1])
-def test_however_slow_a_loop_is_a_push_is_learnt_and_not_overshot(ready: Pushed, dt: float) -> None:
-    """An arm that a push cannot move, whose torques hold against it."""
+def test_push_is_estimated_with_little_overshoot_at_any_period(ready: Pushed, dt: float) -> None:
+    """The arm is at rest because its torques balance the push."""
     state, push = ready.state, np.array([1.0, -2.0, 1.0, 2.0, -1.0, 1.5, -1.0])
     estimate, qdd = RunningEstimate(7), np.linalg.solve(state.M[2:, 2:], push)
     for _ in range(50):
@@ -209,7 +210,7 @@ def test_however_slow_a_loop_is_a_push_is_learnt_and_not_overshot(ready: Pushed,
     np.testing.assert_allclose(estimate.pushed, qdd, rtol=0.01)
 
 
-def test_after_a_pause_who_pushes_stays_and_after_a_reset_nobody_does(
+def test_estimated_push_survives_a_gap_in_the_readings_but_not_a_reset(
     ready: Pushed, robot: RobotModel, border_data: BorderData
 ) -> None:
     controller, gap = Controller(robot, border_data, Config()), np.full(7, np.nan)
@@ -226,19 +227,19 @@ def test_after_a_pause_who_pushes_stays_and_after_a_reset_nobody_does(
     assert not controller.last.x_est.any()
 
 
-HAND_ABOVE = (-0.10, 0.20, 0.60)
-"""[m] over the base's deck, where only the arm can keep the distance."""
+ABOVE_DECK = (-0.10, 0.20, 0.60)
+"""[m] above the base's deck, where base motion cannot increase the distance."""
 
 
 def least_distance(
-    robot: RobotModel, data: BorderData, q_m: Array, *, knows_who_pushes: bool
+    robot: RobotModel, data: BorderData, q_m: Array, *, estimates_push: bool
 ) -> float:
-    """[m] where a hand comes to rest that 40 N press straight onto the deck for 3 s."""
+    """[m] distance from the base after 3 s of a downward force of 40 N on the end-effector."""
     controller = Controller(robot, data, Config())
     arm, d = Pushed(robot, q_m), np.inf
     for k in range(3000):
-        if not knows_who_pushes:
-            controller.last.v_last[:] = np.nan  # a gap: the estimate begins anew at each reading
+        if not estimates_push:
+            controller.last.v_last[:] = np.nan  # a gap: the estimate restarts at each reading
         output = controller.step(arm.measurement, base_acceleration=np.zeros(2))
         force = min(k / 500, 1.0) * np.array([0.0, 0.0, -40.0])
         arm.move(output.u_cmd, arm.torques_of(force))
@@ -247,13 +248,14 @@ def least_distance(
 
 
 @pytest.mark.slow
-def test_a_distance_is_kept_against_a_push_of_40_n(
+def test_arm_stops_at_the_minimum_distance_under_a_push_of_40_n(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    """And not where nobody is thought to push: the barrier alone gives way like a spring."""
-    q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(HAND_ABOVE)
+    """Without the estimate of the push, the barrier alone yields like a spring."""
+    q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(ABOVE_DECK)
     kept, pressed = (
-        least_distance(robot, border_data, q_m, knows_who_pushes=knows) for knows in (True, False)
+        least_distance(robot, border_data, q_m, estimates_push=estimates)
+        for estimates in (True, False)
     )
     assert kept == pytest.approx(Config().barrier.d_min, abs=3e-3)
     assert pressed < kept - 5e-3

@@ -1,4 +1,4 @@
-"""Laws of the words: they agree with the numbers, for every controller and in every state."""
+"""The explanation in words agrees with the numbers, for every controller and every state."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def why_html(snapshot: Snapshot) -> str:
     return why_panel.why_html(snapshot, judge(snapshot)) + why_panel.details_html(snapshot)
 
 
-def said(blank: Snapshot, why: Explanation, **fields: object) -> str:
+def sentence_for(blank: Snapshot, why: Explanation, **fields: object) -> str:
     return sentence(replace(blank, explanation=why, controller=why.controller, **fields))
 
 
@@ -107,14 +107,14 @@ def vector(text: str) -> tuple[float, float]:
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.1, 600))
-def test_the_direction_in_words_is_within_half_a_sector_of_the_force(heading, size):
+def test_direction_in_words_is_within_half_a_sector_of_the_force(heading, size):
     x, y = size * math.cos(heading), size * math.sin(heading)
     word = vector(words.direction(x, y))
     assert word[0] * x + word[1] * y >= size * math.cos(math.pi / 8) * (1 - 1e-9)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.1, 600))
-def test_the_degrees_say_the_same_as_the_force(heading, size):
+def test_angle_in_degrees_agrees_with_the_force(heading, size):
     text = words.angle(size * math.cos(heading), size * math.sin(heading))
     degrees = float(text.split("°")[0]) * (-1.0 if "right" in text else 1.0)
     assert math.cos(math.radians(degrees) - heading) >= math.cos(math.radians(0.51))
@@ -122,7 +122,7 @@ def test_the_degrees_say_the_same_as_the_force(heading, size):
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-0.79, 0.79))
-def test_the_place_on_the_base_is_where_the_normal_points(heading, n_z):
+def test_named_side_of_the_base_agrees_with_the_normal(heading, n_z):
     flat = math.sqrt(1 - n_z**2)
     text = words.place((flat * math.cos(heading), flat * math.sin(heading), n_z))
     named = [{"front": "forward", "rear": "backward"}.get(word, word) for word in text.split()]
@@ -130,33 +130,33 @@ def test_the_place_on_the_base_is_where_the_normal_points(heading, n_z):
     assert word[0] * math.cos(heading) + word[1] * math.sin(heading) >= math.cos(math.pi / 8) - 1e-9
 
 
-def test_the_top_is_the_top():
+def test_nearly_vertical_normal_is_named_top():
     assert words.place((0.3, 0.0, 0.95)) == words.place(TOP) == "top"
 
 
 @given(st.floats(-2, 2), st.floats(-2, 2), st.booleans())
-def test_what_the_base_does_has_the_signs_of_its_velocity(v, w, ahead):
+def test_motion_in_words_has_the_signs_of_the_velocity(v, w, ahead):
     for text, least in (
         (words.motion(Planar(v, 0.0, w), ahead=ahead), words.AT_REST),
         (words.motion(Planar(v, 0.0, w), ahead=ahead, intended=True), words.SLIGHT),
     ):
         assert (text is None) == (abs(v) < least[0] and abs(w) < least[1])
-        told = text or ""
-        assert ("back" in told) == (v <= -least[0])
-        assert ("forward" in told) == (v >= least[0])
-        assert ("left" in told) == (w >= least[1])
-        assert ("right" in told) == (w <= -least[1])
+        phrase = text or ""
+        assert ("back" in phrase) == (v <= -least[0])
+        assert ("forward" in phrase) == (v >= least[0])
+        assert ("left" in phrase) == (w >= least[1])
+        assert ("right" in phrase) == (w <= -least[1])
 
 
 @given(st.floats(-1e3, 1e3))
-def test_powers_of_ten_read_back_as_the_number(value):
+def test_number_in_scientific_notation_can_be_read_back(value):
     digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
     mantissa, _, power = words.scientific(value).partition("·10")
     read = float(mantissa.translate(digits)) * 10.0 ** int(power.translate(digits) or 0)
     assert read == pytest.approx(value, rel=0.051)
 
 
-def test_bodies_are_named_from_the_hand_inwards():
+def test_bodies_are_named_from_the_end_effector_inwards():
     names = [words.body(name, CHAIN) for name in CHAIN]
     assert names == ["base", "shoulder", "upper arm", "forearm", "hand"]
     assert words.body("lEE", (*CHAIN, "door")) == "hand"
@@ -178,7 +178,7 @@ EVERYTHING = list(
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_there_is_one_short_answer_for_every_state(blank, controller):
+def test_every_state_has_one_short_sentence(blank, controller):
     for name, near, moves, mode, levels, solved in EVERYTHING:
         if name != controller:
             continue
@@ -191,7 +191,7 @@ def test_there_is_one_short_answer_for_every_state(blank, controller):
             bounds=(Bound("base", "speed", upper=True),),
         )
         for contact in ((False, False), (True, False), (False, True)):
-            text = said(
+            text = sentence_for(
                 blank,
                 why,
                 base_velocity=MOTIONS[moves],
@@ -205,36 +205,38 @@ def test_there_is_one_short_answer_for_every_state(blank, controller):
             assert any(contact) == text.startswith("Contact ")
 
 
-def test_the_base_that_gives_way_is_said_with_distance_buffer_place_and_motion(blank):
+def test_sentence_states_distance_buffer_side_and_motion_of_the_base(blank):
     why = explanation(NEAR["base"], mode="tracking")
-    assert said(blank, why, base_velocity=(-0.21, 0.3)) == (
+    assert sentence_for(blank, why, base_velocity=(-0.21, 0.3)) == (
         "The hand is 8 cm from the base's front (buffer 15 cm), so the base backs away at "
         "0.21 m/s and turns left; the end-effector's task is not affected."
     )
 
 
-def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
+def test_sentence_announces_the_motion_of_a_base_at_rest(blank):
     why = explanation(NEAR["base"], base_asked=(-0.3, -0.2))
-    assert "so the base is about to back away and turn right" in said(
+    assert "so the base is about to back away and turn right" in sentence_for(
         blank, why, base_velocity=(0.0, 0.0)
     )
     idle = explanation(NEAR["base"])
-    assert "the base does not need to move yet" in said(blank, idle, base_velocity=(0.0, 0.0))
+    assert "the base does not need to move yet" in sentence_for(
+        blank, idle, base_velocity=(0.0, 0.0)
+    )
 
 
 @pytest.mark.parametrize("held", [False, True])
 @pytest.mark.parametrize("near", ["base", "above", "inside"])
-def test_the_arm_is_said_to_keep_its_distance_exactly_where_its_barrier_holds(blank, near, held):
+def test_sentence_mentions_the_arms_limit_if_and_only_if_it_is_active(blank, near, held):
     (pair,) = NEAR[near]
-    text = said(blank, explanation((pair._replace(held=held),)))
+    text = sentence_for(blank, explanation((pair._replace(held=held),)))
     assert ("the arm itself limits the approach" in text) == held
 
 
 @pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])
-def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, disturbed):
+def test_sentence_calls_the_task_reduced_only_with_much_slack(blank, slack, disturbed):
     why = explanation(NEAR["base"], mode="tracking", levels=(Level("hand", slack, 0.0),))
-    assert ("task is reduced" in said(blank, why)) == disturbed
-    assert ("not affected" in said(blank, why)) != disturbed
+    assert ("task is reduced" in sentence_for(blank, why)) == disturbed
+    assert ("not affected" in sentence_for(blank, why)) != disturbed
 
 
 @pytest.mark.parametrize(
@@ -256,35 +258,35 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("base", "barrier", "this method acts near its minimum distance of 3 cm only"),
     ],
 )
-def test_each_state_has_its_reason(blank, near, controller, part):
-    assert part in said(blank, explanation(NEAR[near], controller=controller))
+def test_sentence_gives_the_reason_for_each_state(blank, near, controller, part):
+    assert part in sentence_for(blank, explanation(NEAR[near], controller=controller))
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_the_base_gives_way_with_each_controller_that_moves_it(blank, controller):
+def test_verdict_names_the_behaviour_of_each_controller(blank, controller):
     pair = blank.pairs[0]._replace(d=0.10, beta=0.5)
     moving = replace(blank, pairs=(pair,), controller=controller, base_velocity=(-0.2, 0.0))
     state = {"dbb": "giving way", "hqp": "giving way", "repulsive": "resisting"}
     assert judge(moving).state == state.get(controller, "near")
 
 
-def test_a_failed_solver_is_said_before_all_else(blank):
-    text = said(blank, explanation(NEAR["base"], solved=False))
+def test_sentence_reports_a_failed_solver_first(blank):
+    text = sentence_for(blank, explanation(NEAR["base"], solved=False))
     assert text.startswith("Fallback command")
 
 
-def test_of_several_pairs_it_speaks_of_the_one_that_is_inside(blank):
+def test_sentence_names_the_overlapping_pair_of_several(blank):
     deep = LINKS._replace(d=-0.003, beta=1.0)
-    assert "overlaps the shoulder by 3 mm" in said(blank, explanation((BASE, deep)))
+    assert "overlaps the shoulder by 3 mm" in sentence_for(blank, explanation((BASE, deep)))
 
 
-def test_the_buffer_is_the_one_in_force(blank):
-    assert "buffer 22 cm" in said(blank, explanation(NEAR["base"]), d_b=0.22)
+def test_sentence_states_the_buffer_in_force(blank):
+    assert "buffer 22 cm" in sentence_for(blank, explanation(NEAR["base"]), d_b=0.22)
 
 
-def test_as_fast_as_it_may_is_said_at_the_top_speed_only(blank):
+def test_sentence_mentions_the_speed_limit_only_if_it_is_active(blank):
     slow, fast = (
-        said(blank, explanation(NEAR["base"], bounds=bounds), base_velocity=(-0.5, 0.0))
+        sentence_for(blank, explanation(NEAR["base"], bounds=bounds), base_velocity=(-0.5, 0.0))
         for bounds in ((), (Bound("base", "speed", upper=False),))
     )
     assert ("at its speed limit" in slow, "at its speed limit" in fast) == (False, True)
@@ -293,7 +295,7 @@ def test_as_fast_as_it_may_is_said_at_the_top_speed_only(blank):
 # The panel
 
 
-def test_details_are_for_what_is_near_and_have_the_same_rows_then(blank):
+def test_details_are_empty_or_have_a_fixed_number_of_rows(blank):
     rows = {
         near: {
             why_panel.details_html(
@@ -308,13 +310,13 @@ def test_details_are_for_what_is_near_and_have_the_same_rows_then(blank):
     assert len(set.union(*rows.values())) == 1
 
 
-def test_nothing_near_speaks_of_the_least_distance_of_all_pairs(blank):
-    """Also of links of the arm, though the explanation has the pairs with the base."""
+def test_sentence_without_a_near_pair_states_the_least_distance(blank):
+    """Pairs between links of the arm count too."""
     for k, pair in enumerate(blank.pairs):
         pairs = [each._replace(d=0.2 if i == k else 0.4) for i, each in enumerate(blank.pairs)]
         snapshot = replace(blank, pairs=tuple(pairs))
         assert snapshot.nearest.name == pair.name
-        text = said(snapshot, explanation())
+        text = sentence_for(snapshot, explanation())
         a, b = (words.body(name, CHAIN) for name in pair.name.split("-"))
         assert f"the {b} is 20 cm from the {a}" in text
         spoken = {each.name: words.spoken(each.name, CHAIN) for each in pairs}
@@ -323,7 +325,7 @@ def test_nothing_near_speaks_of_the_least_distance_of_all_pairs(blank):
         )
 
 
-def test_the_panel_shows_the_numbers_of_the_explanation(blank):
+def test_panel_shows_the_numbers_of_the_explanation(blank):
     why = explanation(
         NEAR["base"],
         base_avoidance=(-0.4, -0.2),
@@ -351,21 +353,21 @@ def test_the_panel_shows_the_numbers_of_the_explanation(blank):
 
 
 @pytest.mark.parametrize("kind", ["differential", "holonomic", "car-like", "of one's own"])
-def test_the_panel_names_the_measure_of_the_base(blank, kind):
+def test_panel_names_the_measure_of_the_base(blank, kind):
     why = explanation(NEAR["base"], base_kind=kind)
     html, paper = why_html(replace(blank, explanation=why)), kind == "differential"
     assert ("det(J Jᵀ)" in html) == ("sign · det · R" in html) == paper
     assert ("measure of the base" in html) == ("(10): measure · R" in html) == (not paper)
 
 
-def test_the_text_inherits_its_colour_from_the_theme(blank):
+def test_text_inherits_its_colour_from_the_theme(blank):
     html = why_panel.details_html(
         replace(blank, explanation=explanation(NEAR["base"], levels=LEVELS))
     )
     assert not re.search(r'[;"]\s*color\s*:', html)
 
 
-def test_what_has_not_changed_is_not_sent(blank, monkeypatch):
+def test_unchanged_panel_is_not_sent_again(blank, monkeypatch):
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     panel = server.gui.add_html("")
     sent = []
